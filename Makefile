@@ -1,0 +1,43 @@
+# `make demo` and `make test` set everything up by themselves, on a machine with git, make and Python ≥ 3.11.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+comma := ,
+# A sourced ROS brings its own rclpy on PYTHONPATH; elsewhere ROS 2 Jazzy comes as wheels.
+EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)dev,dev))
+
+# Nothing that runs from here leaves this machine.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+
+.PHONY: demo test lint bench clean system
+
+demo: $(STAMP)
+	$(BIN)/rsb-console demo
+
+test: $(STAMP) system lint
+	timeout -k 5 900 $(BIN)/python -m pytest
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+bench: $(STAMP)
+	$(BIN)/python bench/run.py
+
+# The tests drive a real terminal and real network namespaces.
+system:
+	@command -v tmux >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+	  && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends tmux >/dev/null; } \
+	  || echo "tmux is not installed: the terminal tests will be skipped (apt install tmux)"
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with PYTHON=..."; exit 1; }
+	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

@@ -1,0 +1,95 @@
+"""Quality of service as session files, the wire and ROS share it.
+
+Values are those of the ROS 2 middleware interface (rmw/types.h, Jazzy); the named profiles are rmw/qos_profiles.h.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+Reliability = Literal["reliable", "best_effort"]
+Durability = Literal["volatile", "transient_local"]
+History = Literal["keep_last", "keep_all"]
+
+
+class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The policies a bridged endpoint is created with.
+
+    Attributes:
+        reliability: whether lost samples are sent again.
+        durability: ``transient_local`` keeps the last ``depth`` messages for subscriptions that join late.
+        history: ``keep_last`` keeps ``depth`` messages, ``keep_all`` as many as the middleware can.
+        depth: messages; at least 1.
+        deadline: s; 0 is no deadline.
+        lifespan: s; 0 is no expiry.
+    """
+
+    reliability: Reliability = "reliable"
+    durability: Durability = "volatile"
+    history: History = "keep_last"
+    depth: int = 10
+    deadline: float = 0.0
+    lifespan: float = 0.0
+
+
+PROFILES: dict[str, Qos] = {
+    "default": Qos(),
+    "sensor_data": Qos(reliability="best_effort", depth=5),
+    "services_default": Qos(),
+    "parameters": Qos(depth=1000),
+    "system_default": Qos(),
+    "latched": Qos(durability="transient_local", depth=1),
+}
+"""QoS by name. ``latched`` is ours: what ROS 1 called a latched topic."""
+
+AUTO = "auto"
+
+
+def parse_qos(value: object) -> Qos | None:
+    """The QoS that a session file means: a profile's name, a depth, or a mapping of policies.
+
+    Args:
+        value: ``auto``, a name out of `PROFILES`, an integer depth >= 1, or a mapping of `Qos` fields, which may
+            start from a profile (``{profile: sensor_data, depth: 20}``).
+
+    Returns:
+        The QoS, or None for ``auto``: to be matched to the topic's publishers.
+
+    Raises:
+        ValueError: it is none of these; the message says what it may be.
+    """
+    if value is None or value == AUTO:
+        return None
+    if isinstance(value, Qos):
+        return value
+    if isinstance(value, bool):
+        raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
+    if isinstance(value, int):
+        if value < 1:
+            raise ValueError(f"a depth is at least 1, not {value}")
+        return Qos(depth=value)
+    if isinstance(value, str):
+        if value in PROFILES:
+            return PROFILES[value]
+        raise ValueError(f"{value!r} is not one of auto, {', '.join(PROFILES)}")
+    if isinstance(value, dict):
+        return _from_mapping(value)
+    raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
+
+
+def _from_mapping(value: dict[str, Any]) -> Qos:
+    policies = dict(value)
+    profile = policies.pop("profile", "default")
+    if profile not in PROFILES:
+        raise ValueError(f"profile: {profile!r} is not one of {', '.join(PROFILES)}")
+    try:
+        qos = msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)
+    except msgspec.ValidationError as error:
+        raise ValueError(str(error)) from None
+    if qos.depth < 1:
+        raise ValueError(f"depth: at least 1, not {qos.depth}")
+    if qos.deadline < 0 or qos.lifespan < 0:
+        raise ValueError("deadline and lifespan are seconds, 0 or more")
+    return qos

@@ -1,0 +1,130 @@
+"""The seam between the engine and ROS: what the engine asks of it, without importing rclpy.
+
+`rsb_bridge.ros.node.RosNode` is the real one; the Bluetooth test bed, in whose guest ROS does not fit, brings another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import NamedTuple, Protocol
+
+from rsb_bridge.qos import Qos
+
+
+class RosError(Exception):
+    """ROS refused something; the message says what and what to do, in an operator's words."""
+
+
+class Taken(NamedTuple):
+    """One message taken from a subscription.
+
+    Attributes:
+        payload: the serialized message (CDR with its 4-byte encapsulation header).
+        stamp: ns since the epoch on this machine's clock, when DDS received it.
+    """
+
+    payload: bytes
+    stamp: int
+
+
+class Endpoint(NamedTuple):
+    """A publisher or subscription that some node has on a topic.
+
+    Attributes:
+        node: its node's full name, ``/namespace/name``.
+        type_name: ``pkg/msg/Name``.
+        type_hash: ``RIHS01_...``, or empty where the middleware did not say.
+        qos: its policies; the depth is not known to others and stands as 0.
+    """
+
+    node: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+
+
+class Subscription(Protocol):
+    """A raw subscription, drained by the ROS thread."""
+
+    @property
+    def lost(self) -> int:
+        """Messages DDS lost before we could take them: gaps in ``publication_sequence_number``, one publisher only."""
+        ...
+
+    def close(self) -> None:
+        """Stop taking, and free it. After it returns the sink is not called again. May be called twice."""
+        ...
+
+
+class Publisher(Protocol):
+    """A raw publisher. May be used from the engine's I/O thread."""
+
+    def publish(self, payload: bytes) -> None:
+        """Publish one serialized message.
+
+        Raises:
+            RosError: the middleware refused it.
+        """
+        ...
+
+    @property
+    def subscriber_count(self) -> int:
+        """How many subscriptions of other nodes match it now."""
+        ...
+
+    def close(self) -> None:
+        """Free it. May be called twice."""
+        ...
+
+
+Sink = Callable[[Sequence[Taken]], None]
+"""Called on the ROS thread with one or more messages, oldest first. It may block briefly: DDS keeps the newest."""
+
+
+class RosSide(Protocol):
+    """One domain's ROS graph, and our node in it. Every method may be called from any thread."""
+
+    def start(self) -> None:
+        """Join the domain and start the thread that drains subscriptions.
+
+        Raises:
+            RosError: rclpy is missing, or the domain could not be joined.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Close every endpoint, leave the domain, end the thread. May be called twice."""
+        ...
+
+    def topics(self) -> dict[str, list[str]]:
+        """Every topic of the graph with its type names; topics that only our own node holds are left out."""
+        ...
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """The publishers on a topic, our own node's left out."""
+        ...
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        """The subscriptions on a topic, our own node's left out."""
+        ...
+
+    def installed_hash(self, type_name: str) -> str | None:
+        """The type hash of a message type that is installed here, else None."""
+        ...
+
+    def subscribe(
+        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
+    ) -> Subscription:
+        """Subscribe raw, to a type installed here or known by name and hash only.
+
+        A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
+        bridged both ways over one link from looping.
+
+        Raises:
+            RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.
+        """
+        ...
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+        """Create a raw publisher; types and errors as `subscribe`."""
+        ...

@@ -1,0 +1,1 @@
+"""Sockets: TCP, UDP and Bluetooth RFCOMM."""

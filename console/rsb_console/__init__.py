@@ -1,0 +1,1 @@
+"""The operator console and command line of rsb-console."""
