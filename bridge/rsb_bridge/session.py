@@ -1,7 +1,13 @@
-"""A session: what one bridge process is told to do. The model only; `session_file` reads and writes it."""
+"""A session: what one bridge process is told to do. The model only.
+
+`session_shape` builds it from plain data, `session_rules` says what is wrong with it, `session_file` reads and writes
+it.
+"""
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import msgspec
@@ -12,6 +18,31 @@ Direction = Literal["transmit", "receive"]
 Protocol = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]
 Role = Literal["client", "server"]
+
+_MAC = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}")
+
+
+def is_mac(address: str) -> bool:
+    """Whether an address is a Bluetooth MAC, six hexadecimal pairs with colons between."""
+    return _MAC.fullmatch(address) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One mistake in a session.
+
+    Attributes:
+        place: where it is: ``topics[2].protocol``; empty is the session as a whole.
+        words: what is wrong, and what would be right.
+        line: of the session file, from 1; None where there is no file.
+    """
+
+    place: str
+    words: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.words}" if self.place else self.words
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -100,3 +131,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     shutdown_topic: str | None = "/shutdown"
     topics: tuple[Topic, ...] = ()
     clients: tuple[Client, ...] = ()
+
+    @property
+    def is_bluetooth(self) -> bool:
+        """Whether the link is RFCOMM."""
+        return is_mac(self.server_ip)
