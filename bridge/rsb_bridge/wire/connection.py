@@ -1,0 +1,355 @@
+"""The state machines of a stream: bytes in, events out (PROTOCOL.md, 1).
+
+A caller reads a socket and gives what came to `receive_data`, acts on the events, and writes what `data_to_send` and
+`send` return, in the order of the calls. After `Refused` or `Failed` a connection takes nothing in any more.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.wire.events import (
+    Accepted,
+    Attach,
+    DataFrame,
+    Established,
+    Event,
+    Failed,
+    Received,
+    Refused,
+)
+from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError, pack_frame
+from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
+from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome, decode, decode_hello, decode_welcome, encode
+from rsb_bridge.wire.opening import (
+    ControlOpening,
+    Kind,
+    Refusal,
+    RefusalCode,
+    control_header,
+    data_header,
+    opening,
+    parse_control,
+    parse_data,
+    parse_opening,
+    parse_refuse,
+    parse_suite,
+    refuse_frame,
+    take_frame,
+)
+from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
+
+
+class Credential(NamedTuple):
+    """What a server holds for a client's name.
+
+    Attributes:
+        key: 32 bytes; None: it comes in without encryption.
+    """
+
+    key: bytes | None
+
+
+class _Phase(Enum):
+    OPENING = auto()  # opening frames, one by one
+    SEALED = auto()  # sealed frames
+    HANDED_OVER = auto()  # a data stream: what comes is the caller's
+    OVER = auto()
+
+
+class _Stream:
+    """What every end of a stream shares: the opening frames, and how it goes wrong."""
+
+    def __init__(self) -> None:
+        self._phase = _Phase.OPENING
+        self._inbox = bytearray()
+        self._outbox = bytearray()
+        self._events: list[Event] = []
+
+    def receive_data(self, data: Buffer) -> list[Event]:
+        """Take in the next bytes of the stream; `data` is not to be changed afterwards."""
+        self._events = []
+        try:
+            self._take_in(data)
+        except Refusal as refusal:
+            self._refuse(refusal.code, refusal.words)
+            self._end(Refused(refusal.code, refusal.words, by_peer=False))
+        except (ProtocolError, SealError) as error:
+            if self._is(_Phase.OPENING):
+                self._refuse(RefusalCode.BAD_FORMAT, str(error))
+            self._end(Failed(str(error)))
+        return self._events
+
+    def data_to_send(self) -> bytes:
+        """What is to be written now; it is handed out once."""
+        data, self._outbox = bytes(self._outbox), bytearray()
+        return data
+
+    def leftover(self) -> bytes:
+        """What came behind a data stream's opening frame, once it is accepted; it is handed out once."""
+        data, self._inbox = bytes(self._inbox), bytearray()
+        return data
+
+    def _take_in(self, data: Buffer) -> None:
+        if self._is(_Phase.OVER):
+            return
+        self._inbox += data
+        while self._is(_Phase.OPENING) and (frame := take_frame(self._inbox)) is not None:
+            self._on_opening(*parse_opening(frame), frame)
+        if self._is(_Phase.SEALED):
+            self._on_sealed(self.leftover())
+
+    def _is(self, phase: _Phase) -> bool:
+        return self._phase is phase
+
+    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        raise NotImplementedError
+
+    def _on_sealed(self, data: Buffer) -> None:
+        raise NotImplementedError
+
+    def _refuse(self, code: RefusalCode, words: str) -> None:
+        """Tell the peer; only a server has a frame for it."""
+
+    def _refused_by_peer(self, body: bytes) -> None:
+        code, words = parse_refuse(body)
+        self._end(Refused(code, words, by_peer=True))
+
+    def _end(self, event: Event) -> None:
+        self._phase = _Phase.OVER
+        self._events.append(event)
+
+
+class _Control(_Stream):
+    """Either end of a control connection: sealed control frames once the handshake is done."""
+
+    def __init__(self, *, multiplexed: bool) -> None:
+        super().__init__()
+        self._multiplexed = multiplexed
+        self._frames = FrameReader(CONTROL_LIMIT)
+        self._sealer: Sealer | None = None
+        self._opener: StreamOpener | None = None
+        self._unconfirmed: Established | None = None
+
+    def send(self, message: ControlMessage) -> bytes:
+        """Seal a control message.
+
+        Returns:
+            The bytes to write, whatever `data_to_send` still held before them.
+
+        Raises:
+            ValueError: the message is longer than a control frame may be.
+            RuntimeError: the connection was never `Established`.
+        """
+        content = encode(message)
+        if HEADER.size + len(content) + Suite.AESGCM.tag_length > CONTROL_LIMIT:
+            raise ValueError(f"a {type(message).__name__} of {len(content)} bytes; a control frame has {CONTROL_LIMIT}")
+        self._write(content)
+        return self.data_to_send()
+
+    def _start_sealing(self, suite: Suite, sending: bytes | None, receiving: bytes | None) -> None:
+        self._sealer = Sealer(suite, sending)
+        self._opener = StreamOpener(suite, receiving)
+        self._phase = _Phase.SEALED
+
+    def _write(self, content: bytes) -> None:
+        if self._sealer is None:
+            raise RuntimeError("nothing can be sent before the connection is established")
+        self._outbox += pack_frame(_CONTROL_HEADER, self._sealer.seal(content, _CONTROL_HEADER))
+
+    def _on_sealed(self, data: Buffer) -> None:
+        assert self._opener is not None
+        for frame in self._frames.feed(data):
+            header = frame[: HEADER.size]
+            if header == _CONTROL_HEADER:
+                self._on_control(self._opener.open(frame[HEADER.size :], header))
+            elif self._multiplexed and self._unconfirmed is None and len(header) == HEADER.size and header[0] == DATA:
+                self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
+            else:
+                raise ProtocolError(f"a frame that begins {header.hex(' ')} has no place on this control connection")
+
+    def _on_control(self, content: bytes) -> None:
+        self._events.append(Received(decode(content)))
+
+
+class ClientConnection(_Control):
+    """The client's end of a control connection."""
+
+    def __init__(self, hello: Hello, key: bytes | None, suite: Suite, *, multiplexed: bool = False) -> None:
+        """Prepare to connect.
+
+        Args:
+            hello: this side.
+            key: 32 bytes; None: without encryption, whatever the suite.
+            suite: AESGCM or CHACHAPOLY: what this machine is fast at. The server may ask for CHACHAPOLY.
+            multiplexed: data frames share the stream (Bluetooth).
+        """
+        super().__init__(multiplexed=multiplexed)
+        self._hello = hello
+        self._key = key
+        self._suite = Suite.PLAIN if key is None else suite
+        self._handshake: Handshake = PlainHandshake()
+
+    def start(self) -> bytes:
+        """The bytes to write first.
+
+        Raises:
+            ValueError: the name is too long.
+        """
+        header = control_header(self._suite, self._hello.name)
+        self._handshake = _handshake(self._suite, self._key, header)
+        return pack_frame(header, self._handshake.write(encode(self._hello)))
+
+    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        match kind:
+            case Kind.ACCEPT:
+                self._on_accept(body)
+            case Kind.REFUSE:
+                self._refused_by_peer(body)
+            case Kind.RETRY if self._suite is Suite.AESGCM and parse_suite(body) is Suite.CHACHAPOLY:
+                self._suite = Suite.CHACHAPOLY
+                self._outbox += self.start()
+            case _:
+                raise ProtocolError(f"an opening frame of kind {kind.name} has no place here")
+
+    def _on_accept(self, message: bytes) -> None:
+        try:
+            welcome = decode_welcome(self._handshake.read(message))
+        except SealError:
+            raise Refusal(RefusalCode.WRONG_KEY, "the server's answer does not open with this side's key") from None
+        keys = self._handshake.split()
+        self._start_sealing(self._suite, keys.client, keys.server)
+        self._write(b"")  # the confirmation: what a recorded first message, played again, cannot give
+        self._events.append(Established(welcome, SessionKeys(self._suite, keys.export, welcome.link_id)))
+
+
+class ServerConnection(_Control):
+    """The server's end of any stream that comes in: a control connection, or a data stream to be attached."""
+
+    def __init__(
+        self,
+        identity: Callable[[str], Credential],
+        make_welcome: Callable[[Hello], Welcome],
+        aes: bool,
+        *,
+        multiplexed: bool = False,
+    ) -> None:
+        """Wait for a client.
+
+        Args:
+            identity: the credential for a client's name, which is not proven yet; may raise `Refusal`.
+            make_welcome: this side's answer to a client; may raise `Refusal`. It must change nothing: what it answers
+                may be a recording, and the client is proven only with `Established`.
+            aes: this machine is fast at AES; else a client that offers it is asked for ChaCha20-Poly1305.
+            multiplexed: data frames share the stream (Bluetooth).
+        """
+        super().__init__(multiplexed=multiplexed)
+        self._identity = identity
+        self._make_welcome = make_welcome
+        self._aes = aes
+        self._retried = False
+
+    def accept_attach(self) -> bytes:
+        """Let the data stream in: the bytes to write. What it brought beyond is `leftover`."""
+        self._outbox += pack_frame(opening(Kind.ACCEPT))
+        return self.data_to_send()
+
+    def refuse(self, code: RefusalCode, words: str) -> bytes:
+        """Turn the stream away: the bytes to write before closing it."""
+        self._phase = _Phase.OVER
+        self._refuse(code, words)
+        return self.data_to_send()
+
+    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        match kind:
+            case Kind.CONTROL:
+                self._on_offer(parse_control(frame))
+            case Kind.DATA:
+                link_id, route, header, proof = parse_data(frame)
+                self._phase = _Phase.HANDED_OVER
+                self._events.append(Attach(link_id, route, proof, header))
+            case _:
+                raise ProtocolError(f"an opening frame of kind {kind.name} has no place here")
+
+    def _on_offer(self, offer: ControlOpening) -> None:
+        key = self._identity(offer.name).key
+        if key is None and offer.suite is not Suite.PLAIN:
+            raise Refusal(
+                RefusalCode.ENCRYPTION_NOT_POSSIBLE,
+                f"the client encrypts and the server has no key for {offer.name!r}",
+            )
+        if key is not None and offer.suite is Suite.PLAIN:
+            raise Refusal(
+                RefusalCode.ENCRYPTION_REQUIRED,
+                f"the server requires encryption for {offer.name!r} and the client came without",
+            )
+        if offer.suite is Suite.AESGCM and not self._aes:
+            self._retry()
+        else:
+            self._welcome(offer, key)
+
+    def _retry(self) -> None:
+        if self._retried:
+            raise ProtocolError("the client was asked for ChaCha20-Poly1305 and offers AES-GCM again")
+        self._retried = True
+        self._outbox += pack_frame(opening(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+
+    def _welcome(self, offer: ControlOpening, key: bytes | None) -> None:
+        handshake = _handshake(offer.suite, key, offer.header)
+        try:
+            hello = decode_hello(handshake.read(offer.message))
+        except SealError:
+            raise Refusal(RefusalCode.WRONG_KEY, f"the two sides' keys for {offer.name!r} differ") from None
+        if hello.name != offer.name:
+            raise ProtocolError(f"the client calls itself {offer.name!r} first and {hello.name!r} then")
+        welcome = self._make_welcome(hello)
+        self._outbox += pack_frame(opening(Kind.ACCEPT, handshake.write(encode(welcome))))
+        keys = handshake.split()
+        self._start_sealing(offer.suite, keys.server, keys.client)
+        self._unconfirmed = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
+
+    def _on_control(self, content: bytes) -> None:
+        if self._unconfirmed is None:
+            super()._on_control(content)
+        elif content:
+            raise ProtocolError("the client did not confirm the handshake")
+        else:
+            self._events.append(self._unconfirmed)
+            self._unconfirmed = None
+
+    def _refuse(self, code: RefusalCode, words: str) -> None:
+        self._outbox += pack_frame(refuse_frame(code, words))
+
+
+class DataConnection(_Stream):
+    """The client's end of a data stream until the server lets it in; then it is the route's reader's and writer's."""
+
+    def __init__(self, keys: SessionKeys, route: int) -> None:
+        super().__init__()
+        self._keys = keys
+        self._route = route
+
+    def start(self) -> bytes:
+        """The bytes to write first."""
+        header = data_header(self._keys.link_id, self._route)
+        return pack_frame(header, self._keys.attach_proof(header, self._route))
+
+    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        match kind:
+            case Kind.ACCEPT:
+                self._phase = _Phase.HANDED_OVER
+                self._events.append(Accepted())
+            case Kind.REFUSE:
+                self._refused_by_peer(body)
+            case _:
+                raise ProtocolError(f"an opening frame of kind {kind.name} has no place here")
+
+
+def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:
+    return PlainHandshake() if key is None else NoiseHandshake(suite, key, prologue)

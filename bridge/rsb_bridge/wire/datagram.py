@@ -1,0 +1,262 @@
+"""Datagrams: a message's fragments sealed, opened and put together again (PROTOCOL.md, 2)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
+
+MAGIC = 0xB5
+FRAGMENTS_LIMIT = 65535
+PROBE_ROUTE = 0
+
+_HEADER = struct.Struct(">BBHHI8sQIQ")
+_PROBE = struct.Struct(">?Q")
+_FRAGMENT_COST = 200
+"""What Python spends on keeping a fragment beside its bytes: many tiny ones must not cost more than is counted."""
+
+
+class Header(NamedTuple):
+    """What stands in the clear before a datagram's content; nothing in it is authenticated until it is opened.
+
+    Attributes:
+        flags: `rsb_bridge.wire.framing.ZSTD` or 0.
+        fragment: its index in the message.
+        fragments: how many the message has.
+        route: its id; `PROBE_ROUTE` for probes.
+        link_id: 8 bytes.
+        sequence: that seals it.
+        number: of the message, from 1, modulo 2**32.
+        stamp: ns since the epoch.
+    """
+
+    flags: int
+    fragment: int
+    fragments: int
+    route: int
+    link_id: bytes
+    sequence: int
+    number: int
+    stamp: int
+
+
+def parse_header(datagram: Buffer) -> Header | None:
+    """A datagram's header, to find its reader by; None: it is none of ours."""
+    if len(datagram) < _HEADER.size or datagram[0] != MAGIC:
+        return None
+    return Header._make(_HEADER.unpack_from(datagram)[1:])
+
+
+class Probe(NamedTuple):
+    """What `PROBE_ROUTE` carries: whether datagrams come through, and from where.
+
+    Attributes:
+        pong: it answers one.
+        opaque: the asker's, 0 to 2**64 - 1; echoed.
+    """
+
+    pong: bool
+    opaque: int
+
+    def pack(self) -> bytes:
+        """The probe as a payload."""
+        return _PROBE.pack(*self)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Probe:
+        """The probe in a payload.
+
+        Raises:
+            ProtocolError: there is none.
+        """
+        if len(payload) != _PROBE.size:
+            raise ProtocolError(f"a probe of {len(payload)} bytes")
+        return cls._make(_PROBE.unpack(payload))
+
+
+class DatagramWriter:
+    """Makes a route's datagrams.
+
+    Attributes:
+        number: of messages written.
+    """
+
+    def __init__(self, sealer: Sealer, link_id: bytes, route: int) -> None:
+        self.number = 0
+        self._sealer = sealer
+        self._link_id = link_id
+        self._route = route
+        self._overhead = _HEADER.size + sealer.suite.tag_length
+
+    def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
+        """One message as datagrams.
+
+        Args:
+            payload: the serialized message.
+            stamp: ns since the epoch.
+            flags: `rsb_bridge.wire.framing.ZSTD` or 0.
+            max_datagram: bytes that a datagram may have.
+
+        Raises:
+            ValueError: it would take more than `FRAGMENTS_LIMIT` datagrams; none was written.
+        """
+        size = max_datagram - self._overhead
+        count = max(-(-len(payload) // size), 1)
+        if count > FRAGMENTS_LIMIT:
+            raise ValueError(f"a message of {len(payload)} bytes takes more than {FRAGMENTS_LIMIT} datagrams: use tcp")
+        self.number += 1
+        sealer, view, datagrams = self._sealer, memoryview(payload), []
+        for index in range(count):
+            header = _HEADER.pack(
+                MAGIC,
+                flags,
+                index,
+                count,
+                self._route,
+                self._link_id,
+                sealer.sequence,
+                self.number & 0xFFFFFFFF,
+                stamp,
+            )
+            datagrams.append(header + sealer.seal(view[index * size : (index + 1) * size], header))
+        return datagrams
+
+
+@dataclass(slots=True)
+class _Incomplete:
+    count: int
+    first_seen: float
+    fragments: dict[int, bytes] = field(default_factory=dict)
+    size: int = 0
+    cost: int = 0
+
+
+class DatagramReader:
+    """Opens a route's datagrams and puts their messages together.
+
+    A message is handed out as soon as it is whole, in whatever order. Message numbers are counted on past 2**32.
+
+    Attributes:
+        authentic: datagrams that came from the peer.
+        rejected: datagrams that did not, or that broke the format.
+        problem: why the last was rejected, in words.
+        received: messages handed out.
+        expired: messages given up incomplete.
+        newest: the highest message number seen.
+    """
+
+    def __init__(
+        self,
+        opener: DatagramOpener,
+        route: int,
+        max_bytes: int = 2 * MESSAGE_LIMIT,
+        max_message: int = MESSAGE_LIMIT,
+    ) -> None:
+        """Read one route.
+
+        Args:
+            opener: of the peer's direction.
+            route: its id.
+            max_bytes: what incomplete messages may hold together; the oldest give way.
+            max_message: the longest message.
+        """
+        self.authentic = 0
+        self.rejected = 0
+        self.problem = ""
+        self.received = 0
+        self.expired = 0
+        self.newest = 0
+        self._open = opener.open
+        self._route = route
+        self._max_bytes = max_bytes
+        self._max_message = max_message
+        self._incomplete: dict[int, _Incomplete] = {}  # by message number, the longest kept first
+        self._cost = 0
+        self._given_up = 0  # the highest number that was: what comes late of those is not kept again
+
+    @property
+    def pending(self) -> int:
+        """Messages of which some fragments have come and others have not yet."""
+        return len(self._incomplete)
+
+    def receive(self, datagram: Buffer, now: float) -> Message | None:
+        """Take in one datagram.
+
+        Args:
+            datagram: as it came.
+            now: s, of any clock that `expire` gets too.
+
+        Returns:
+            The message that it makes whole, if it does.
+        """
+        try:
+            return self._receive(datagram, now)
+        except (ProtocolError, SealError) as error:
+            self.rejected += 1
+            self.problem = str(error)
+            return None
+
+    def expire(self, now: float, older_than: float = 1.0) -> None:
+        """Give up the messages that are incomplete since more than `older_than` s."""
+        while self._incomplete:
+            number, oldest = next(iter(self._incomplete.items()))
+            if now - oldest.first_seen <= older_than:
+                break
+            self._give_up(number)
+
+    def _receive(self, datagram: Buffer, now: float) -> Message | None:
+        if len(datagram) < _HEADER.size:
+            raise ProtocolError(f"a datagram of {len(datagram)} bytes: its header alone has {_HEADER.size}")
+        header = datagram[: _HEADER.size]
+        magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
+        if magic != MAGIC or flags > ZSTD or index >= count or route != self._route:
+            raise ProtocolError(f"a datagram that begins {header[:10].hex(' ')} has no place on route {self._route}")
+        content = self._open(sequence, datagram[_HEADER.size :], header)
+        self.authentic += 1
+        if count > 1:
+            whole = self._gather(self._unwrap(number), index, count, content, now)
+            if whole is None:
+                return None
+            content = whole
+        else:
+            self._unwrap(number)
+        self.received += 1
+        return content, stamp, flags
+
+    def _unwrap(self, number: int) -> int:
+        """The whole message number that is nearest to the newest (RFC 1982)."""
+        number = self.newest + ((number - self.newest + 2**31) & 0xFFFFFFFF) - 2**31
+        self.newest = max(self.newest, number)
+        return number
+
+    def _gather(self, number: int, index: int, count: int, content: bytes, now: float) -> bytes | None:
+        message = self._incomplete.get(number)
+        if message is None:
+            if number <= self._given_up:
+                return None
+            message = self._incomplete[number] = _Incomplete(count, now)
+        if count != message.count or index in message.fragments or message.size + len(content) > self._max_message:
+            self._give_up(number)
+            raise ProtocolError(f"the fragments of message {number} do not go together, or are too many")
+        message.fragments[index] = content
+        message.size += len(content)
+        cost = len(content) + _FRAGMENT_COST
+        message.cost += cost
+        self._cost += cost
+        if len(message.fragments) == count:
+            self._forget(number)
+            return b"".join([message.fragments[i] for i in range(count)])
+        while self._cost > self._max_bytes:
+            self._give_up(next(iter(self._incomplete)))
+        return None
+
+    def _give_up(self, number: int) -> None:
+        self._forget(number)
+        self.expired += 1
+        self._given_up = max(self._given_up, number)
+
+    def _forget(self, number: int) -> None:
+        self._cost -= self._incomplete.pop(number).cost

@@ -1,0 +1,175 @@
+"""Streams: frames by length, and data frames sealed and opened (PROTOCOL.md, 1 and 1.5). The hot path is here."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.wire.sealing import Buffer, Sealer, StreamOpener
+
+OPENING_LIMIT = 4096
+CONTROL_LIMIT = 1 << 20
+MESSAGE_LIMIT = 64 << 20
+"""The longest message that crosses, bytes as sent (compressed, if it is)."""
+
+CONTROL = 0
+DATA = 1
+ZSTD = 1
+MORE = 2
+
+Message: TypeAlias = tuple[bytes, int, int]
+"""(payload, stamp in ns since the epoch, flags: `ZSTD` or 0)."""
+
+LENGTH = struct.Struct(">I")
+HEADER = struct.Struct(">BBIQ")
+"""type, flags, route, stamp."""
+
+
+class ProtocolError(Exception):
+    """The peer broke the format; the message says how, in words."""
+
+
+def pack_frame(*parts: Buffer) -> bytes:
+    """One frame with its length before it."""
+    return b"".join((LENGTH.pack(sum(map(len, parts))), *parts))
+
+
+class FrameReader:
+    """Cuts a stream into frames. No length is believed before it is within the limit.
+
+    Attributes:
+        limit: the longest frame that may come, bytes.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self._tail = bytearray()  # a frame that is not whole yet
+        self._needed = 0  # bytes the tail must have before it is worth a look
+
+    def feed(self, data: Buffer) -> list[memoryview]:
+        """Take in the next bytes of the stream.
+
+        Args:
+            data: not to be changed as long as the frames are in use: they are views of it.
+
+        Returns:
+            Every frame that is whole now, without its length.
+
+        Raises:
+            ProtocolError: a frame is longer than the limit.
+        """
+        if self._tail:
+            self._tail += data
+            if len(self._tail) < self._needed:
+                return []
+            data, self._tail = self._tail, bytearray()
+        frames: list[memoryview] = []
+        view = memoryview(data)
+        unpack, limit = LENGTH.unpack_from, self.limit
+        start, end = 0, len(view)
+        self._needed = LENGTH.size
+        while end - start >= LENGTH.size:
+            (length,) = unpack(view, start)
+            if length > limit:
+                raise ProtocolError(f"a frame of {length} bytes, where {limit} are the most")
+            stop = start + LENGTH.size + length
+            if stop > end:
+                self._needed = LENGTH.size + length
+                break
+            frames.append(view[start + LENGTH.size : stop])
+            start = stop
+        self._tail += view[start:]
+        return frames
+
+
+class DataWriter:
+    """Makes a route's data frames."""
+
+    def __init__(self, sealer: Sealer, route: int) -> None:
+        self._sealer = sealer
+        self._route = route
+
+    def write(self, payload: Buffer, stamp: int, flags: int = 0) -> bytes:
+        """One message as one frame.
+
+        Args:
+            payload: the serialized message; at most `MESSAGE_LIMIT` bytes.
+            stamp: ns since the epoch.
+            flags: `ZSTD` or 0.
+        """
+        return self.write_many(((payload, stamp, flags),))
+
+    def write_many(self, messages: Iterable[tuple[Buffer, int, int]]) -> bytes:
+        """Several messages, (payload, stamp, flags) each, as frames in one piece."""
+        seal, pack_header, pack_length, route = self._sealer.seal, HEADER.pack, LENGTH.pack, self._route
+        parts: list[bytes] = []
+        for payload, stamp, flags in messages:
+            header = pack_header(DATA, flags, route, stamp)
+            sealed = seal(payload, header)
+            parts += (pack_length(HEADER.size + len(sealed)), header, sealed)
+        return b"".join(parts)
+
+    def write_chunks(self, payload: Buffer, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
+        """One message as frames that carry at most `chunk_size` bytes of it each, so that others can go between."""
+        view = memoryview(payload)
+        last = max(len(view) - 1, 0) // chunk_size * chunk_size
+        return [
+            self.write(view[at : at + chunk_size], stamp, flags | MORE if at < last else flags)
+            for at in range(0, last + 1, chunk_size)
+        ]
+
+
+class DataReader:
+    """Opens a route's data frames, and puts chunks together again."""
+
+    def __init__(self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT) -> None:
+        self._open = opener.open
+        self._route = route
+        self._limit = limit
+        self._frames = FrameReader(HEADER.size + limit + opener.suite.tag_length)
+        self._chunks = bytearray()
+
+    def receive_data(self, data: Buffer) -> list[Message]:
+        """Take in the next bytes of the route's own stream.
+
+        Returns:
+            Every message that is whole now.
+
+        Raises:
+            ProtocolError: the format is broken.
+            SealError: a seal does not hold.
+        """
+        open_frame = self.open_frame
+        return [message for frame in self._frames.feed(data) if (message := open_frame(frame)) is not None]
+
+    def open_frame(self, frame: Buffer) -> Message | None:
+        """Open one data frame.
+
+        Returns:
+            The message, or None where more chunks of it are to come.
+
+        Raises:
+            ProtocolError: the format is broken.
+            SealError: the seal does not hold.
+        """
+        if len(frame) < HEADER.size:
+            raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {HEADER.size}")
+        header = frame[: HEADER.size]
+        kind, flags, route, stamp = HEADER.unpack(header)
+        if kind != DATA or route != self._route or flags > ZSTD | MORE:
+            raise ProtocolError(
+                f"a frame of type {kind}, flags {flags}, route {route} on the stream of route {self._route}"
+            )
+        content = self._open(frame[HEADER.size :], header)
+        if not (flags & MORE or self._chunks):
+            return content, stamp, flags
+        if len(self._chunks) + len(content) > self._limit:
+            raise ProtocolError(f"a message of more than {self._limit} bytes in chunks")
+        self._chunks += content
+        if flags & MORE:
+            return None
+        content, self._chunks = bytes(self._chunks), bytearray()
+        return content, stamp, flags

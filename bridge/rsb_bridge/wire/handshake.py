@@ -1,0 +1,156 @@
+"""The handshake: Noise_NNpsk0_25519 over the session key (Noise specification, revision 34; PROTOCOL.md, 1.2)."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from typing import NamedTuple, Protocol
+
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+
+from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
+
+_NAMES = {
+    Suite.AESGCM: b"Noise_NNpsk0_25519_AESGCM_SHA256",
+    Suite.CHACHAPOLY: b"Noise_NNpsk0_25519_ChaChaPoly_SHA256",
+}
+_DH_LENGTH = 32
+_HASH_LENGTH = 32
+
+
+class HandshakeKeys(NamedTuple):
+    """What a handshake ends in; all None where nothing is encrypted.
+
+    Attributes:
+        client: 32 bytes; seals the control frames from client to server.
+        server: 32 bytes; seals those from server to client.
+        export: 32 bytes; data keys are derived from it.
+    """
+
+    client: bytes | None
+    server: bytes | None
+    export: bytes | None
+
+
+class Handshake(Protocol):
+    """One end of a handshake of two messages: the client writes then reads, the server reads then writes."""
+
+    def write(self, payload: bytes) -> bytes:
+        """This end's message."""
+        ...
+
+    def read(self, message: bytes) -> bytes:
+        """The payload of the other end's message.
+
+        Raises:
+            SealError: the other end has another key.
+            ProtocolError: it is no such message.
+        """
+        ...
+
+    def split(self) -> HandshakeKeys:
+        """The keys, once both messages are through."""
+        ...
+
+
+class PlainHandshake:
+    """The handshake of a link without encryption: the payloads as they are."""
+
+    def write(self, payload: bytes) -> bytes:
+        """The payload."""
+        return payload
+
+    def read(self, message: bytes) -> bytes:
+        """The message."""
+        return message
+
+    def split(self) -> HandshakeKeys:
+        """No keys."""
+        return HandshakeKeys(None, None, None)
+
+
+class NoiseHandshake:
+    """One end of Noise NNpsk0: ``-> psk, e`` then ``<- e, ee``; names are the specification's (section 5).
+
+    Every payload is sealed under a key of its own (psk handshakes mix a key at each ``e``, section 9.2), so the nonce
+    is always 0: a fresh `Sealer`.
+    """
+
+    def __init__(self, suite: Suite, psk: bytes, prologue: bytes, ephemeral: X25519PrivateKey | None = None) -> None:
+        """Start either end.
+
+        Args:
+            suite: AESGCM or CHACHAPOLY.
+            psk: 32 bytes, the session key.
+            prologue: what both ends must have seen alike.
+            ephemeral: for test vectors; None makes one.
+        """
+        self._suite = suite
+        self._ephemeral = ephemeral or X25519PrivateKey.generate()
+        self._written = False
+        self._remote: bytes | None = None
+        name = _NAMES[suite]
+        self._h = name.ljust(_HASH_LENGTH, b"\0") if len(name) <= _HASH_LENGTH else hashlib.sha256(name).digest()
+        self._ck = self._h
+        self._k = b""
+        self._mix_hash(prologue)
+        self._mix_key_and_hash(psk)
+
+    def write(self, payload: bytes) -> bytes:
+        """This end's message: its ephemeral key, then the payload sealed."""
+        public = self._ephemeral.public_key().public_bytes_raw()
+        self._mix_hash(public)
+        self._mix_key(public)
+        if self._remote is not None:
+            self._mix_key(self._dh(self._remote))
+        self._written = True
+        sealed = Sealer(self._suite, self._k).seal(payload, self._h)
+        self._mix_hash(sealed)
+        return public + sealed
+
+    def read(self, message: bytes) -> bytes:
+        """The payload of the other end's message.
+
+        Raises:
+            SealError: the other end has another key.
+            ProtocolError: it is no such message.
+        """
+        if len(message) < _DH_LENGTH + self._suite.tag_length:
+            raise ProtocolError(f"a handshake message of {len(message)} bytes is too short")
+        self._remote, sealed = message[:_DH_LENGTH], message[_DH_LENGTH:]
+        self._mix_hash(self._remote)
+        self._mix_key(self._remote)
+        if self._written:
+            self._mix_key(self._dh(self._remote))
+        payload = StreamOpener(self._suite, self._k).open(sealed, self._h)
+        self._mix_hash(sealed)
+        return payload
+
+    def split(self) -> HandshakeKeys:
+        """The control keys, and a third output of the same HKDF for all that is derived later."""
+        return HandshakeKeys(*_hkdf(self._ck, b""))
+
+    def _dh(self, remote: bytes) -> bytes:
+        try:
+            return self._ephemeral.exchange(X25519PublicKey.from_public_bytes(remote))
+        except ValueError:  # a point of low order: the secret would be all zeros
+            raise ProtocolError("the peer's ephemeral key is not a usable one") from None
+
+    def _mix_hash(self, data: bytes) -> None:
+        self._h = hashlib.sha256(self._h + data).digest()
+
+    def _mix_key(self, material: bytes) -> None:
+        self._ck, self._k, _ = _hkdf(self._ck, material)
+
+    def _mix_key_and_hash(self, material: bytes) -> None:
+        self._ck, mixed, self._k = _hkdf(self._ck, material)
+        self._mix_hash(mixed)
+
+
+def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
+    """HKDF of section 4.3; of three outputs the first two are what two would be."""
+    temporary = hmac.digest(chaining_key, material, "sha256")
+    first = hmac.digest(temporary, b"\x01", "sha256")
+    second = hmac.digest(temporary, first + b"\x02", "sha256")
+    return first, second, hmac.digest(temporary, second + b"\x03", "sha256")

@@ -1,0 +1,386 @@
+"""The control messages, typed (PROTOCOL.md, 3)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from rsb_bridge.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.wire.framing import ProtocolError
+
+RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
+LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]
+Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Port: TypeAlias = Annotated[int, Meta(ge=0, le=65535)]
+Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
+Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
+
+Transport = Literal["tcp", "udp", "bluetooth"]
+Compression = Literal["none", "zstd"]
+RefuseCode = Literal["no_such_type", "type_differs", "denied", "port_taken", "bad_request"]
+
+
+class _Message(msgspec.Struct, frozen=True, tag_field="message", tag=str.lower):
+    """One control message: a msgpack map whose `message` is the type's name in lower case."""
+
+
+class Hello(_Message, frozen=True):
+    """The client, in the handshake.
+
+    Attributes:
+        version: of its software.
+        name: of the session; the one in the opening frame.
+        instance: random, new with each start of the process.
+        domain_id: its ROS domain.
+        features: what it can beyond version 1; none yet.
+    """
+
+    version: str
+    name: str
+    instance: str
+    domain_id: Count
+    features: tuple[str, ...] = ()
+
+
+class Welcome(_Message, frozen=True):
+    """The server, in the handshake.
+
+    Attributes:
+        version: of its software.
+        name: of its session.
+        link_id: 8 random bytes that name this link.
+        instance: random, new with each start of the process.
+        domain_id: its ROS domain.
+        features: what it can beyond version 1; none yet.
+    """
+
+    version: str
+    name: str
+    link_id: LinkId
+    instance: str
+    domain_id: Count
+    features: tuple[str, ...] = ()
+
+
+class Propose(_Message, frozen=True, kw_only=True):
+    """Either side: bridge this topic. Answered by `Accept` or `Refuse`.
+
+    Attributes:
+        route: its id from here on; a client's are odd, a server's even, and none is used twice in a link's life.
+        topic: its name on the sending side.
+        remote_topic: its name on the receiving side.
+        from_client: the client sends; else the server does.
+        type: ``pkg/msg/Name``; empty: from either side's graph.
+        transport: what carries it.
+        port: a socket of its own; 0: the shared one.
+        qos: None: as the topic's publishers offer.
+        compression: of each message, by the sender.
+        max_rate: Hz; 0 is all.
+        expected_rate: Hz, for the operator's eye; 0: learn it.
+        stale_after: s; 0 never warns; None: each side's own.
+        paused: begin paused.
+    """
+
+    route: RouteId
+    topic: str
+    remote_topic: str
+    from_client: bool
+    type: str = ""
+    transport: Transport = "tcp"
+    port: Port = 0
+    qos: Qos | None = None
+    compression: Compression = "none"
+    max_rate: Hertz = 0.0
+    expected_rate: Hertz = 0.0
+    stale_after: Seconds | None = None
+    paused: bool = False
+
+    def __post_init__(self) -> None:
+        _check_qos(self.qos)
+
+
+class Accept(_Message, frozen=True):
+    """A `Propose` is taken up.
+
+    Attributes:
+        route: which.
+        topic: its name on the acceptor's side, which may put a prefix before what was proposed.
+        type: what the acceptor's graph knows of the topic's type; may be empty.
+        type_hash: likewise.
+    """
+
+    route: RouteId
+    topic: str
+    type: str = ""
+    type_hash: str = ""
+
+
+class Refuse(_Message, frozen=True):
+    """A `Propose` is not taken up, or an accepted route turned out impossible.
+
+    Attributes:
+        route: which.
+        code: why.
+        reason: why, in words.
+    """
+
+    route: RouteId
+    code: RefuseCode
+    reason: str
+
+
+class Describe(_Message, frozen=True):
+    """The sending side: what will be sent.
+
+    Attributes:
+        route: which.
+        type: ``pkg/msg/Name``.
+        type_hash: ``RIHS01_...``; may be empty.
+        qos: to publish with.
+    """
+
+    route: RouteId
+    type: str
+    type_hash: str
+    qos: Qos
+
+    def __post_init__(self) -> None:
+        _check_qos(self.qos)
+
+
+class Ready(_Message, frozen=True):
+    """The receiving side: the publisher is made, send."""
+
+    route: RouteId
+
+
+class Close(_Message, frozen=True):
+    """Either side: the route ends.
+
+    Attributes:
+        route: which.
+        reason: why, in words.
+        removed: for good; else its proposer opens it again.
+    """
+
+    route: RouteId
+    reason: str
+    removed: bool = False
+
+
+class Pause(_Message, frozen=True):
+    """Either side: the route pauses or goes on."""
+
+    route: RouteId
+    paused: bool
+
+
+class Ping(_Message, frozen=True):
+    """Either side: are you there, and what time is it there.
+
+    Attributes:
+        n: counts up.
+        sent: ns since the epoch on the sender's clock.
+    """
+
+    n: Count
+    sent: Count
+
+
+class Pong(_Message, frozen=True):
+    """The answer to a `Ping`; all four times of an exchange (RFC 5905, section 8) but the last.
+
+    Attributes:
+        n: the ping's.
+        sent: the ping's.
+        received: ns since the epoch on the answerer's clock, when the ping came.
+        answered: when this was sent.
+    """
+
+    n: Count
+    sent: Count
+    received: Count
+    answered: Count
+
+
+class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + in flight.
+
+    Attributes:
+        route: which.
+        offered: messages taken from ROS, since the route was made; so for all counts here.
+        delivered: published by the receiver, as it last said.
+        throttled: left out for `Propose.max_rate`.
+        expired: datagram messages that the receiver gave up incomplete.
+        in_flight: not accounted for yet.
+        dropped: by cause.
+        lost_in_dds: lost before they could be taken.
+        publishers: on its topic.
+        subscribed: messages are being taken.
+        problem: what keeps it from flowing on this side, in words; empty: nothing.
+    """
+
+    route: RouteId
+    offered: Count = 0
+    delivered: Count = 0
+    throttled: Count = 0
+    expired: Count = 0
+    in_flight: Count = 0
+    dropped: dict[str, Count] = {}
+    lost_in_dds: Count = 0
+    publishers: Count = 0
+    subscribed: bool = False
+    problem: str = ""
+
+
+class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What the receiving side counted of a route since it was opened.
+
+    Attributes:
+        route: which.
+        received: whole messages that arrived.
+        delivered: published.
+        expired: datagram messages given up incomplete.
+        incomplete: datagram messages that wait for fragments.
+        newest: the highest message number seen on datagrams.
+        dropped: by cause.
+        subscribers: on its topic.
+        latency_p50: s, one way, the clock offset taken off; None: no figure.
+        latency_p99: likewise.
+        jitter: s (RFC 3550, 6.4.1); None: no figure.
+    """
+
+    route: RouteId
+    received: Count = 0
+    delivered: Count = 0
+    expired: Count = 0
+    incomplete: Count = 0
+    newest: Count = 0
+    dropped: dict[str, Count] = {}
+    subscribers: Count = 0
+    latency_p50: float | None = None
+    latency_p99: float | None = None
+    jitter: float | None = None
+
+
+class Report(_Message, frozen=True):
+    """Either side: its counts, every second.
+
+    Attributes:
+        sent: of the routes that it sends on.
+        received: of those that it receives on.
+    """
+
+    sent: tuple[SentReport, ...]
+    received: tuple[ReceivedReport, ...]
+
+
+class TopicEntry(msgspec.Struct, frozen=True):
+    """A topic of a side's graph.
+
+    Attributes:
+        topic: its name.
+        type: empty where its endpoints disagree.
+        type_hash: or empty.
+        qos: what its publishers offer; None: no publisher.
+        publishers: how many.
+        subscriptions: how many.
+    """
+
+    topic: str
+    type: str
+    type_hash: str
+    qos: Qos | None
+    publishers: Count
+    subscriptions: Count
+
+    def __post_init__(self) -> None:
+        _check_qos(self.qos)
+
+
+class ListTopics(_Message, frozen=True):
+    """Either side: what topics have you. Answered by a `TopicList` of the same request."""
+
+    request: Count
+
+
+class TopicList(_Message, frozen=True):
+    """The answer to `ListTopics`."""
+
+    request: Count
+    topics: tuple[TopicEntry, ...]
+
+
+class Shutdown(_Message, frozen=True):
+    """Either side: this link ends on purpose.
+
+    Attributes:
+        reason: why, in words.
+        stay_down: the client is not to come back by itself.
+    """
+
+    reason: str
+    stay_down: bool = False
+
+
+ControlMessage: TypeAlias = (
+    Propose
+    | Accept
+    | Refuse
+    | Describe
+    | Ready
+    | Close
+    | Pause
+    | Ping
+    | Pong
+    | Report
+    | ListTopics
+    | TopicList
+    | Shutdown
+)
+
+_T = TypeVar("_T")
+
+_encoder = msgspec.msgpack.Encoder()
+_control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
+_hello = msgspec.msgpack.Decoder(Hello)
+_welcome = msgspec.msgpack.Decoder(Welcome)
+
+
+def encode(message: ControlMessage | Hello | Welcome) -> bytes:
+    """A message as msgpack."""
+    return _encoder.encode(message)
+
+
+def decode(data: bytes) -> ControlMessage:
+    """A control message from msgpack.
+
+    Raises:
+        ProtocolError: it is none, or a field is out of its range.
+    """
+    return _decode(_control, data)
+
+
+def decode_hello(data: bytes) -> Hello:
+    """A `Hello` from msgpack; errors as `decode`."""
+    return _decode(_hello, data)
+
+
+def decode_welcome(data: bytes) -> Welcome:
+    """A `Welcome` from msgpack; errors as `decode`."""
+    return _decode(_welcome, data)
+
+
+def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
+    try:
+        return decoder.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ProtocolError(f"a control message does not read: {error}") from None
+
+
+def _check_qos(qos: Qos | None) -> None:
+    # A peer's, not a session file's: nothing else has looked at it. An unknown depth is 0.
+    if qos is not None and not (0 <= qos.depth < 2**31 and 0 <= qos.deadline < 1e9 and 0 <= qos.lifespan < 1e9):
+        raise ValueError("qos: depth, deadline or lifespan is out of range")

@@ -1,0 +1,287 @@
+"""Sealing: authenticated encryption by sequence number, key epochs, the replay window (PROTOCOL.md, 1.3 and 1.4)."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from enum import IntEnum
+from typing import Literal, Protocol, TypeAlias
+
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
+Role = Literal["client", "server"]
+
+KEY_LENGTH = 32
+EPOCH_BITS = 20
+"""An epoch is 2**20 sequence numbers, far inside what one AES-GCM key may seal (NIST SP 800-38D, 8.3)."""
+EPOCHS_AHEAD = 256
+"""How far a datagram may lead the newest that was authenticated: bounds what a forged one makes us derive."""
+
+_REKEY_SEQUENCE = 2**64 - 1
+
+
+class Suite(IntEnum):
+    """What seals a link."""
+
+    PLAIN = 0
+    AESGCM = 1
+    CHACHAPOLY = 2
+
+    @property
+    def tag_length(self) -> int:
+        """Bytes that sealing adds."""
+        return 4 if self is Suite.PLAIN else 16
+
+
+class SealError(Exception):
+    """A seal does not hold: forged, damaged, out of order or replayed; the message says what is known."""
+
+
+class _Cipher(Protocol):
+    def encrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes: ...
+
+    def decrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes: ...
+
+
+class _Checksum:
+    """Stands where the AEAD does on a link without encryption: CRC-32 against damage, nothing against malice."""
+
+    def encrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
+        return b"".join((data, self._tag(nonce, data, associated_data)))
+
+    def decrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
+        content, tag = data[:-4], data[-4:]
+        if tag != self._tag(nonce, content, associated_data):
+            raise InvalidTag
+        return bytes(content)
+
+    @staticmethod
+    def _tag(nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
+        return zlib.crc32(data, zlib.crc32(associated_data, zlib.crc32(nonce))).to_bytes(4, "big")
+
+
+_NONCES = {
+    Suite.PLAIN: struct.Struct(">Q").pack,
+    Suite.AESGCM: struct.Struct(">4xQ").pack,
+    Suite.CHACHAPOLY: struct.Struct("<4xQ").pack,
+}
+
+
+def _cipher(suite: Suite, key: bytes | None) -> _Cipher:
+    if suite is Suite.PLAIN:
+        return _Checksum()
+    if key is None or len(key) != KEY_LENGTH:
+        raise ValueError(f"{suite.name} takes a key of {KEY_LENGTH} bytes")
+    return AESGCM(key) if suite is Suite.AESGCM else ChaCha20Poly1305(key)
+
+
+class _Epochs:
+    """The ciphers of one key, an epoch each; the next one's key is REKEY of this one's (Noise, 4.2)."""
+
+    def __init__(self, suite: Suite, key: bytes | None) -> None:
+        self._suite = suite
+        self._first = 0
+        self._ciphers = [_cipher(suite, key)]
+
+    def cipher(self, epoch: int) -> _Cipher:
+        """The cipher of an epoch that is not forgotten.
+
+        Raises:
+            SealError: it is more than `EPOCHS_AHEAD` from the oldest that is kept.
+        """
+        ciphers = self._ciphers
+        index = epoch - self._first
+        if index > EPOCHS_AHEAD:
+            raise SealError(f"its key epoch, {epoch}, is too far ahead")
+        while index >= len(ciphers):
+            ciphers.append(self._rekeyed(ciphers[-1]))
+        return ciphers[index]
+
+    def forget_before(self, epoch: int) -> None:
+        """Forget the keys of earlier epochs: what they sealed stays sealed, whoever takes this process over."""
+        del self._ciphers[: epoch - self._first]
+        self._first = epoch
+
+    def _rekeyed(self, cipher: _Cipher) -> _Cipher:
+        nonce = _NONCES[self._suite](_REKEY_SEQUENCE)
+        return _cipher(self._suite, cipher.encrypt(nonce, bytes(KEY_LENGTH), b"")[:KEY_LENGTH])
+
+
+class _StreamState:
+    """What sealing and opening in order share: the implied sequence number and its epoch's cipher."""
+
+    def __init__(self, suite: Suite, key: bytes | None) -> None:
+        self.suite = suite
+        self.sequence = 0
+        self._nonce = _NONCES[suite]
+        self._epochs = _Epochs(suite, key)
+        self._epoch = 0
+        self._current = self._epochs.cipher(0)
+
+    def _enter_epoch(self, epoch: int) -> None:
+        self._current = self._epochs.cipher(epoch)
+        self._epochs.forget_before(epoch)
+        self._epoch = epoch
+
+
+class Sealer(_StreamState):
+    """Seals in one direction under one key.
+
+    Attributes:
+        sequence: the number that seals next.
+    """
+
+    def seal(self, content: Buffer, associated: Buffer) -> bytes:
+        """Seal under the next sequence number.
+
+        Args:
+            content: to be encrypted and authenticated.
+            associated: to be authenticated only; it travels beside.
+
+        Returns:
+            The content sealed, `Suite.tag_length` bytes longer.
+        """
+        sequence = self.sequence
+        self.sequence = sequence + 1
+        if sequence >> EPOCH_BITS != self._epoch:
+            self._enter_epoch(sequence >> EPOCH_BITS)
+        return self._current.encrypt(self._nonce(sequence), content, associated)
+
+
+class StreamOpener(_StreamState):
+    """Opens what a `Sealer` sealed, in order and without a gap.
+
+    Attributes:
+        sequence: the number that is due next.
+    """
+
+    def open(self, sealed: Buffer, associated: Buffer) -> bytes:
+        """Open what comes next.
+
+        Raises:
+            SealError: it is not what the peer sealed next; the stream is of no more use.
+        """
+        sequence = self.sequence
+        if sequence >> EPOCH_BITS != self._epoch:
+            self._enter_epoch(sequence >> EPOCH_BITS)
+        try:
+            content = self._current.decrypt(self._nonce(sequence), sealed, associated)
+        except InvalidTag:
+            raise SealError(
+                f"sequence {sequence} is not what the peer sealed with this key: damaged or forged"
+            ) from None
+        self.sequence = sequence + 1
+        return content
+
+
+class DatagramOpener:
+    """Opens what a `Sealer` sealed, in any order, each once.
+
+    Only what is authentic moves the replay window (RFC 4303, 3.4.3) and the epoch.
+    """
+
+    def __init__(self, suite: Suite, key: bytes | None, window: int = 1024) -> None:
+        self._nonce = _NONCES[suite]
+        self._epochs = _Epochs(suite, key)
+        self._window = window
+        self._mask = (1 << window) - 1
+        self._epoch = 0
+        self._newest = -1
+        self._seen = 0  # bit n: the n-th before the newest has come
+
+    def open(self, sequence: int, sealed: Buffer, associated: Buffer) -> bytes:
+        """Open one datagram's content.
+
+        Args:
+            sequence: as the datagram says; authenticated with it.
+            sealed: the content, sealed.
+            associated: what was authenticated beside it.
+
+        Raises:
+            SealError: forged, damaged, replayed, or older than the window.
+        """
+        ahead = sequence - self._newest
+        if ahead <= 0:
+            if ahead <= -self._window:
+                raise SealError(f"sequence {sequence} is too old: replayed, or {-ahead} datagrams late")
+            if self._seen >> -ahead & 1:
+                raise SealError(f"sequence {sequence} is replayed")
+        epoch = sequence >> EPOCH_BITS
+        cipher = self._epochs.cipher(epoch)
+        try:
+            content = cipher.decrypt(self._nonce(sequence), sealed, associated)
+        except InvalidTag:
+            raise SealError(
+                f"sequence {sequence} is not what the peer sealed with this key: damaged or forged"
+            ) from None
+        if ahead <= 0:
+            self._seen |= 1 << -ahead
+            return content
+        # A leap is not shifted by: it would make an integer as long as the leap.
+        self._seen = ((self._seen << ahead) & self._mask) | 1 if ahead < self._window else 1
+        if epoch != self._epoch:
+            self._epochs.forget_before(epoch - 1)
+            self._epoch = epoch
+        self._newest = sequence
+        return content
+
+
+class SessionKeys:
+    """What a handshake leaves to the data of its link: a key for each route and direction (PROTOCOL.md, 1.3).
+
+    Attributes:
+        suite: what seals the link.
+        link_id: 8 bytes; names the link in opening frames and datagrams.
+    """
+
+    def __init__(self, suite: Suite, export: bytes | None, link_id: bytes) -> None:
+        self.suite = suite
+        self.link_id = link_id
+        self._export = export
+        self._sealing: set[tuple[int, Role]] = set()
+
+    def route_sealer(self, route: int, sending_role: Role) -> Sealer:
+        """What seals a route's data in one direction. There is one in a link's life: a second would repeat nonces.
+
+        Raises:
+            ValueError: it was given out before.
+        """
+        if (route, sending_role) in self._sealing:
+            raise ValueError(f"route {route} has had its sealer: a route id is used once in a link's life")
+        self._sealing.add((route, sending_role))
+        return Sealer(self.suite, self._data_key(route, sending_role))
+
+    def stream_opener(self, route: int, sending_role: Role) -> StreamOpener:
+        """What opens a route's data on a stream; `sending_role` is the peer's."""
+        return StreamOpener(self.suite, self._data_key(route, sending_role))
+
+    def datagram_opener(self, route: int, sending_role: Role) -> DatagramOpener:
+        """What opens a route's datagrams; `sending_role` is the peer's."""
+        return DatagramOpener(self.suite, self._data_key(route, sending_role))
+
+    def attach_proof(self, header: bytes, route: int) -> bytes:
+        """A client's proof, over the opening frame before it, that a data stream is its own."""
+        return Sealer(self.suite, self._attach_key(route)).seal(b"", header)
+
+    def check_attach_proof(self, header: bytes, route: int, proof: bytes) -> None:
+        """Check what `attach_proof` made.
+
+        Raises:
+            SealError: it is another's.
+        """
+        StreamOpener(self.suite, self._attach_key(route)).open(proof, header)
+
+    def _data_key(self, route: int, sending_role: Role) -> bytes | None:
+        return self._derive(b"rsb data", route, 0 if sending_role == "client" else 1)
+
+    def _attach_key(self, route: int) -> bytes | None:
+        return self._derive(b"rsb attach", route, 0)
+
+    def _derive(self, label: bytes, route: int, direction: int) -> bytes | None:
+        if self._export is None:
+            return None
+        return HKDFExpand(SHA256(), KEY_LENGTH, label + struct.pack(">IB", route, direction)).derive(self._export)
