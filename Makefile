@@ -10,13 +10,17 @@ EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(co
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test lint bench clean system
+.PHONY: demo test test-bluetooth lint bench clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
 test: $(STAMP) system lint
 	timeout -k 5 900 $(BIN)/python -m pytest
+
+# Those of the tests that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md); `test` has them too.
+test-bluetooth: $(STAMP) system
+	timeout -k 5 900 $(BIN)/python -m pytest tests/bluetooth
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -27,11 +31,11 @@ lint: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python bench/run.py
 
-# The tests drive a real terminal and real network namespaces.
+# The tests drive a real terminal, real network namespaces and a machine with Bluetooth.
 system:
-	@command -v tmux >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
-	  && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends tmux >/dev/null; } \
-	  || echo "tmux is not installed: the terminal tests will be skipped (apt install tmux)"
+	@{ command -v tmux && command -v qemu-system-x86_64; } >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+	  && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends tmux qemu-system-x86 >/dev/null; } \
+	  || echo "tmux or QEMU is missing: the terminal or the Bluetooth tests will be skipped (apt install tmux qemu-system-x86)"
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with PYTHON=..."; exit 1; }

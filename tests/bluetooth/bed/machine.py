@@ -1,0 +1,100 @@
+"""Boots the machine and runs one pytest selection in it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, NamedTuple
+
+from tests.bluetooth.bed.cpio import Archive
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tests.bluetooth.bed.layers import Layers
+
+_PROJECT = Path(__file__).parents[3]
+_TAKEN_ALONG = ("bridge/rsb_bridge", "console/rsb_console", "tests/bluetooth")
+# One CPU: emulated, two are slower. What is switched off costs start-up time, or hides a fault (a kernel oops ends it).
+_KERNEL_OPTIONS = (
+    "console=ttyS0 loglevel=5 panic=-1 oops=panic mitigations=off nokaslr random.trust_cpu=on audit=0"
+    " cryptomgr.notests=1 apparmor=0"
+)
+_QEMU = (
+    "qemu-system-x86_64 -accel tcg,thread=multi -machine pc -cpu max -smp 1 -m 1024"
+    " -nodefaults -no-user-config -display none -nic none -no-reboot"
+)
+_TIME_LIMIT = 240.0
+_CONSOLE_LINES = 60  # a kernel trace
+
+
+class Outcome(NamedTuple):
+    """What a run gave.
+
+    Attributes:
+        exit_code: pytest's.
+        output: pytest's, standard output and error.
+        console: the kernel's and the init's messages.
+    """
+
+    exit_code: int
+    output: str
+    console: str
+
+
+class DiedError(Exception):
+    """The machine ended, or was ended after its time limit, without an exit code; the message has its last words."""
+
+
+def run(layers: Layers, selection: Sequence[str], *, time_limit: float = _TIME_LIMIT) -> Outcome:
+    """Run ``pytest *selection`` in the machine, as root, in a copy of the project's folder.
+
+    Args:
+        layers: what it boots from.
+        selection: pytest's arguments; paths as in the project's folder.
+        time_limit: s, for the machine from power-on to power-off.
+
+    Raises:
+        DiedError: there was no exit code.
+    """
+    command = shlex.join(["exec", "python3.11", "-m", "pytest", "-p", "no:cacheprovider", *selection])
+    with tempfile.TemporaryDirectory(prefix="bluetooth-bed-") as folder:
+        work = Path(folder)
+        _write_initrd(work / "initrd", layers.initrd, command)
+        serial = [work / name for name in ("console", "output", "exit")]
+        qemu: list[str | Path] = [
+            *_QEMU.split(),
+            "-kernel",
+            layers.kernel,
+            "-initrd",
+            work / "initrd",
+            "-append",
+            _KERNEL_OPTIONS,
+        ]
+        for file in serial:
+            qemu += ["-serial", f"file:{file}"]
+        ended = "it ended"
+        try:
+            subprocess.run(qemu, stdin=subprocess.DEVNULL, check=True, timeout=time_limit)
+        except subprocess.TimeoutExpired:
+            ended = f"it was ended after {time_limit:.0f} s"
+        console, output, exit_line = (file.read_text(errors="replace") for file in serial)
+    code = re.search(r"exit (\d+)", exit_line)
+    if code is None:
+        last = "\n".join(console.splitlines()[-_CONSOLE_LINES:])
+        raise DiedError(f"the machine gave no exit code: {ended}\n--- output\n{output}\n--- console\n{last}")
+    return Outcome(int(code[1]), output, console)
+
+
+def _write_initrd(path: Path, base: Path, command: str) -> None:
+    shutil.copyfile(base, path)
+    with path.open("ab") as file, Archive(file) as archive:
+        archive.add(PurePosixPath("command"), f"{command}\n".encode())
+        archive.add(PurePosixPath("project/pyproject.toml"), (_PROJECT / "pyproject.toml").read_bytes())
+        for folder in _TAKEN_ALONG:
+            for source in sorted((_PROJECT / folder).rglob("*.py")):
+                archive.add(PurePosixPath("project", source.relative_to(_PROJECT)), source.read_bytes())

@@ -1,0 +1,18 @@
+"""What `test_bed` runs in the machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def test_passes() -> None:
+    adapters = {path.name for path in Path("/sys/class/bluetooth").iterdir()}
+    assert adapters == {"hci0", "hci1"}
+
+
+def test_fails() -> None:
+    raise AssertionError("the answer is 42")
+
+
+def test_kernel_dies() -> None:
+    Path("/proc/sysrq-trigger").write_text("c")

@@ -1,0 +1,74 @@
+"""The bed itself: it reports what happened inside, also when that is the machine's death."""
+
+from __future__ import annotations
+
+import io
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.bluetooth.bed import debian, machine
+from tests.bluetooth.bed.cpio import Archive
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.bluetooth.bed.layers import Layers
+    from tests.bluetooth.conftest import Run
+
+_PROBES = "tests/bluetooth/guest/bed_probes.py"
+
+
+def test_failures_inside_come_out_with_output_and_exit_code(run: Run) -> None:
+    outcome = run([_PROBES, "-k", "passes or fails"])
+    assert outcome.exit_code == 1
+    assert "1 failed, 1 passed" in outcome.output
+    assert "the answer is 42" in outcome.output
+    assert "[init] ready" in outcome.console
+
+
+def test_a_dead_machine_is_told_from_a_failed_test(run: Run) -> None:
+    with pytest.raises(machine.DiedError, match=r"no exit code: it ended\n(.|\n)*sysrq"):
+        run([_PROBES, "-k", "kernel_dies"])
+
+
+def test_a_hung_machine_is_ended(boots_from: Layers) -> None:
+    with pytest.raises(machine.DiedError, match="it was ended after 2 s"):
+        machine.run(boots_from, [_PROBES], time_limit=2)
+
+
+def test_an_unknown_kernel_is_named(boots_from: Layers) -> None:
+    with pytest.raises(debian.UnavailableError, match=r"none of the kernels 1\.0\.0-no-amd64"):
+        debian.release(("1.0.0-no-amd64",))
+
+
+def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nonexistent")
+    with pytest.raises(debian.UnavailableError, match=r"qemu-system-x86_64 is missing .*apt install"):
+        debian.release()
+
+
+def test_archives_are_cpio() -> None:
+    """Read back by the format's own field widths: Python has no cpio, and the machine's start proves the rest."""
+    file = io.BytesIO()
+    with Archive(file) as archive:
+        archive.add(PurePosixPath("a/b"), b"hello", 0o755)
+        archive.add_symlink(PurePosixPath("a/c"), "b")
+    data = file.getvalue()
+    assert len(data) % 512 == 0
+    folder, script, link, end = _entries(data)
+    assert folder == ("a", 0o040755, b"")
+    assert script == ("a/b", 0o100755, b"hello")
+    assert link == ("a/c", 0o120777, b"b")
+    assert end == ("TRAILER!!!", 0, b"")
+
+
+def _entries(data: bytes) -> Iterator[tuple[str, int, bytes]]:
+    start = 0
+    while data[start : start + 6] == b"070701":
+        fields = [int(data[start + 6 + 8 * i : start + 14 + 8 * i], 16) for i in range(13)]
+        mode, size, name_length = fields[1], fields[6], fields[11]
+        name_end = start + 110 + name_length
+        content = name_end + -name_end % 4
+        yield data[start + 110 : name_end - 1].decode(), mode, data[content : content + size]
+        start = content + size + -(content + size) % 4
