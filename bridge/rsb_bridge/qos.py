@@ -5,9 +5,12 @@ Values are those of the ROS 2 middleware interface (rmw/types.h, Jazzy); the nam
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["volatile", "transient_local"]
@@ -93,3 +96,42 @@ def _from_mapping(value: dict[str, Any]) -> Qos:
     if qos.deadline < 0 or qos.lifespan < 0:
         raise ValueError("deadline and lifespan are seconds, 0 or more")
     return qos
+
+
+def match_publishers(offered: Sequence[Qos]) -> Qos:
+    """The QoS that ``auto`` means: the strictest that a subscription to all these publishers can ask for.
+
+    Args:
+        offered: what the topic's publishers offer; their depths are not known to others and do not matter.
+
+    Returns:
+        Its depth is `Qos`'s own; without a publisher it is `Qos()`.
+    """
+    if not offered:
+        return Qos()
+    return Qos(
+        reliability="best_effort" if any(qos.reliability == "best_effort" for qos in offered) else "reliable",
+        durability="transient_local" if all(qos.durability == "transient_local" for qos in offered) else "volatile",
+        deadline=_loosest([qos.deadline for qos in offered]),
+        lifespan=_loosest([qos.lifespan for qos in offered]),
+    )
+
+
+def _loosest(seconds: list[float]) -> float:
+    return 0.0 if 0.0 in seconds else max(seconds)
+
+
+def incompatible(offered: Qos, requested: Qos) -> str:
+    """Why a publisher and a subscription do not match, in words; empty if they do.
+
+    The rules are DDS's for request and offer (OMG DDS 1.4, table in section 2.2.3), of the policies that `Qos` has.
+    """
+    reasons = []
+    if offered.reliability == "best_effort" and requested.reliability == "reliable":
+        reasons.append("the publisher is best_effort, the subscription asks for reliable")
+    if offered.durability == "volatile" and requested.durability == "transient_local":
+        reasons.append("the publisher is volatile, the subscription asks for transient_local")
+    if requested.deadline and not 0 < offered.deadline <= requested.deadline:
+        offer = f"a deadline of {offered.deadline:g} s" if offered.deadline else "no deadline"
+        reasons.append(f"the publisher offers {offer}, the subscription asks for {requested.deadline:g} s")
+    return "; ".join(reasons)
