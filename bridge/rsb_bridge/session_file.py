@@ -16,7 +16,7 @@ from rsb_bridge.session_rules import build, validate, validate_topic
 from rsb_bridge.session_shape import join
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 __all__ = ["Problem", "SessionError", "dump", "key_path", "load", "parse", "save", "validate", "validate_topic"]
 
@@ -26,7 +26,7 @@ MAX_DEPTH = 20
 _MAPPING = "tag:yaml.org,2002:map"
 _SEQUENCE = "tag:yaml.org,2002:seq"
 # Scalars as YAML 1.2 has them (core schema, section 10.3.2): in 1.1 a MAC of digits is a number and `no` is false.
-_SCALARS = {
+_SCALARS: dict[str, tuple[re.Pattern[str], Callable[[str], Any]]] = {
     "tag:yaml.org,2002:null": (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     "tag:yaml.org,2002:bool": (re.compile(r"true|True|TRUE|false|False|FALSE"), lambda text: text.lower() == "true"),
     "tag:yaml.org,2002:int": (re.compile(r"[-+]?[0-9]{1,300}"), int),
@@ -210,9 +210,9 @@ class _Loader(yaml.SafeLoader):
     _depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
-            raise yaml.MarkedYAMLError(problem="write it out: aliases (*) are not read", problem_mark=event.start_mark)
+            raise yaml.MarkedYAMLError(problem="aliases (*) are not read: write it out", problem_mark=event.start_mark)  # type: ignore[arg-type]
         if self._depth >= MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=event.start_mark)
         self._depth += 1

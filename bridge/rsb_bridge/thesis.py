@@ -75,7 +75,7 @@ def import_bringup(
             f"use_name: what the client receives is looked for under /{name}/ on the server; the thesis looked there "
             "without the prefix, and put it on the client's side"
         )
-    data = {key: parameters[key] for key in ("server_ip", "server_port") if key in parameters}
+    data: dict[str, Any] = {key: parameters[key] for key in ("server_ip", "server_port") if key in parameters}
     given = {"server_port": server_port, "key_file": key_file, "domain_id": domain_id}
     data |= {key: value for key, value in given.items() if value is not None}
     data |= {"name": name, "role": role, "use_name": use_name, "use_encryption": use_encryption}
@@ -117,7 +117,9 @@ class _Bringup:
         self.problems: list[Problem] = []
         self._place = place
         self._parameters = parameters
-        self._origins = {key: join(place, key) for key in ("server_ip", "server_port") if key in parameters}
+        self._origins: dict[str, str] = {
+            key: join(place, key) for key in ("server_ip", "server_port") if key in parameters
+        }
         known = {"server_ip", "server_port"}
         known |= {f"{direction}_{suffix}" for direction in _DIRECTIONS for suffix in _LISTS.values()}
         self.notes += [f"{key}: not of the bridge, left out" for key in parameters if key not in known]
@@ -147,7 +149,7 @@ class _Bringup:
         self.problems += [
             Problem(join(self._place, f"{direction}_{_LISTS[key]}"), words) for key, words in faults.items()
         ]
-        return dict.fromkeys(_LISTS, []) if faults else columns
+        return columns if not faults else {key: [] for key in _LISTS}
 
     def _add(self, topic: dict[str, Any], at: int) -> None:
         name, port = topic["topic"], topic.get("port")

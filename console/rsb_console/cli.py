@@ -1,0 +1,164 @@
+# PYTHON_ARGCOMPLETE_OK
+"""The command `rsb-console`: its arguments, and what an operator sees when something fails that nobody foresaw."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_console import commands
+from rsb_console.shell import FAILURE, INTERRUPTED, USAGE, complain, say
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+EPILOG = """\
+Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
+Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interrupted."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        argv: its arguments; None: the process's.
+
+    Returns:
+        The exit code.
+    """
+    parser, names = _parser()
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete  # noqa: PLC0415 (only while a shell completes)
+
+        argcomplete.autocomplete(parser)
+    arguments = parser.parse_args(_with_command(sys.argv[1:] if argv is None else list(argv), names))
+    try:
+        return int(arguments.command(arguments))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`). Python's own flush at exit must not meet the pipe again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILURE
+    except Exception as error:  # noqa: BLE001 (the last resort: an operator gets a line, and where the rest is)
+        return _unforeseen(error, show=arguments.debug)
+
+
+def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
+    """The arguments with `run` put in where no command stands first."""
+    first = next((argument for argument in argv if argument != "--debug"), "run")
+    if first in (*names, "-h", "--help", "--version"):
+        return argv if argv else ["run"]
+    meant = get_close_matches(first, names, n=1, cutoff=0.75)
+    if meant and not Path(first).exists():
+        complain(f"{first}: neither a command nor a file; did you mean `rsb-console {meant[0]}`?")
+        raise SystemExit(USAGE)
+    return ["run", *argv]
+
+
+def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
+    debug = argparse.ArgumentParser(add_help=False)
+    debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show a failure's traceback")
+    parser = argparse.ArgumentParser(
+        prog="rsb-console",
+        description="Bridge ROS 2 topics over encrypted sockets, and watch them flow.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        parents=[debug],
+    )
+    parser.set_defaults(debug=False)
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
+        added = subparsers.add_parser(name, help=summary, description=f"{summary}.", parents=[debug])
+        added.set_defaults(command=run)
+        return added
+
+    _run_arguments(command("run", commands.run, "bridge a session, with the console or without"))
+    check = command("check", commands.check, "say what a session would do, and what is wrong with it")
+    check.add_argument("session", type=Path, metavar="SESSION", help="session file")
+    keygen = command("keygen", commands.keygen, "make a key for both sides of a link")
+    keygen.add_argument(
+        "path", type=Path, metavar="PATH", nargs="?", default=Path("key.txt"), help="default: %(default)s"
+    )
+    keygen.add_argument("--force", action="store_true", help="replace a key that is there")
+    _import_arguments(command("import", commands.import_thesis, "make a session of the thesis's bringup.yaml"))
+    scan = command("bt-scan", commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
+    scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
+    scan.add_argument("--json", action="store_true", help="for programs")
+    demo = command("demo", commands.demo, "bridge two domains of this machine, with made-up robots")
+    demo.add_argument("--no-ui", action="store_true", help="log instead of the console")
+    demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop by itself")
+    return parser, list(subparsers.choices)
+
+
+def _run_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help="session file; none: choose one")
+    parser.add_argument("--no-ui", action="store_true", help="bridge without the console, and log")
+    parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
+    parser.add_argument(
+        "--on-hangup", choices=("stop", "continue"), default="stop", help="when the terminal goes away (%(default)s)"
+    )
+    parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
+    parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
+    parser.add_argument("--theme", metavar="NAME", help="colours to start with")
+
+
+def _import_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bringup", type=Path, metavar="BRINGUP", help="config/bringup.yaml of ros2_socket_bridge")
+    parser.add_argument("--name", required=True, help="as in the launch file")
+    parser.add_argument("--role", choices=("client", "server"), help="default: what the file's node is")
+    parser.add_argument("--key-file", type=Path, metavar="PATH", help="holds the launch file's key")
+    parser.add_argument("--port", type=int, help="of the server, as in its launch file")
+    parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
+    parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
+    parser.add_argument("--no-encryption", action="store_true", help="everything crosses in the clear")
+    parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="default: standard output")
+    parser.add_argument("--force", action="store_true", help="replace a session that is there")
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds < float("inf"):
+        raise ValueError
+    return seconds
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked: the package metadata takes a while to find."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version  # noqa: PLC0415 (as above)
+
+        say(f"rsb-console {version('rsb-console')}")
+        parser.exit()
+
+
+def _unforeseen(error: Exception, *, show: bool) -> int:
+    """Tell an operator in a line what happened, and keep the traceback for whoever will mend it."""
+    if show:
+        traceback.print_exception(error)
+        return FAILURE
+    from platformdirs import user_state_path  # noqa: PLC0415 (only here)
+
+    log = user_state_path("rsb-console") / "crash.log"
+    words = f"unforeseen {type(error).__name__}: {error}".splitlines()[0]
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("a", encoding="utf-8") as file:
+            file.writelines(traceback.format_exception(error))
+    except OSError:
+        complain(f"{words} (details: again with --debug)")
+    else:
+        complain(f"{words} (details: {log})")
+    return FAILURE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""What each command does. Whatever needs ROS, Textual or D-Bus is imported by the command that uses it.
+
+So help, keygen, check and import answer at once, on a machine with none of them.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING
+
+from rsb_bridge.keys import KeyFileError, fingerprint, read_key, write_key
+from rsb_bridge.session_file import SessionError, dump, key_path, load, save
+from rsb_bridge.thesis import import_bringup
+from rsb_console.shell import FAILURE, OK, USAGE, complain, say
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from rsb_bridge.session import Session, Topic
+
+LAST_SAFE_DOMAIN = 101  # above it, DDS's ports lie in Linux's ephemeral range: docs.ros.org, "The ROS_DOMAIN_ID"
+
+
+def run(arguments: Namespace) -> int:
+    """Bridge a session, with the console or without."""
+    path: Path | None = arguments.session
+    if path is None and arguments.no_ui:
+        complain("--no-ui needs a session file: rsb-console run --no-ui SESSION")
+        return USAGE
+    try:
+        session = load(path) if path is not None else None
+    except SessionError as error:
+        complain(f"not started: a session file with mistakes\n{error}")
+        return USAGE
+    if arguments.no_ui and path is not None and session is not None:
+        from rsb_console.headless import run_headless  # noqa: PLC0415 (needs ROS)
+
+        return run_headless(path, session, log_format=arguments.log_format, on_hangup=arguments.on_hangup)
+    if not _can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
+        return USAGE
+    from rsb_console.app import run_console  # noqa: PLC0415 (needs Textual)
+
+    return run_console(
+        path,
+        readonly=arguments.readonly,
+        ascii_only=arguments.ascii,
+        theme=arguments.theme,
+        on_hangup=arguments.on_hangup,
+    )
+
+
+def check(arguments: Namespace) -> int:
+    """Print what a session would do, and what an operator should mend first."""
+    path: Path = arguments.session
+    try:
+        session = load(path)
+    except SessionError as error:
+        complain(f"a session file with mistakes\n{error}")
+        return USAGE
+    for line in _summary(session):
+        say(line)
+    for warning in warnings(session, path):
+        say(f"warning: {warning}")
+    return OK
+
+
+def keygen(arguments: Namespace) -> int:
+    """Make a key file, and print the fingerprint; never the key."""
+    path: Path = arguments.path
+    try:
+        key = write_key(path, force=arguments.force)
+    except KeyFileError as error:
+        complain(str(error))
+        return FAILURE
+    say(f"{path}: a new key, fingerprint {fingerprint(key)}. Copy the file to the other side, and keep it to yourself.")
+    return OK
+
+
+def bt_scan(arguments: Namespace) -> int:
+    """List Bluetooth adapters and their busy channels."""
+    from rsb_console.bt_scan import run_bt_scan  # noqa: PLC0415 (needs D-Bus)
+
+    return run_bt_scan(arguments.adapter, arguments.json)
+
+
+def demo(arguments: Namespace) -> int:
+    """Bridge two domains of this machine."""
+    if not arguments.no_ui and not _can_draw("rsb-console demo --no-ui"):
+        return USAGE
+    from rsb_console.demo import run_demo  # noqa: PLC0415 (needs ROS)
+
+    return run_demo(ui=not arguments.no_ui, seconds=arguments.seconds)
+
+
+def import_thesis(arguments: Namespace) -> int:
+    """Write a session made of the thesis's bringup.yaml; what became different goes to standard error."""
+    output: Path | None = arguments.output
+    if output is not None and output.exists() and not arguments.force:
+        complain(f"{output}: exists already; --force replaces it")
+        return FAILURE
+    key_file = arguments.key_file
+    if key_file is not None and output is not None and not key_file.is_absolute():
+        key_file = os.path.relpath(key_file, output.parent)  # a session names its key relative to itself
+    try:
+        session, notes = import_bringup(
+            arguments.bringup,
+            name=arguments.name,
+            role=arguments.role,
+            server_port=arguments.port,
+            key_file=None if key_file is None else str(key_file),
+            use_name=arguments.use_name,
+            use_encryption=not arguments.no_encryption,
+            domain_id=arguments.domain_id,
+        )
+        if output is not None:
+            save(session, output)
+    except SessionError as error:
+        complain(f"not imported\n{error}")
+        return USAGE
+    if output is None:
+        sys.stdout.write(dump(session))
+    for note in notes:
+        complain(note)
+    return OK
+
+
+def warnings(session: Session, path: Path) -> list[str]:
+    """What is no mistake in a session, but will be asked about when it runs.
+
+    Args:
+        session: loaded.
+        path: of its file, which key files are relative to.
+    """
+    found = []
+    if not session.use_encryption:
+        found.append("use_encryption is off: everything crosses in the clear, and anyone may connect")
+    else:
+        found += _key_warnings(session, path)
+    if session.domain_id is not None and session.domain_id > LAST_SAFE_DOMAIN:
+        found.append(
+            f"domain {session.domain_id} can collide with other programs' ports; 0 to {LAST_SAFE_DOMAIN} cannot"
+        )
+    if any(topic.topic == session.shutdown_topic for topic in session.topics):
+        found.append(f"{session.shutdown_topic} is bridged, and closes the bridge too: it is the shutdown_topic")
+    return found
+
+
+def _key_warnings(session: Session, path: Path) -> Iterator[str]:
+    names = [client.key_file or session.key_file for client in session.clients] or [session.key_file]
+    for name in dict.fromkeys(name for name in names if name is not None):
+        try:
+            yield from read_key(key_path(path, name)).warnings
+        except KeyFileError as error:
+            yield str(error)
+
+
+def _summary(session: Session) -> Iterator[str]:
+    where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
+    domain = "of $ROS_DOMAIN_ID, else 0" if session.domain_id is None else str(session.domain_id)
+    yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, ROS domain {domain}"
+    yield f"encryption {'on' if session.use_encryption else 'OFF'}, prefix {'on' if session.use_name else 'off'}"
+    for topic in session.topics:
+        yield f"  {_route(topic, session)}"
+    for client in session.clients:
+        allowed = ", ".join(client.allow) or "all topics"
+        yield f"  lets in {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}"
+    if session.role == "server" and not session.clients:
+        yield f"  lets in {session.name}: all topics"
+
+
+def _route(topic: Topic, session: Session) -> str:
+    sign = "→" if topic.direction == "transmit" else "←"
+    carrier = topic.protocol or ("bluetooth" if session.is_bluetooth else "tcp")
+    details = [f"type {topic.type}", f"qos {topic.qos}"]
+    if topic.port is not None:
+        details.append(f"port {topic.port}")
+    if topic.remote_topic is not None:
+        details.append(f"as {topic.remote_topic}")
+    if topic.max_rate is not None:
+        details.append(f"at most {topic.max_rate:g} Hz")
+    if topic.paused:
+        details.append("paused")
+    return f"{sign} {topic.topic}  {carrier}  {', '.join(details)}"
+
+
+def _can_draw(instead: str) -> bool:
+    """Whether the console has a terminal to draw on; says so where it hasn't."""
+    reason = None
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        reason = "this isn't one (a pipe, a file, or ssh without -t)"
+    elif os.environ.get("TERM", "") in ("", "dumb"):
+        reason = "TERM says this one can't draw"
+    if reason:
+        complain(f"the console needs a terminal, and {reason}. Without it: {instead}")
+    return reason is None
