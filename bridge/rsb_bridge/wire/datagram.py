@@ -182,6 +182,11 @@ class DatagramReader:
         """Messages of which some fragments have come and others have not yet."""
         return len(self._incomplete)
 
+    @property
+    def lost(self) -> int:
+        """Messages before the newest of which nothing has come; one that is only late is taken back."""
+        return max(self.newest - self.received - self.expired - self.pending, 0)
+
     def receive(self, datagram: Buffer, now: float) -> Message | None:
         """Take in one datagram.
 

@@ -26,6 +26,10 @@ Message: TypeAlias = tuple[bytes, int, int]
 LENGTH = struct.Struct(">I")
 HEADER = struct.Struct(">BBIQ")
 """type, flags, route, stamp."""
+_HEADER_SIZE = HEADER.size
+_LENGTH_SIZE = LENGTH.size
+_unpack_header = HEADER.unpack
+_KNOWN_FLAGS = ZSTD | MORE
 
 
 class ProtocolError(Exception):
@@ -70,16 +74,16 @@ class FrameReader:
         view = memoryview(data)
         unpack, limit = LENGTH.unpack_from, self.limit
         start, end = 0, len(view)
-        self._needed = LENGTH.size
-        while end - start >= LENGTH.size:
+        self._needed = _LENGTH_SIZE
+        while end - start >= _LENGTH_SIZE:
             (length,) = unpack(view, start)
             if length > limit:
                 raise ProtocolError(f"a frame of {length} bytes, where {limit} are the most")
-            stop = start + LENGTH.size + length
+            stop = start + _LENGTH_SIZE + length
             if stop > end:
-                self._needed = LENGTH.size + length
+                self._needed = _LENGTH_SIZE + length
                 break
-            frames.append(view[start + LENGTH.size : stop])
+            frames.append(view[start + _LENGTH_SIZE : stop])
             start = stop
         self._tail += view[start:]
         return frames
@@ -109,7 +113,7 @@ class DataWriter:
         for payload, stamp, flags in messages:
             header = pack_header(DATA, flags, route, stamp)
             sealed = seal(payload, header)
-            parts += (pack_length(HEADER.size + len(sealed)), header, sealed)
+            parts += (pack_length(_HEADER_SIZE + len(sealed)), header, sealed)
         return b"".join(parts)
 
     def write_chunks(self, payload: Buffer, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
@@ -129,7 +133,7 @@ class DataReader:
         self._open = opener.open
         self._route = route
         self._limit = limit
-        self._frames = FrameReader(HEADER.size + limit + opener.suite.tag_length)
+        self._frames = FrameReader(_HEADER_SIZE + limit + opener.suite.tag_length)
         self._chunks = bytearray()
 
     def receive_data(self, data: Buffer) -> list[Message]:
@@ -155,15 +159,15 @@ class DataReader:
             ProtocolError: the format is broken.
             SealError: the seal does not hold.
         """
-        if len(frame) < HEADER.size:
-            raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {HEADER.size}")
-        header = frame[: HEADER.size]
-        kind, flags, route, stamp = HEADER.unpack(header)
-        if kind != DATA or route != self._route or flags > ZSTD | MORE:
+        if len(frame) < _HEADER_SIZE:
+            raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {_HEADER_SIZE}")
+        header = frame[:_HEADER_SIZE]
+        kind, flags, route, stamp = _unpack_header(header)
+        if kind != DATA or route != self._route or flags > _KNOWN_FLAGS:
             raise ProtocolError(
                 f"a frame of type {kind}, flags {flags}, route {route} on the stream of route {self._route}"
             )
-        content = self._open(frame[HEADER.size :], header)
+        content = self._open(frame[_HEADER_SIZE:], header)
         if not (flags & MORE or self._chunks):
             return content, stamp, flags
         if len(self._chunks) + len(content) > self._limit:

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
+from rsb_bridge.wire.sealing import KEY_LENGTH, Sealer, StreamOpener, Suite
 
 _NAMES = {
     Suite.AESGCM: b"Noise_NNpsk0_25519_AESGCM_SHA256",
@@ -85,7 +85,12 @@ class NoiseHandshake:
             psk: 32 bytes, the session key.
             prologue: what both ends must have seen alike.
             ephemeral: for test vectors; None makes one.
+
+        Raises:
+            ValueError: the psk is not 32 bytes long.
         """
+        if len(psk) != KEY_LENGTH:
+            raise ValueError(f"a session key has {KEY_LENGTH} bytes, not {len(psk)}")
         self._suite = suite
         self._ephemeral = ephemeral or X25519PrivateKey.generate()
         self._written = False

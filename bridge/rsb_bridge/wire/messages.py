@@ -16,6 +16,8 @@ Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Port: TypeAlias = Annotated[int, Meta(ge=0, le=65535)]
 Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
+Figure: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
+"""s; a latency may be negative within the clock offset's uncertainty."""
 
 Transport = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]
@@ -260,9 +262,9 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     newest: Count = 0
     dropped: dict[str, Count] = {}
     subscribers: Count = 0
-    latency_p50: float | None = None
-    latency_p99: float | None = None
-    jitter: float | None = None
+    latency_p50: Figure | None = None
+    latency_p99: Figure | None = None
+    jitter: Figure | None = None
 
 
 class Report(_Message, frozen=True):
@@ -318,11 +320,11 @@ class Shutdown(_Message, frozen=True):
 
     Attributes:
         reason: why, in words.
-        stay_down: the client is not to come back by itself.
+        retry_after: s until the client may come back by itself; None: it waits for its operator.
     """
 
     reason: str
-    stay_down: bool = False
+    retry_after: Seconds | None = 0.0
 
 
 ControlMessage: TypeAlias = (
