@@ -1,0 +1,146 @@
+"""Everything an operator can do, in one registry: key bindings, footer, help and command palette are made from it.
+
+A key is remapped in the user's ``keys.yaml`` by the action's id::
+
+    pause: P
+    move_down: j,down,ctrl+n
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import yaml
+from textual.binding import Binding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+
+class Group(StrEnum):
+    """Where an action's handler lives, and its chapter in the help."""
+
+    MOVE = "Move"  # the focused list
+    VIEW = "View"  # the main screen
+    OPERATE = "Operate"  # the main screen
+    CONSOLE = "Console"  # the app
+
+
+NAMESPACE = {Group.MOVE: "focused", Group.VIEW: "screen", Group.OPERATE: "screen", Group.CONSOLE: "app"}
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """One thing to do.
+
+    Attributes:
+        id: names the handler, ``action_<id>``, and the action in ``keys.yaml``.
+        keys: Textual key names, comma-separated; the first is the one that is shown.
+        words: what the footer says.
+        help: what the help and the palette say.
+        group: its chapter.
+        changes: it changes the bridge or a file, so ``--readonly`` takes it away.
+        needs_topic: it concerns the topic under the cursor.
+        in_footer: it has a place there.
+    """
+
+    id: str
+    keys: str
+    words: str
+    help: str
+    group: Group
+    changes: bool = False
+    needs_topic: bool = False
+    in_footer: bool = False
+
+
+ACTIONS: tuple[Action, ...] = (
+    Action("move_down", "j,down", "down", "Next line", Group.MOVE),
+    Action("move_up", "k,up", "up", "Previous line", Group.MOVE),
+    Action("move_first", "g,home", "first", "First line", Group.MOVE),
+    Action("move_last", "G,end", "last", "Last line", Group.MOVE),
+    Action("page_down", "pagedown", "page down", "One page down", Group.MOVE),
+    Action("page_up", "pageup", "page up", "One page up", Group.MOVE),
+    Action("pause", "p", "pause", "Pause or resume the topic", Group.OPERATE, True, True, True),
+    Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, True),
+    Action("filter", "slash", "filter", "Show what matches a regular expression; /! what does not", Group.VIEW,
+           in_footer=True),
+    Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
+    Action("previous_match", "N", "previous", "Previous match; without a filter, previous fault", Group.VIEW),
+    Action("faults", "f", "faults", "Show faults only", Group.VIEW, in_footer=True),
+    Action("sort_left", "less_than_sign", "sort", "Sort by the column to the left", Group.VIEW),
+    Action("sort_right", "greater_than_sign", "sort", "Sort by the column to the right", Group.VIEW),
+    Action("reverse", "s", "reverse", "Reverse the order", Group.VIEW),
+    Action("detail", "enter", "detail", "Open the topic's details", Group.VIEW, needs_topic=True, in_footer=True),
+    Action("back", "escape", "back", "Close what is open; drop the filter", Group.VIEW),
+    Action("freeze", "space", "freeze", "Freeze the view; the bridge goes on", Group.VIEW),
+    Action("faster", "plus", "faster", "Refresh more often", Group.VIEW),
+    Action("slower", "minus", "slower", "Refresh less often", Group.VIEW),
+    Action("zoom", "z", "zoom", "Give the focused pane the whole screen", Group.VIEW),
+    Action("log", "l", "log", "Go to the log, and back", Group.VIEW, in_footer=True),
+    Action("level", "L", "level", "Log level: all, INFO, WARNING, ERROR", Group.VIEW),
+    Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
+    Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
+    Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
+    Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
+    Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
+    Action("quit", "q", "quit", "Leave; the bridge stops", Group.CONSOLE, in_footer=True),
+)  # fmt: skip
+
+BY_ID = {action.id: action for action in ACTIONS}
+
+
+def bindings(*groups: Group) -> list[Any]:
+    """Textual's bindings of the actions in `groups`."""
+    return [Binding(a.keys, a.id, a.words, id=a.id, show=False) for a in ACTIONS if a.group in groups]
+
+
+class KeymapError(ValueError):
+    """A mistake in ``keys.yaml``, in words."""
+
+
+def load_keymap(path: Path) -> dict[str, str]:
+    """Read the user's keys.
+
+    Args:
+        path: a YAML mapping of action ids to Textual key names; need not exist.
+
+    Returns:
+        Action ids to comma-separated keys.
+
+    Raises:
+        KeymapError: it cannot be read, names no action of ours, or gives one key to two actions.
+    """
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise KeymapError(f"{path}: {error}") from None
+    if loaded is None:
+        return {}
+    if not isinstance(loaded, dict):
+        raise KeymapError(f"{path}: must map action ids to keys, like 'pause: P'")
+    keymap = {str(action): str(keys) for action, keys in loaded.items()}
+    unknown = sorted(set(keymap) - set(BY_ID))
+    if unknown:
+        raise KeymapError(f"{path}: no action is called {', '.join(unknown)}; the help (?) lists them")
+    _refuse_shared_keys(path, keymap)
+    return keymap
+
+
+def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
+    owner: dict[str, str] = {}
+    for action in ACTIONS:
+        for key in split_keys(keymap.get(action.id, action.keys)):
+            if key in owner:
+                raise KeymapError(f"{path}: {key!r} is for both {owner[key]} and {action.id}; give one another key")
+            owner[key] = action.id
+
+
+def split_keys(keys: str) -> Iterable[str]:
+    """The keys of a comma-separated list."""
+    return (key.strip() for key in keys.split(",") if key.strip())

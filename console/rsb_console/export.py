@@ -1,0 +1,54 @@
+"""Write what a pane lists to a file, for a report or a spreadsheet."""
+
+from __future__ import annotations
+
+import csv
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.snapshot import Event, RouteSnapshot
+
+COLUMNS = (
+    "state", "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
+    "latency_p50", "latency_p99", "age", "reason",
+)  # fmt: skip
+
+
+def _new_file(kind: str, suffix: str) -> Path:
+    return Path.cwd() / f"rsb-{kind}-{time.strftime('%Y%m%d-%H%M%S')}.{suffix}"
+
+
+def export_log(events: Sequence[Event]) -> Path:
+    """Write `events`, oldest first, one a line with its full time.
+
+    Returns:
+        The file, in the working folder.
+    """
+    path = _new_file("log", "txt")
+    with path.open("x", encoding="utf-8") as file:
+        for event in events:
+            stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(event.time))
+            file.write(f"{stamp} {event.level} {event.source} {event.text}\n")
+    return path
+
+
+def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
+    """Write `routes` with their figures (Hz, bytes/s, s) and ledgers as CSV.
+
+    Returns:
+        The file, in the working folder.
+    """
+    counts = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "lost_in_dds")
+    path = _new_file("topics", "csv")
+    with path.open("x", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow((*COLUMNS, *counts))
+        for route in routes:
+            table.writerow(
+                [getattr(route, name) for name in COLUMNS] + [getattr(route.ledger, name) for name in counts]
+            )
+    return path

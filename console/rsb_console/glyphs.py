@@ -1,0 +1,105 @@
+"""Signs that are drawn: states, arrows, small charts; and their stand-ins on a terminal that has only ASCII.
+
+Widgets draw Unicode. Where the terminal cannot, `AsciiFilter` replaces each character by one of the same width on its
+way out, so nothing else needs to know.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rich.cells import cell_len
+from rich.segment import Segment
+from textual.filter import LineFilter
+
+from rsb_bridge.snapshot import State
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from textual.color import Color
+
+STATE_SIGN = {State.OK: "●", State.WAITING: "◌", State.PAUSED: "‖", State.STALE: "▲", State.DOWN: "✗"}
+STATE_WORD = {State.OK: "ok", State.WAITING: "WAIT", State.PAUSED: "PAUSED", State.STALE: "STALE", State.DOWN: "DOWN"}
+OUT, IN = "→", "←"
+DONE, FAILED, UNKNOWN = "✓", "✗", "·"
+BARS = " ▁▂▃▄▅▆▇█"
+
+# Dots of a braille cell (Unicode block 2800), column by column from the bottom up.
+_DOTS = ((0x40, 0x04, 0x02, 0x01), (0x80, 0x20, 0x10, 0x08))
+
+
+def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
+    """The last `width` values as bars, right-aligned.
+
+    Args:
+        values: oldest first.
+        width: cells.
+        top: the value of a full bar; a larger one among `values` takes its place.
+    """
+    shown = values[-width:]
+    top = max(top, *shown, 0.0) if shown else 0.0
+    bars = "".join(BARS[_level(value, top)] for value in shown)
+    return bars.rjust(width)
+
+
+def _level(value: float, top: float) -> int:
+    if value <= 0 or top <= 0:
+        return 0
+    return max(1, min(8, round(7 * value / top)))
+
+
+def braille_plot(values: Sequence[float], width: int, height: int, top: float) -> list[str]:
+    """A curve of the last ``2 * width`` values, in `height` lines of `width` braille cells.
+
+    Args:
+        values: oldest first; the newest stands at the right edge.
+        width: cells, two values each.
+        height: lines, four levels each.
+        top: the value at the upper edge.
+    """
+    cells = [[0] * width for _ in range(height)]
+    shown = values[-2 * width :]
+    levels = [min(4 * height - 1, int(value / top * (4 * height - 1) + 0.5)) if top > 0 else 0 for value in shown]
+    first = 2 * width - len(levels)
+    for index, level in enumerate(levels):
+        before = levels[index - 1] if index else level
+        x = first + index
+        for y in range(min(before, level), max(before, level) + 1):
+            cells[height - 1 - y // 4][x // 2] |= _DOTS[x % 2][y % 4]
+    return ["".join(chr(0x2800 + dots) for dots in line) for line in cells]
+
+
+def _ascii_braille(dots: int) -> str:
+    """The ASCII sign whose ink is about as high in its cell as the dots are."""
+    if not dots:
+        return " "
+    heights = [y for column in _DOTS for y, dot in enumerate(column) if dots & dot]
+    if max(heights) - min(heights) >= 2:
+        return "|"
+    return "_.-'"[round(sum(heights) / len(heights))]
+
+
+_LOOKALIKES = {
+    "o": "●◉◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
+    "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆", "#": "█■□", "~": "…⏎",
+    "|": "│┃║▌▐▕▎▏▊▋▍▉", "u": "µ", "'": "’", '"': "“”",
+}  # fmt: skip
+ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}
+ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}
+
+
+def to_ascii(text: str) -> str:
+    """`text` with every character that is not ASCII replaced by as many cells of ASCII."""
+    if text.isascii():
+        return text
+    plain = text.translate(ASCII)
+    return plain if plain.isascii() else "".join(c if c.isascii() else "?" * cell_len(c) for c in plain)
+
+
+class AsciiFilter(LineFilter):
+    """Lets nothing but ASCII out to the terminal."""
+
+    def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
+        """Replace what is not ASCII, keeping every width."""
+        return [Segment(to_ascii(text), style, control) for text, style, control in segments]

@@ -1,0 +1,275 @@
+"""The main screen: topics, detail and log. How it is looked at; what is done to the bridge is in `operations`."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.containers import Horizontal
+
+from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
+from rsb_console.screens.operations import OperationsScreen
+from rsb_console.widgets.detail import DetailPane
+from rsb_console.widgets.keybar import KeyBar
+from rsb_console.widgets.log import LogPane, plain
+from rsb_console.widgets.prompt import Prompt
+from rsb_console.widgets.status import StatusBar, View
+from rsb_console.widgets.topics import TopicsTable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from textual import events
+    from textual.app import ComposeResult
+
+    from rsb_bridge.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_console.widgets.cursor_lines import CursorLines
+
+MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
+
+
+class MainScreen(OperationsScreen):
+    """Topics, detail and log."""
+
+    BINDINGS = bindings(Group.VIEW, Group.OPERATE)
+    AUTO_FOCUS = "#topics"
+    HORIZONTAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-narrow"), (110, "-wide")]
+    VERTICAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-tiny"), (14, "-short"), (30, "-tall")]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.status, self.key_bar = StatusBar(), KeyBar()
+        self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
+        self._frozen_since: float | None = None
+        self._held: list[Event] = []
+
+    def compose(self) -> ComposeResult:
+        """Status, panes, log, keys."""
+        yield self.status
+        with Horizontal(id="panes"):
+            yield self.topics
+            yield self.detail
+        yield self.log_pane
+        yield self.key_bar
+
+    def on_mount(self) -> None:
+        """Name the panes."""
+        for pane in (self.topics, self.detail, self.log_pane):
+            pane.add_class("pane")
+        self._show_title()
+        self.log_pane.relist()
+
+    # -- what is shown ------------------------------------------------------------------------------------------------
+
+    def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
+        """Show the engine's state; while frozen only the status line moves on."""
+        self.status.show(snapshot, self._view())
+        self.show_keys()
+        self._held += new_events
+        if self._frozen_since is None:
+            self.log_pane.add(self._held)
+            self._held = []
+            self.topics.show(snapshot)
+            self.show_detail()
+
+    def reset(self) -> None:
+        """Another session begins: forget the old one's log."""
+        self._held = []
+        self._frozen_since = None
+        self.log_pane.clear()
+
+    def _view(self) -> View:
+        session = "" if self.app.path is None else self.app.path.stem
+        return View(session, self.app.refresh_rate, self._frozen_since, self.app.readonly, self.app.note)
+
+    def show_detail(self) -> None:
+        """Show the topic under the cursor."""
+        if self.detail.display:
+            self.detail.show(self.topics.selected)
+
+    def show_keys(self) -> None:
+        """Show the keys that do something now."""
+        self.key_bar.show(
+            [
+                (
+                    self.app.key_labels(action)[0],
+                    action.words,
+                    f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
+                )
+                for action in ACTIONS
+                if action.in_footer and self.check_action(action.id, ())
+            ]
+        )
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Grey out what needs a topic while there is none; nothing that changes anything while read-only."""
+        known = BY_ID.get(action)
+        if known is None:
+            return super().check_action(action, parameters)
+        if known.needs_topic and self.topics.selected is None:
+            return None
+        return self.app.check_action(action, parameters)
+
+    @property
+    def selected(self) -> RouteSnapshot | None:
+        """The topic under the cursor."""
+        return self.topics.selected
+
+    def on_cursor_lines_cursor_moved(self, event: CursorLines.CursorMoved) -> None:
+        """Detail follows the cursor."""
+        if event.pane is self.topics:
+            self.show_detail()
+
+    def on_cursor_lines_chosen(self, event: CursorLines.Chosen) -> None:
+        """A second click opens."""
+        if event.pane is self.topics:
+            self.action_detail()
+
+    def on_resize(self, event: events.Resize) -> None:
+        """The detail may have come into view."""
+        self.call_after_refresh(self.show_detail)
+
+    # -- view actions -------------------------------------------------------------------------------------------------
+
+    @property
+    def _list(self) -> TopicsTable | LogPane:
+        """What filter, export and the like concern: the log if it has the focus, else the topics."""
+        return self.log_pane if self.log_pane.has_focus else self.topics
+
+    def action_filter(self) -> None:
+        """Type a filter."""
+        pattern = self._list.pattern
+        self._filtered = self._list
+        self.mount(Prompt("" if pattern is None else pattern.text), before=self.key_bar)
+
+    def on_prompt_changed(self, event: Prompt.Changed) -> None:
+        """Filter."""
+        self._filtered.pattern = event.pattern
+        self._filtered.relist()
+        self._show_title()
+
+    def on_prompt_closed(self) -> None:
+        """Back to the list."""
+        self.query(Prompt).remove()
+        self._filtered.focus()
+
+    def _show_title(self) -> None:
+        parts = ["Topics"]
+        if self.topics.faults_only:
+            parts.append("faults only")
+        if self.topics.pattern is not None:
+            parts.append(f"/{self.topics.pattern.text}")
+        if len(parts) > 1:
+            parts.append(f"{len(self.topics.keys)} of {len(self.topics.routes)}")
+        self.topics.border_title = f" {' ▸ '.join(parts)} "
+
+    def action_next_match(self) -> None:
+        """Next match or fault."""
+        self._list.next_match(1)
+
+    def action_previous_match(self) -> None:
+        """Previous match or fault."""
+        self._list.next_match(-1)
+
+    def action_faults(self) -> None:
+        """Faults only, or all."""
+        self.topics.faults_only = not self.topics.faults_only
+        self.topics.relist()
+        self._show_title()
+
+    def action_sort_left(self) -> None:
+        """Sort by the column to the left."""
+        self.topics.sort_by(-1)
+
+    def action_sort_right(self) -> None:
+        """Sort by the column to the right."""
+        self.topics.sort_by(1)
+
+    def action_reverse(self) -> None:
+        """Turn the order round."""
+        self.topics.reverse()
+
+    def action_freeze(self) -> None:
+        """Hold the picture, or let it go on."""
+        self._frozen_since = time.time() if self._frozen_since is None else None
+        self.app.pull()
+
+    def action_faster(self) -> None:
+        """Refresh more often."""
+        self.app.change_refresh_rate(1)
+
+    def action_slower(self) -> None:
+        """Refresh less often."""
+        self.app.change_refresh_rate(-1)
+
+    def action_level(self) -> None:
+        """Next log level."""
+        self.log_pane.next_level()
+
+    # -- panes --------------------------------------------------------------------------------------------------------
+
+    def _mode(self, mode: str | None) -> None:
+        """Give one pane the screen; None: all of them share it."""
+        for other in MODES:
+            self.set_class(other == mode, other)
+        pane = {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics)
+        pane.focus()
+        self.call_after_refresh(self.show_detail)
+
+    def action_detail(self) -> None:
+        """Open the details: the pane gets the focus, or on a narrow screen all of it."""
+        if self.detail.display:
+            self.detail.focus()
+        else:
+            self._mode("-detail")
+
+    def action_zoom(self) -> None:
+        """Give the focused pane the screen, or take it back."""
+        if any(self.has_class(mode) for mode in MODES):
+            self._mode(None)
+        else:
+            self._mode("-log" if self.log_pane.has_focus else "-detail" if self.detail.has_focus else "-table")
+
+    def action_log(self) -> None:
+        """Focus the log, opened where it has no room; then back."""
+        if self.log_pane.has_focus:
+            self._mode(None)
+        elif self.log_pane.display:
+            self.log_pane.focus()
+        else:
+            self._mode("-log")
+
+    def action_back(self) -> None:
+        """Close what is open; else drop the filters."""
+        if any(self.has_class(mode) for mode in MODES):
+            self._mode(None)
+        elif not self.topics.has_focus:
+            self.topics.focus()
+        elif self.topics.pattern is not None or self.topics.faults_only:
+            self.topics.pattern, self.topics.faults_only = None, False
+            self.topics.relist()
+            self._show_title()
+
+    # -- text out -----------------------------------------------------------------------------------------------------
+
+    def action_copy(self) -> None:
+        """Copy the line under the cursor."""
+        from rsb_console.clipboard import copy  # noqa: PLC0415 -- seldom needed
+
+        event, route = self.log_pane.selected, self.topics.selected
+        text = plain(event) if self.log_pane.has_focus and event else route.topic if route else ""
+        if text:
+            self.notify(copy(self.app, text), timeout=3, markup=False)
+
+    def action_export(self) -> None:
+        """Write what the focused list shows to a file in the working folder."""
+        from rsb_console.export import export_log, export_topics  # noqa: PLC0415 -- seldom needed
+
+        try:
+            path = (
+                export_log(self.log_pane.listed) if self._list is self.log_pane else export_topics(self.topics.listed)
+            )
+        except OSError as error:
+            self.notify(str(error), title="Not exported", severity="error", markup=False)
+        else:
+            self.notify(f"written to {path}", markup=False)

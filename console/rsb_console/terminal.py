@@ -1,0 +1,102 @@
+"""The terminal under the app: one that stops reading, sends broken bytes or goes away must cost pictures only."""
+
+from __future__ import annotations
+
+import os
+from queue import Full
+from typing import TYPE_CHECKING, Any
+
+from textual.drivers.linux_driver import LinuxDriver
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from queue import Queue
+
+CLOSE_TIMEOUT = 1.0  # s until a terminal that does not read is given up
+
+
+class TerminalFile:
+    """The terminal as a file that writes straight through, and says so once when it is gone.
+
+    A buffered stream would be locked by a write that never ends, and hold up the interpreter's exit.
+    """
+
+    def __init__(self, fd: int, gone: Callable[[], None]) -> None:
+        self._fd = fd
+        self._gone: Callable[[], None] | None = gone
+
+    def write(self, text: str) -> None:
+        """Write all of `text`; blocks while the terminal does not read."""
+        data = text.encode("utf-8", "replace")
+        while data and self._gone is not None:
+            try:
+                data = data[os.write(self._fd, data) :]
+            except OSError:  # hung up; there is nobody to tell but the app
+                gone, self._gone = self._gone, None
+                gone()
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def fileno(self) -> int:
+        """The descriptor."""
+        return self._fd
+
+
+class ConsoleDriver(LinuxDriver):
+    """Textual's driver, whose `write` never blocks the app.
+
+    Textual hands frames to a thread through a queue of 30 and waits when that is full: with the app would wait its keys
+    and signals. Here what doesn't fit is dropped, and once the terminal reads again the whole screen is drawn anew.
+    """
+
+    def __init__(self, app: Any, **options: Any) -> None:
+        super().__init__(app, **options)
+        self._file: Any = TerminalFile(self._file.fileno(), app.terminal_gone)
+        self._behind = False
+
+    @property
+    def _queue(self) -> Queue[str | None]:
+        assert self._writer_thread is not None, "application mode"
+        return self._writer_thread._queue
+
+    def write(self, data: str) -> None:
+        """Hand `data` to the terminal, or drop it if that is far behind."""
+        if self._behind and self._queue.empty():
+            self._behind = False
+            self._app.call_later(self._app.refresh)
+        try:
+            self._queue.put_nowait(data)
+        except Full:
+            self._behind = True
+
+    def run_input_thread(self) -> None:
+        """Read keys; a byte that isn't UTF-8 (a mouse report of the legacy kind: Textual's issue 6668) is left out."""
+        while not self.exit_event.is_set():
+            try:
+                super().run_input_thread()
+            except UnicodeDecodeError:
+                continue
+            except OSError:  # the terminal is gone; its file says so
+                return
+
+    def close(self) -> None:
+        """Let the last frames out, unless the terminal does not read."""
+        thread = self._writer_thread
+        if thread is None:
+            return
+        try:
+            self._queue.put(None, timeout=CLOSE_TIMEOUT)
+        except Full:
+            return  # a daemon thread: it ends with the process
+        thread.join(CLOSE_TIMEOUT)
+
+
+def prefers_ascii(environ: Mapping[str, str], encoding: str) -> bool:
+    """Whether the terminal is better given no Unicode.
+
+    Args:
+        environ: the process's.
+        encoding: the locale's.
+    """
+    return "utf" not in encoding.lower() or environ.get("TERM") == "linux"

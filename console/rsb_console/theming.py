@@ -1,0 +1,122 @@
+"""Themes, one a YAML file: those shipped and the user's own.
+
+A file holds Textual's theme colours (``primary: "#5fafff"``, ...), ``dark: true`` or ``false``, ``ansi: true`` for
+colours named after the terminal's own sixteen (``ansi_green``), and ``variables`` for single CSS variables. Its name is
+the theme's.
+"""
+
+from __future__ import annotations
+
+import os
+import sysconfig
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from platformdirs import user_config_path
+from textual.color import Color, ColorParseError
+from textual.theme import Theme
+
+REQUIRED = ("primary",)
+COLORS = ("secondary", "warning", "error", "success", "accent", "foreground", "background", "surface", "panel", "boost")
+SWITCHES = ("dark", "ansi")
+DEFAULT, SIXTEEN_COLORS = "dark", "terminal"
+
+VARIABLES = {
+    "row-cursor": "#303030",
+    "row-cursor-blurred": "#262626",
+    "alarm": "#ffffff",
+    "alarm-background": "#d70000",
+    "quiet": "#808080",
+    "rule": "#444444",
+}
+"""What our style sheet needs beside Textual's own variables, for a theme that doesn't say."""
+
+
+@dataclass(frozen=True, slots=True)
+class Themes:
+    """The themes that were found, and what was wrong with the others.
+
+    Attributes:
+        found: by name.
+        problems: one line a file.
+    """
+
+    found: dict[str, Theme]
+    problems: tuple[str, ...]
+
+
+def config_path() -> Path:
+    """The user's folder: ``keys.yaml`` and ``themes/``."""
+    return user_config_path("rsb-console")
+
+
+def shipped_path() -> Path:
+    """Where the shipped themes are: installed as shared data, or beside the packages in a checkout."""
+    installed = Path(sysconfig.get_path("data")) / "share" / "rsb_console" / "themes"
+    checkout = Path(__file__).parents[2] / "themes"
+    return installed if installed.is_dir() else checkout
+
+
+def load_themes(*folders: Path) -> Themes:
+    """Read every ``*.yaml`` in `folders`; of two of the same name the later counts."""
+    found: dict[str, Theme] = {}
+    problems: list[str] = []
+    for path in (path for folder in folders for path in sorted(folder.glob("*.yaml"))):
+        try:
+            found[path.stem] = read_theme(path)
+        except (ThemeError, OSError, UnicodeDecodeError) as error:
+            problems.append(f"{path}: {error}")
+    return Themes(found, tuple(problems))
+
+
+class ThemeError(ValueError):
+    """A mistake in a theme file, in words."""
+
+
+def read_theme(path: Path) -> Theme:
+    """Read one theme.
+
+    Raises:
+        ThemeError: it isn't one; says what is wrong.
+        OSError: it cannot be read.
+    """
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ThemeError(" ".join(str(error).split())) from None
+    if not isinstance(loaded, dict):
+        raise ThemeError('must map names to colours, like primary: "#5fafff"')
+    unknown = sorted(str(key) for key in loaded if key not in {*REQUIRED, *COLORS, *SWITCHES, "variables"})
+    if unknown:
+        raise ThemeError(f"{', '.join(unknown)}: not part of a theme; it has {', '.join((*REQUIRED, *COLORS))}")
+    for key in REQUIRED:
+        if key not in loaded:
+            raise ThemeError(f"{key} is missing")
+    for key in (*REQUIRED, *COLORS):
+        if key in loaded:
+            _check_color(key, loaded[key])
+    for key in SWITCHES:
+        if not isinstance(loaded.get(key, True), bool):
+            raise ThemeError(f"{key}: {loaded[key]!r} is neither true nor false")
+    variables = loaded.pop("variables", {})
+    if not isinstance(variables, dict):
+        raise ThemeError("variables: must map names to values")
+    for key, value in variables.items():
+        if key in VARIABLES:
+            _check_color(f"variables.{key}", value)
+    return Theme(name=path.stem, variables={str(key): str(value) for key, value in variables.items()}, **loaded)
+
+
+def _check_color(key: str, value: Any) -> None:
+    try:
+        Color.parse(value)
+    except (ColorParseError, TypeError, AttributeError):
+        raise ThemeError(f'{key}: {value!r} is not a colour; give "#rrggbb" in quotes, or a name') from None
+
+
+def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
+    """The theme that looks right on this terminal: one of its own sixteen colours where it has no more."""
+    many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256" in environ.get("TERM", "")
+    return DEFAULT if many or environ.get("TERM", "").startswith(("tmux", "screen")) else SIXTEEN_COLORS

@@ -1,0 +1,147 @@
+"""Live lines with a cursor that stays on its item while the list around it is sorted, filtered and refreshed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from textual.geometry import Region
+from textual.message import Message
+
+from rsb_console.actions import Group, bindings
+from rsb_console.widgets.lines import LiveLines
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from textual import events
+
+
+class CursorLines(LiveLines, can_focus=True):
+    """A list of keyed items, one a line, below `sticky` lines of heading.
+
+    `show_keys` sets the items; a subclass draws each in `line`.
+    """
+
+    BINDINGS = bindings(Group.MOVE)
+
+    class CursorMoved(Message):
+        """Another item is under the cursor.
+
+        Attributes:
+            pane: the list.
+        """
+
+        def __init__(self, pane: CursorLines) -> None:
+            super().__init__()
+            self.pane = pane
+
+        @property
+        def control(self) -> CursorLines:
+            """The list."""
+            return self.pane
+
+    class Chosen(CursorMoved):
+        """An item was clicked."""
+
+    def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002 -- Textual's name
+        super().__init__(id=id, classes=classes)
+        self.keys: Sequence[str] = ()
+        self._cursor = 0
+
+    @property
+    def line_count(self) -> int:
+        """The heading and one line an item."""
+        return self.sticky + len(self.keys)
+
+    def is_cursor(self, index: int) -> bool:
+        """Whether line `index` holds the item under the cursor."""
+        return index == self.sticky + self._cursor
+
+    @property
+    def cursor_key(self) -> str | None:
+        """The key of the item under the cursor; None: the list is empty."""
+        return self.keys[self._cursor] if self._cursor < len(self.keys) else None
+
+    def show_keys(self, keys: Sequence[str]) -> None:
+        """List `keys`; the cursor stays on its item, or where it stood if that is gone."""
+        before = self.cursor_key
+        stays = before is not None and self._cursor < len(keys) and keys[self._cursor] == before
+        self.keys = keys
+        if not stays:
+            at = keys.index(before) if before in keys else min(self._cursor, max(0, len(keys) - 1))
+            self._place(at, scroll=before is not None)
+        self.sync()
+        if self.cursor_key != before:
+            self.post_message(self.CursorMoved(self))
+
+    def move_to(self, position: int) -> None:
+        """Put the cursor on item number `position`, or the nearest there is."""
+        position = max(0, min(len(self.keys) - 1, position))
+        if position != self._cursor:
+            self._place(position)
+            self.sync()
+            self.post_message(self.CursorMoved(self))
+
+    def _place(self, position: int, *, scroll: bool = True) -> None:
+        self._cursor = position
+        if scroll:
+            top, page = round(self.scroll_offset.y), self.page
+            if position < top:
+                self.scroll_to(y=position, animate=False)
+            elif position >= top + page:
+                self.scroll_to(y=position - page + 1, animate=False)
+
+    @property
+    def position(self) -> int:
+        """Number of the item under the cursor."""
+        return self._cursor
+
+    @property
+    def page(self) -> int:
+        """Items on screen."""
+        return max(1, self.size.height - self.sticky)
+
+    def action_move_down(self) -> None:
+        """Next item."""
+        self.move_to(self._cursor + 1)
+
+    def action_move_up(self) -> None:
+        """Previous item."""
+        self.move_to(self._cursor - 1)
+
+    def action_move_first(self) -> None:
+        """First item."""
+        self.move_to(0)
+
+    def action_move_last(self) -> None:
+        """Last item."""
+        self.move_to(len(self.keys) - 1)
+
+    def action_page_down(self) -> None:
+        """One page on."""
+        self.move_to(self._cursor + self.page)
+
+    def action_page_up(self) -> None:
+        """One page back."""
+        self.move_to(self._cursor - self.page)
+
+    def on_click(self, event: events.Click) -> None:
+        """The item under the mouse gets the cursor."""
+        index = self.index_at(event.y) - self.sticky
+        if 0 <= index < len(self.keys) and event.y >= self.sticky:
+            again = index == self._cursor
+            self.move_to(index)
+            if again:
+                self.post_message(self.Chosen(self))
+
+    def on_focus(self) -> None:
+        """The cursor's line looks different in the focused pane."""
+        self._refresh_cursor()
+
+    def on_blur(self) -> None:
+        """As `on_focus`."""
+        self._refresh_cursor()
+
+    def _refresh_cursor(self) -> None:
+        y = self.sticky + self._cursor - round(self.scroll_offset.y)
+        self.refresh(Region(0, y, self.size.width, 1))

@@ -1,0 +1,173 @@
+"""All about one topic: why it isn't flowing, its rate, where its messages went."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from rsb_bridge.snapshot import State
+from rsb_console import formats
+from rsb_console.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
+from rsb_console.widgets.lines import Line, LiveLines, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rsb_bridge.qos import Qos
+    from rsb_bridge.snapshot import Ledger, RouteSnapshot, Stage
+
+PLOT_HEIGHT = 4
+LABEL = 11  # cells of a figure's name
+STAGE_SIGN = {True: (DONE, "ok"), False: (FAILED, "down"), None: (UNKNOWN, "dim")}
+
+
+class DetailPane(LiveLines, can_focus=True):
+    """The topic under the cursor."""
+
+    def __init__(self) -> None:
+        super().__init__(id="detail")
+        self._lines: list[Line] = []
+        self._route: RouteSnapshot | None = None
+
+    @property
+    def line_count(self) -> int:
+        """As many as the topic needs."""
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        """One line of it."""
+        return self._lines[index]
+
+    def show(self, route: RouteSnapshot | None) -> None:
+        """Show `route`; None: there is nothing to show."""
+        self._route = route
+        self.border_title = "" if route is None else f" {route.topic} "
+        width = self.size.width
+        if route is None:
+            self._lines = [(), ((" no topic selected", "dim"),)]
+        else:
+            self._lines = [fit(line, width) for line in detail_lines(route, width)]
+        self.sync()
+
+    def on_resize(self) -> None:
+        """Lay the lines out anew."""
+        super().on_resize()
+        self.show(self._route)
+
+
+def detail_lines(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    """The pane's lines about `route`, for `width` cells."""
+    yield from _heading(route, width)
+    yield ()
+    yield from _stages(route.stages, width)
+    yield ()
+    yield from _plot(route, width)
+    yield ()
+    yield from _ledger(route.ledger, width)
+    yield ()
+    yield from _figures(route)
+
+
+def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    look = route.state.value
+    yield (
+        (f" {STATE_SIGN[route.state]} {STATE_WORD[route.state]} ", look),
+        ("" if route.age is None else f" last {formats.age(route.age)} ago", "dim"),
+    )
+    if route.state is not State.OK:
+        yield from _wrapped(route.reason, width, look)
+    yield ((f" {route.type_name or 'type not known yet'}", "strong" if route.type_name else "dim"),)
+    way = f"{OUT} to" if route.outgoing else f"{IN} from"
+    carrier = f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+    yield ((f" {way} {route.link}", ""), (f"  {carrier}", "dim"))
+    if route.remote_topic and route.remote_topic != route.topic:
+        yield ((f"   there: {route.remote_topic}", "dim"),)
+
+
+def _stages(stages: Sequence[Stage], width: int) -> Iterator[Line]:
+    """Why it is, or isn't, flowing: what is passed on one line, what isn't on its own."""
+    yield ((" Way of a message", "head"),)
+    failed = next((stage for stage in stages if not stage.done), None)
+    if failed is None and stages:
+        yield ((f" {DONE} ", "ok"), (f"all {len(stages)} stages passed", ""))
+        return
+    for stage in stages:
+        sign, look = STAGE_SIGN[stage.done]
+        yield ((f" {sign} ", look), (stage.name, "strong" if stage is failed else "" if stage.done else "dim"))
+        if stage is failed and stage.detail:
+            yield from _wrapped(stage.detail, width, "down" if stage.done is False else "waiting")
+
+
+def _wrapped(text: str, width: int, look: str) -> Iterator[Line]:
+    for line in textwrap.wrap(text, max(10, width - 4)):
+        yield ((f"   {line}", look),)
+
+
+def _plot(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    cells = max(1, min(width - 2, 60))
+    shown = route.history[-2 * cells :]
+    top = 1.2 * max(route.expected_rate or 0.0, *shown, 1.0) if shown else 1.0
+    expected = "" if route.expected_rate is None else f" of {formats.expected(route.expected_rate)}"
+    yield (
+        (" Rate", "head"),
+        (f"  {formats.hertz(route.rate)} Hz{expected}", "strong"),
+        (f"  last {2 * cells} s", "dim"),
+    )
+    for line in braille_plot(shown, cells, PLOT_HEIGHT, top):
+        yield ((f" {line}", "plot"),)
+
+
+def _ledger(ledger: Ledger, width: int) -> Iterator[Line]:
+    yield ((" Ledger", "head"),)
+    rows = [
+        ("offered", ledger.offered, ""),
+        ("delivered", ledger.delivered, ""),
+        ("throttled", ledger.throttled, ""),
+        ("expired", ledger.expired, "stale"),
+        ("in flight", ledger.in_flight, ""),
+        ("dropped", ledger.dropped_total, "down"),
+        *((f"  {cause}", count, "down") for cause, count in ledger.dropped.items() if count),
+        ("lost in DDS", ledger.lost_in_dds, "stale"),
+    ]
+    name_width = max(LABEL, *(len(name) for name, _, _ in rows)) + 1
+    for name, count, look in rows:
+        share = f"{100 * count / ledger.offered:6.1f} %" if ledger.offered and name == "delivered" else ""
+        yield (
+            (f" {name:<{name_width}}", "dim"),
+            (f"{formats.thousands(count):>11}", look if count else "dim"),
+            (share, ""),
+        )
+
+
+def _figures(route: RouteSnapshot) -> Iterator[Line]:
+    yield _figure(
+        "bytes", f"{formats.byte_rate(route.bytes_per_second)}, {formats.thousands(route.bytes_total)} in all"
+    )
+    if route.latency_p50 is not None and route.latency_p99 is not None:
+        uncertain = "" if route.latency_uncertainty is None else f" ± {formats.span(route.latency_uncertainty)}"
+        yield _figure(
+            "latency", f"p50 {formats.span(route.latency_p50)}  p99 {formats.span(route.latency_p99)}{uncertain}"
+        )
+    if route.jitter is not None:
+        yield _figure("jitter", formats.span(route.jitter))
+    if route.qos is not None:
+        yield _figure("QoS", qos_words(route.qos))
+    if route.type_hash:
+        yield _figure("type hash", route.type_hash)
+    if route.last_error:
+        yield _figure("last error", route.last_error)
+
+
+def _figure(name: str, text: str) -> Line:
+    return ((f" {name:<{LABEL}} ", "dim"), (text, ""))
+
+
+def qos_words(qos: Qos) -> str:
+    """``reliable, volatile, last 10``."""
+    kept = "all" if qos.history == "keep_all" else f"last {qos.depth}"
+    words = [qos.reliability.replace("_", " "), qos.durability.replace("_", " "), kept]
+    if qos.deadline:
+        words.append(f"deadline {formats.span(qos.deadline)}")
+    if qos.lifespan:
+        words.append(f"lifespan {formats.span(qos.lifespan)}")
+    return ", ".join(words)

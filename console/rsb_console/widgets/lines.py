@@ -1,0 +1,146 @@
+"""A view of styled lines that redraws only the columns that changed: the base of every live pane."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.cells import cell_len
+from rich.segment import Segment
+from textual.geometry import Region, Size
+from textual.scroll_view import ScrollView
+from textual.strip import Strip
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.style import Style
+
+Line = tuple[tuple[str, str], ...]
+"""Pieces of one line: text, and the name of its look (one of `LOOKS`, or empty for the pane's own)."""
+
+LOOKS = ("ok", "waiting", "paused", "stale", "down", "dim", "strong", "key", "head", "alarm", "plot")
+
+
+def look_class(look: str) -> str:
+    """The CSS component class of a look."""
+    return f"line--{look}"
+
+
+class LiveLines(ScrollView):
+    """Lines drawn on demand: only those on screen are made, only what differs from the last time goes out.
+
+    A subclass says how many lines there are (`line_count`) and makes one (`line`); after its data changed it calls
+    `sync`. The first `sticky` lines stay at the top while the rest scrolls.
+    """
+
+    COMPONENT_CLASSES: ClassVar[set[str]] = {look_class(look) for look in LOOKS} | {"line--cursor"}
+    sticky = 0
+
+    def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002 -- Textual's name
+        super().__init__(id=id, classes=classes)
+        self._drawn: dict[int, tuple[Line, bool]] = {}
+
+    @property
+    def line_count(self) -> int:
+        """How many lines there are, the sticky ones included."""
+        raise NotImplementedError
+
+    def line(self, index: int) -> Line:
+        """Line number `index`, for the present width."""
+        raise NotImplementedError
+
+    def is_cursor(self, index: int) -> bool:
+        """Whether line `index` is to be drawn as the one under the cursor."""
+        return False
+
+    def index_at(self, y: int) -> int:
+        """The line that stands at screen row `y` of this pane."""
+        return y if y < self.sticky else y + round(self.scroll_offset.y)
+
+    def sync(self) -> None:
+        """Redraw what differs from what is on screen."""
+        size = Size(0, self.line_count)
+        if size != self.virtual_size:
+            self.virtual_size = size
+        width = self.size.width
+        for y, (old, was_cursor) in list(self._drawn.items()):
+            new, cursor = self._make(y)
+            if cursor != was_cursor:
+                self.refresh(Region(0, y, width, 1))
+            elif new != old:
+                start, end = changed_columns(old, new, width)
+                self.refresh(Region(start, y, end - start, 1))
+
+    def _make(self, y: int) -> tuple[Line, bool]:
+        index = self.index_at(y)
+        if index >= self.line_count:
+            return (), False
+        return self.line(index), self.is_cursor(index)
+
+    def render_line(self, y: int) -> Strip:
+        """Draw screen row `y` (Textual's line API)."""
+        made, cursor = self._drawn[y] = self._make(y)
+        base = self.get_component_rich_style("line--cursor") if cursor else self.rich_style
+        strip = Strip([Segment(text, self._style(look, base)) for text, look in made])
+        return strip.adjust_cell_length(self.size.width, base)
+
+    def _style(self, look: str, base: Style) -> Style:
+        return base + self.get_component_rich_style(look_class(look), partial=True) if look else base
+
+    def on_resize(self) -> None:
+        """Lay everything out anew."""
+        self._drawn.clear()
+        self.refresh()
+        self.sync()
+
+
+def changed_columns(old: Line, new: Line, width: int) -> tuple[int, int]:
+    """The span of cells, start and end, outside of which two lines look the same.
+
+    Args:
+        old: what is on screen.
+        new: what is to be there.
+        width: of the pane.
+    """
+    start = _common_cells(old, new)
+    if sum(cell_len(text) for text, _ in old) != sum(cell_len(text) for text, _ in new):
+        return start, width
+    return start, max(start + 1, width_of(new) - _common_cells(old[::-1], new[::-1]))
+
+
+def width_of(line: Line) -> int:
+    """Cells of a line."""
+    return sum(cell_len(text) for text, _ in line)
+
+
+def _common_cells(old: Sequence[tuple[str, str]], new: Sequence[tuple[str, str]]) -> int:
+    cells = 0
+    for before, after in zip(old, new, strict=False):
+        if before != after:
+            break
+        cells += cell_len(after[0])
+    return cells
+
+
+def fit(line: Line, width: int) -> Line:
+    """`line` cut to `width` cells, with an ellipsis where something is missing."""
+    if width_of(line) <= width:
+        return line
+    kept: list[tuple[str, str]] = []
+    room = width - 1
+    for text, look in line:
+        piece = clip(text, room)
+        kept.append((piece, look))
+        room -= cell_len(piece)
+        if room <= 0 or piece != text:
+            break
+    return (*kept, ("…", kept[-1][1]))
+
+
+def clip(text: str, width: int) -> str:
+    """The start of `text` that fits into `width` cells."""
+    if text.isascii():
+        return text[: max(0, width)]
+    while cell_len(text) > max(0, width):
+        text = text[:-1]
+    return text

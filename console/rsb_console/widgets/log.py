@@ -1,0 +1,113 @@
+"""The log: what happened, newest first, by level and by pattern."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from rsb_bridge.snapshot import Level
+from rsb_console import formats
+from rsb_console.widgets.cursor_lines import CursorLines
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.snapshot import Event
+    from rsb_console.widgets.lines import Line
+    from rsb_console.widgets.pattern import Pattern
+
+KEPT = 5000  # events
+SEVERITY = {level: rank for rank, level in enumerate(Level)}
+LOOK = {Level.DEBUG: "dim", Level.INFO: "", Level.WARNING: "stale", Level.ERROR: "down"}
+WORD = {Level.DEBUG: "debug", Level.INFO: "info", Level.WARNING: "WARN", Level.ERROR: "ERROR"}
+
+
+class LogPane(CursorLines):
+    """Events, newest first. At the top it follows; further down it holds still while new ones come in."""
+
+    def __init__(self) -> None:
+        super().__init__(id="log")
+        self.events: deque[Event] = deque(maxlen=KEPT)
+        self.level = Level.DEBUG
+        self.pattern: Pattern | None = None
+        self._shown: dict[str, Event] = {}
+
+    def add(self, events: Iterable[Event]) -> None:
+        """Append `events`, oldest first."""
+        events = list(events)
+        if events:
+            following = self.position == 0
+            self.events.extend(events)
+            self.relist()
+            if following:
+                self.move_to(0)
+
+    def clear(self) -> None:
+        """Forget everything: another session begins."""
+        self.events.clear()
+        self.relist()
+
+    def relist(self) -> None:
+        """Filter anew."""
+        self._shown = {str(event.number): event for event in reversed(self.events) if self._wanted(event)}
+        self.show_keys(list(self._shown))
+        self.border_title = self._title()
+
+    def _wanted(self, event: Event) -> bool:
+        if SEVERITY[event.level] < SEVERITY[self.level]:
+            return False
+        return self.pattern is None or self.pattern.matches(plain(event))
+
+    def _title(self) -> str:
+        parts = ["Log"]
+        if self.level is not Level.DEBUG:
+            parts.append(f"{WORD[self.level]}+")
+        if self.pattern is not None:
+            parts.append(f"/{self.pattern.text}")
+        return f" {' ▸ '.join(parts)} "
+
+    def next_level(self) -> None:
+        """Show one level less; after errors only, everything."""
+        levels = list(Level)
+        self.level = levels[(SEVERITY[self.level] + 1) % len(levels)]
+        self.relist()
+
+    def next_match(self, step: int) -> None:
+        """To the next line, or without a filter to the next warning or error."""
+        shown = list(self._shown.values())
+        position = self.position + step
+        while 0 <= position < len(shown):
+            if self.pattern is not None or SEVERITY[shown[position].level] >= SEVERITY[Level.WARNING]:
+                self.move_to(position)
+                return
+            position += step
+
+    @property
+    def selected(self) -> Event | None:
+        """The event under the cursor."""
+        return None if self.cursor_key is None else self._shown[self.cursor_key]
+
+    @property
+    def listed(self) -> list[Event]:
+        """What is shown, oldest first."""
+        return list(self._shown.values())[::-1]
+
+    def is_cursor(self, index: int) -> bool:
+        """Only while the log has the focus."""
+        return self.has_focus and super().is_cursor(index)
+
+    def line(self, index: int) -> Line:
+        """One event."""
+        event = self._shown[self.keys[index]]
+        look = LOOK[event.level]
+        return (
+            (f" {formats.time_of_day(event.time)} ", "dim"),
+            (f"{WORD[event.level]:<6}", look),
+            (f"{event.source:<7}", "dim"),
+            (event.text, look),
+        )
+
+
+def plain(event: Event) -> str:
+    """An event as one line of text."""
+    return f"{formats.time_of_day(event.time)} {WORD[event.level]:<5} {event.source:<6} {event.text}"

@@ -1,0 +1,67 @@
+"""The line in which a filter is typed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.binding import Binding
+from textual.containers import Horizontal
+from textual.message import Message
+from textual.widgets import Input, Static
+
+from rsb_console.widgets.pattern import Pattern, PatternError
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+
+
+class Prompt(Horizontal):
+    """``/`` and an input. What is typed filters at once; enter keeps it, escape takes it back."""
+
+    BINDINGS: ClassVar = [Binding("escape", "cancel", show=False)]
+
+    class Changed(Message):
+        """A valid pattern, or none, was typed."""
+
+        def __init__(self, pattern: Pattern | None) -> None:
+            super().__init__()
+            self.pattern = pattern
+
+    class Closed(Message):
+        """The operator is done with it."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(id="prompt")
+        self._before = text
+
+    def compose(self) -> ComposeResult:
+        """The slash, the input, and room for what is wrong."""
+        yield Static(" /", id="sign")
+        yield Input(self._before, id="pattern", placeholder="regular expression; ! first: what does not match")
+        yield Static("", id="problem", classes="problem")
+
+    def on_mount(self) -> None:
+        """Typing goes here."""
+        self.query_one(Input).focus()
+
+    def on_input_changed(self, event: Input.Changed) -> None:
+        """Filter by what stands there now."""
+        event.stop()
+        problem = self.query_one("#problem", Static)
+        try:
+            pattern = Pattern(event.value) if event.value.strip("!") else None
+        except PatternError as error:
+            problem.update(str(error))
+            return
+        problem.update("")
+        self.post_message(self.Changed(pattern))
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Keep it."""
+        event.stop()
+        self.post_message(self.Closed())
+
+    def action_cancel(self) -> None:
+        """Back to what was before."""
+        self.post_message(self.Changed(Pattern(self._before) if self._before else None))
+        self.post_message(self.Closed())

@@ -1,0 +1,162 @@
+"""The two lines at the top: who is linked to whom, and what flows in all."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rsb_bridge.snapshot import State
+from rsb_console import formats
+from rsb_console.glyphs import STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.snapshot import LinkSnapshot, Snapshot
+
+HISTORY = 8  # s
+ROOMY = 100  # cells from which on there is room for small charts
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """How the console itself is shown.
+
+    Attributes:
+        session: the session file's name; empty: it is in no file.
+        refresh: Hz.
+        frozen_since: s since the epoch; None: live.
+        readonly: nothing can be changed.
+        note: what to say instead of the link's state while no engine runs.
+    """
+
+    session: str = ""
+    refresh: float = 4.0
+    frozen_since: float | None = None
+    readonly: bool = False
+    note: str = ""
+
+
+class StatusBar(LiveLines):
+    """Both lines; the counts among them always say all of it, whatever the table filters."""
+
+    can_focus = False
+
+    def __init__(self) -> None:
+        super().__init__(id="status")
+        self._identity: Line = ()
+        self._view: Line = ()
+        self._totals: Line = ()
+        self._received: deque[float] = deque(maxlen=HISTORY)
+        self._sent: deque[float] = deque(maxlen=HISTORY)
+        self._sampled = 0.0
+
+    @property
+    def line_count(self) -> int:
+        """Two."""
+        return 2
+
+    def line(self, index: int) -> Line:
+        """One of them."""
+        width = self.size.width
+        if index == 0:
+            brand = ((" rsb-console ", "strong"),) if width >= ROOMY else ()
+            return _spread((*brand, *self._identity), self._view, width)
+        return fit(tuple(piece for piece in self._totals if width >= ROOMY or piece[1] != "plot"), width)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the totals of `snapshot`."""
+        if snapshot.time - self._sampled >= 1.0:
+            self._sampled = snapshot.time
+            self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))
+            self._sent.append(sum(link.tx_bytes_per_second for link in snapshot.links))
+        self._identity, self._view = _identity(snapshot, view), _view(snapshot, view)
+        self._totals = self._sum(snapshot)
+        self.sync()
+
+    def _sum(self, snapshot: Snapshot) -> Line:
+        counts = Counter(route.state for route in snapshot.routes)
+        pieces: list[tuple[str, str]] = [(f" {len(snapshot.routes)} topics", "strong")]
+        pieces += [
+            (f"  {STATE_SIGN[state]} {counts[state]} {STATE_WORD[state].lower()}", state.value)
+            for state in reversed(State)
+            if counts[state]
+        ]
+        for name, history in (("RX", self._received), ("TX", self._sent)):
+            if history:
+                pieces += [
+                    (" │ ", "dim"),
+                    (f"{name} {formats.byte_rate(history[-1]):>9} ", ""),
+                    (sparkline(list(history), HISTORY), "plot"),
+                ]
+        rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
+        if rtts:
+            pieces += [(" │ ", "dim"), (f"rtt {formats.span(max(rtts))}", "")]
+        drops = sum(route.ledger.dropped_total for route in snapshot.routes)
+        pieces += [(" │ ", "dim"), (f"drops {formats.thousands(drops)}", "stale" if drops else "")]
+        return tuple(pieces)
+
+
+def _identity(snapshot: Snapshot, view: View) -> Line:
+    pieces = [
+        (f" {snapshot.role} ", "dim"),
+        (snapshot.name, "strong"),
+        (f" ⇄ {snapshot.address}", ""),
+    ]
+    if view.note:
+        pieces.append((f"   {view.note}", "alarm"))
+    else:
+        pieces += link_words(snapshot)
+    pieces.append((f"   domain {snapshot.domain_id}", "dim"))
+    return tuple(pieces)
+
+
+def link_words(snapshot: Snapshot) -> list[tuple[str, str]]:
+    """The state of the link, or how many of a server's are linked, and whether they are encrypted."""
+    if not snapshot.running:
+        return [("   ✗ STOPPED", "down")]
+    if not snapshot.links:
+        return [("   ◌ no client yet", "waiting")]
+    pieces = [_links_state(snapshot.links, snapshot.time)]
+    if all(link.encrypted for link in snapshot.links):
+        pieces.append(("  encrypted ✓", "dim"))
+    else:
+        pieces += [("  ", ""), (" NOT ENCRYPTED ", "alarm")]
+    return pieces
+
+
+def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
+    linked = [link for link in links if link.state is State.OK]
+    if len(links) > 1:
+        worst = next(state for state in State if any(link.state is state for link in links))
+        return f"   {STATE_SIGN[worst]} {len(linked)} of {len(links)} linked", worst.value
+    (link,) = links
+    if linked:
+        return f"   ● LINKED {formats.clock(now - link.since)}", "ok"
+    retry = "" if link.retry_in is None else f" · retry {link.attempts + 1} in {link.retry_in:.0f} s"
+    return (
+        f"   {STATE_SIGN[link.state]} {STATE_WORD[link.state]} {formats.age(now - link.since)}{retry}",
+        link.state.value,
+    )
+
+
+def _view(snapshot: Snapshot, view: View) -> Line:
+    pieces = []
+    if view.readonly:
+        pieces.append(("read-only  ", "paused"))
+    if view.session:
+        pieces.append((f"{view.session} · ", "dim"))
+    if view.frozen_since is None:
+        pieces.append((f"LIVE {view.refresh:g} Hz ", "dim"))
+    else:
+        pieces.append((f" VIEW FROZEN {formats.clock(snapshot.time - view.frozen_since)} ", "alarm"))
+    return tuple(pieces)
+
+
+def _spread(left: Line, right: Line, width: int) -> Line:
+    """`left` and `right` at the two edges; what doesn't fit is cut from the left part's end."""
+    room = width - width_of(right)
+    cut = fit(left, max(1, room - 1))
+    return (*cut, (" " * (room - width_of(cut)), ""), *right)

@@ -1,0 +1,214 @@
+"""The table of bridged topics: sorted, filtered, faults first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.snapshot import State
+from rsb_console import formats
+from rsb_console.glyphs import IN, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.lines import clip
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from textual import events
+
+    from rsb_bridge.snapshot import RouteSnapshot, Snapshot
+    from rsb_console.widgets.lines import Line
+    from rsb_console.widgets.pattern import Pattern
+
+SEVERITY = {state: rank for rank, state in enumerate(State)}
+FAULTS = frozenset({State.DOWN, State.STALE, State.WAITING})
+WIDE = 70  # cells from which on a state has its word beside its sign
+HISTORY = 12  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """One column of the table.
+
+    Attributes:
+        title: its heading.
+        width: cells; 0: what the others leave.
+        text: what it says of a route.
+        order: what it sorts by.
+        right: aligned to the right.
+        from_width: the table is at least so wide, else the column is left out.
+    """
+
+    title: str
+    width: int
+    text: Callable[[RouteSnapshot], str]
+    order: Callable[[RouteSnapshot], Any]
+    right: bool = True
+    from_width: int = 0
+
+
+def _state(route: RouteSnapshot) -> str:
+    return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}"
+
+
+def _via(route: RouteSnapshot) -> str:
+    way = OUT if route.outgoing else IN
+    return f"{way} BT {route.port}" if route.transport == "bluetooth" else f"{way} {route.transport.upper()}"
+
+
+def _rate(route: RouteSnapshot) -> str:
+    rate = formats.hertz(route.rate) if carries(route) else "-"
+    return rate if route.expected_rate is None else f"{rate}/{formats.expected(route.expected_rate)}"
+
+
+def carries(route: RouteSnapshot) -> bool:
+    """Whether figures of a flow mean anything now."""
+    return route.state in {State.OK, State.STALE}
+
+
+COLUMNS = (
+    Column("STATE", 8, _state, lambda r: (SEVERITY[r.state], r.topic), right=False, from_width=WIDE),
+    Column("", 2, lambda r: STATE_SIGN[r.state], lambda r: (SEVERITY[r.state], r.topic), right=False),
+    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
+    Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
+    Column("VIA", 7, _via, lambda r: (r.outgoing, r.transport, r.port), right=False, from_width=40),
+    Column("HZ/EXP", 9, _rate, lambda r: -r.rate),
+    Column(
+        "kB/s",
+        6,
+        lambda r: formats.kilobytes(r.bytes_per_second) if carries(r) else "-",
+        lambda r: -r.bytes_per_second,
+        from_width=56,
+    ),
+    Column(
+        "ms",
+        5,
+        lambda r: "-" if r.latency_p50 is None else formats.milliseconds(r.latency_p50),
+        lambda r: -(r.latency_p50 or 0.0),
+        from_width=64,
+    ),
+    Column("AGE", 5, lambda r: "-" if r.age is None else formats.age(r.age), lambda r: -(r.age or 0.0), from_width=48),
+    Column(
+        " HISTORY",
+        HISTORY + 1,
+        lambda r: sparkline(r.history, HISTORY, r.expected_rate or max(r.history, default=0)),
+        lambda r: -sum(r.history),
+        right=False,
+        from_width=78,
+    ),
+)
+STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = COLUMNS[0], COLUMNS[1], COLUMNS[2], COLUMNS[3], COLUMNS[-1]
+
+
+class TopicsTable(CursorLines):
+    """All routes of a snapshot, one a line; the cursor stays on its route."""
+
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="topics")
+        self.routes: dict[str, RouteSnapshot] = {}
+        self.sort_column = STATE
+        self.reversed = False
+        self.faults_only = False
+        self.pattern: Pattern | None = None
+        self._peers = False
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show the routes of `snapshot`."""
+        self.routes = {route.key: route for route in snapshot.routes}
+        self._peers = len(snapshot.links) > 1
+        self.relist()
+
+    def relist(self) -> None:
+        """Sort and filter anew."""
+        shown = [route for route in self.routes.values() if self._wanted(route)]
+        shown.sort(key=self.sort_column.order, reverse=self.reversed)
+        self.show_keys([route.key for route in shown])
+
+    def _wanted(self, route: RouteSnapshot) -> bool:
+        if self.faults_only and route.state not in FAULTS:
+            return False
+        return self.pattern is None or self.pattern.matches(f"{route.topic} {route.link} {route.type_name}")
+
+    @property
+    def selected(self) -> RouteSnapshot | None:
+        """The route under the cursor."""
+        return None if self.cursor_key is None else self.routes[self.cursor_key]
+
+    @property
+    def listed(self) -> list[RouteSnapshot]:
+        """What is shown, in its order."""
+        return [self.routes[key] for key in self.keys]
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """The columns for which there is room."""
+        width = self.size.width
+        hidden = {SIGN if width >= WIDE else STATE} | (set() if self._peers else {PEER})
+        return tuple(column for column in COLUMNS if width >= column.from_width and column not in hidden)
+
+    def sort_by(self, step: int) -> None:
+        """Sort by the column `step` places to the right."""
+        columns = self.columns
+        at = columns.index(self.sort_column) if self.sort_column in columns else 0
+        self.sort_column = columns[(at + step) % len(columns)]
+        self.relist()
+
+    def reverse(self) -> None:
+        """Turn the order round."""
+        self.reversed = not self.reversed
+        self.relist()
+
+    def next_match(self, step: int) -> None:
+        """To the next line (a filter shows matches only), or without a filter to the next fault."""
+        count = len(self.keys)
+        for distance in range(1, count + 1):
+            position = (self.position + step * distance) % count
+            if self.pattern is not None or self.routes[self.keys[position]].state in FAULTS:
+                self.move_to(position)
+                return
+
+    def line(self, index: int) -> Line:
+        """The heading, or one route."""
+        columns = self.columns
+        room = max(8, self.size.width - 1 - sum(column.width + 1 for column in columns))
+        if index == 0:
+            return ((" ", ""), *(self._heading(column, column.width or room) for column in columns))
+        route = self.routes[self.keys[index - 1]]
+        edge = ("▌", route.state.value) if self.is_cursor(index) else (" ", "")
+        return (edge, *(_cell(column, route, column.width or room) for column in columns))
+
+    def _heading(self, column: Column, width: int) -> tuple[str, str]:
+        arrow = ("▲" if self.reversed else "▼") if column is self.sort_column else ""
+        title = clip(column.title + arrow, width)
+        return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
+
+    def on_click(self, event: events.Click) -> None:
+        """A click on a heading sorts by it, a second one turns the order round."""
+        if event.y >= self.sticky:
+            super().on_click(event)
+            return
+        edge = 1
+        room = max(8, self.size.width - 1 - sum(column.width + 1 for column in self.columns))
+        for column in self.columns:
+            edge += (column.width or room) + 1
+            if event.x < edge:
+                self.reversed = column is self.sort_column and not self.reversed
+                self.sort_column = column
+                self.relist()
+                return
+
+
+def _cell(column: Column, route: RouteSnapshot, width: int) -> tuple[str, str]:
+    text = column.text(route)
+    if len(text) > width:
+        text = text[: width - 1] + "…"
+    look = ""
+    if column in {STATE, SIGN}:
+        look = route.state.value
+    elif column is HISTORY_COLUMN:
+        look = "plot" if route.state is State.OK else route.state.value
+    elif route.state is State.PAUSED:
+        look = "dim"
+    return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look

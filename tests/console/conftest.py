@@ -1,0 +1,6 @@
+"""What the console's tests share: `scripted.py` beside this file is importable."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))

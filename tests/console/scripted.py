@@ -1,0 +1,178 @@
+"""An engine that plays a script: exact pictures and five hundred topics need figures that are the same every time."""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from rsb_bridge.qos import Qos
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.snapshot import (
+    Event,
+    Ledger,
+    Level,
+    LinkSnapshot,
+    RouteSnapshot,
+    Snapshot,
+    Stage,
+    State,
+    TopicInfo,
+)
+
+T = TypeVar("T")
+NOW = 1_800_000_000.0
+STAGES = (
+    "publisher seen", "type known", "QoS compatible", "subscribed", "link up", "peer accepted", "sent", "received",
+    "published", "subscriber seen",
+)  # fmt: skip
+SESSION = Session(name="robot1", role="client", server_ip="10.0.0.20", server_port=49152, domain_id=3, key_file="r.key")
+
+
+def stages(failed: int | None = None, detail: str = "") -> tuple[Stage, ...]:
+    """All passed, or those before number `failed`."""
+    if failed is None:
+        return tuple(Stage(name, done=True) for name in STAGES)
+    return tuple(
+        Stage(name, done=True if i < failed else False if i == failed else None, detail=detail if i == failed else "")
+        for i, name in enumerate(STAGES)
+    )
+
+
+def route(topic: str, state: State = State.OK, **changes: object) -> RouteSnapshot:
+    """A route that flows at 10 Hz, with `changes`."""
+    flowing = RouteSnapshot(
+        key=topic,
+        link="robot1",
+        topic=topic,
+        remote_topic=topic,
+        outgoing=False,
+        spec=Topic(topic, "receive"),
+        state=state,
+        reason="",
+        type_name="sensor_msgs/msg/LaserScan",
+        type_hash="RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
+        qos=Qos(reliability="best_effort", depth=5),
+        transport="udp",
+        port=49152,
+        stages=stages(),
+        ledger=Ledger(offered=7134, delivered=7115, dropped={"queue full": 12, "lost on the way": 7}),
+        rate=10.0,
+        expected_rate=10.0,
+        bytes_per_second=41200.0,
+        bytes_total=29_392_800,
+        latency_p50=0.0031,
+        latency_p99=0.0084,
+        latency_uncertainty=0.0004,
+        jitter=0.0006,
+        age=0.1,
+        history=tuple(10 + round(math.sin(i / 5)) for i in range(120)),
+        last_error="",
+    )
+    return replace(flowing, **changes)
+
+
+LINK = LinkSnapshot(
+    name="robot1",
+    peer="10.0.0.20:49152",
+    state=State.OK,
+    reason="",
+    since=NOW - 724,
+    retry_in=None,
+    attempts=0,
+    encrypted=True,
+    cipher="AESGCM",
+    fingerprint="3f2a 91c0 7be4 11d8",
+    rtt=0.0031,
+    clock_offset=-0.012,
+    clock_uncertainty=0.0004,
+    rx_bytes_per_second=312_000.0,
+    tx_bytes_per_second=4_100.0,
+    peer_version="0.1.0",
+    peer_domain=4,
+)
+
+ROUTES = (
+    route("/robot1/scan"),
+    route("/robot1/odom", type_name="nav_msgs/msg/Odometry", rate=49.8, expected_rate=50.0, bytes_per_second=35400.0,
+          latency_p50=0.0028, age=0.02, history=(50,) * 120),
+    route("/goal_pose", outgoing=True, transport="tcp", rate=0.2, expected_rate=None, bytes_per_second=100.0, age=2.1,
+          history=tuple(int(i % 5 == 0) for i in range(120))),
+    route("/robot1/map", State.STALE, transport="tcp", reason="nothing for 15 s", rate=0.0, expected_rate=1.0, age=8.4,
+          history=(1, 0, 1, 1) + (0,) * 8, bytes_per_second=0.0),
+    route("/robot2/scan", State.DOWN, transport="bluetooth", port=3, reason="no publisher of /scan in domain 4",
+          stages=stages(0, "no publisher of /scan in domain 4"), rate=0.0, age=31.0, latency_p50=None, qos=None,
+          last_error="No route to host", history=(10, 10, 8, 3, 1) + (0,) * 31),
+    route("/initialpose", State.PAUSED, outgoing=True, rate=0.0, expected_rate=None, age=None, latency_p50=None,
+          history=(), ledger=Ledger()),
+    route("/tf", rate=100.0, expected_rate=100.0, transport="tcp", history=(100,) * 120),
+    route("/camera/image_raw/compressed", rate=15.0, expected_rate=15.0, bytes_per_second=2.4e6, history=(15,) * 120),
+)  # fmt: skip
+
+EVENTS = (
+    Event(1, NOW - 724, Level.INFO, "link", "robot1: linked to 10.0.0.20:49152, AESGCM", "robot1"),
+    Event(2, NOW - 700, Level.INFO, "route", "/robot1/scan: flowing", "robot1", "/robot1/scan"),
+    Event(
+        3, NOW - 12, Level.WARNING, "stale", "/robot1/map: nothing for 15 s (warning 1 of 5)", "robot1", "/robot1/map"
+    ),
+    Event(4, NOW - 5, Level.ERROR, "route", "/robot2/scan channel 3: No route to host", "robot1", "/robot2/scan"),
+)
+
+
+class ScriptedEngine:
+    """The engine's public face, answering from what it was given; it records the commands."""
+
+    def __init__(
+        self, session: Session = SESSION, base: Path = Path(), routes: tuple[RouteSnapshot, ...] = ROUTES
+    ) -> None:
+        self.session, self.base = session, base
+        self.now = Snapshot(NOW, session.name, session.role, "10.0.0.20:49152", 3, True, (LINK,), routes, len(EVENTS))
+        self.happened = list(EVENTS)
+        self.commands: list[tuple[object, ...]] = []
+        self.running = False
+
+    def start(self) -> None:
+        self.running = True
+
+    def stop(self, timeout: float = 5.0) -> None:
+        self.running = False
+
+    def snapshot(self) -> Snapshot:
+        return self.now
+
+    def events(self, after: int = 0) -> list[Event]:
+        return [event for event in self.happened if event.number > after]
+
+    def _done(self, result: T, *command: object) -> "Future[T]":
+        self.commands.append(command)
+        future: Future[T] = Future()
+        future.set_result(result)
+        return future
+
+    def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
+        return self._done(topic.topic, "add", topic, link)
+
+    def edit_topic(self, key: str, topic: Topic) -> "Future[str]":
+        return self._done(key, "edit", key, topic)
+
+    def remove_topic(self, key: str) -> "Future[None]":
+        return self._done(None, "remove", key)
+
+    def pause(self, key: str, paused: bool) -> "Future[None]":
+        return self._done(None, "pause", key, paused)
+
+    def retry(self, link: str = "") -> "Future[None]":
+        return self._done(None, "retry", link)
+
+    def restart(self, step: Callable[[str], None] | None = None) -> "Future[None]":
+        for words in ("telling the peer", "sockets closed", "linked again"):
+            if step is not None:
+                step(words)
+        return self._done(None, "restart")
+
+    def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
+        offers = [
+            TopicInfo("/camera/depth", "sensor_msgs/msg/Image", "", Qos(reliability="best_effort", depth=5), 1, 0)
+        ]
+        return self._done(offers, "topics", link)
