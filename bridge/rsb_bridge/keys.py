@@ -113,8 +113,8 @@ def _parse(text: str, path: Path) -> Key:
     secret = _decode(words[-1])
     if secret is None:
         raise KeyFileError(
-            f"{path}: holds no key: its last word must be {KEY_BYTES} bytes as 44 characters of URL-safe base64, "
-            f"and has {len(words[-1])}"
+            f"{path}: holds no key: that is {KEY_BYTES} bytes as 44 characters of URL-safe base64, and the last word "
+            f"in there has {len(words[-1])} characters"
         )
     return Key(secret)
 

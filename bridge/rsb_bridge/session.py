@@ -49,13 +49,13 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     """One bridged topic, as the *client* sees it (thesis chapter 3: topic name, type, direction, protocol, port, QoS).
 
     Attributes:
-        topic: its name on the sending side, absolute (``/scan``).
+        topic: its name on the client, absolute (``/scan``).
         direction: ``transmit`` goes from client to server, ``receive`` the other way.
         type: ``pkg/msg/Name``, a short thesis name (``LaserScan``), or ``auto``: from either side's graph.
         protocol: what carries it; None is the link's own (udp on IP links is never picked: tcp, or bluetooth).
         port: a socket of its own (TCP or UDP port, RFCOMM channel); None shares the server's.
         qos: ``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.qos.Qos` fields.
-        remote_topic: its name on the receiving side; None: the same, with the session's prefix where `use_name` is set.
+        remote_topic: its name on the server; None: the same, with the client's name before it where `use_name` is set.
         compression: None is the link's default (zstd on Bluetooth, none elsewhere).
         max_rate: Hz; None is all.
         expected_rate: Hz, what an operator should see; None is learned.

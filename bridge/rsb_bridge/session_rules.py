@@ -11,6 +11,7 @@ import msgspec
 
 from rsb_bridge.keys import is_key
 from rsb_bridge.qos import AUTO, PROFILES, parse_qos
+from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.session import Client, Problem, Session, Topic, is_mac
 from rsb_bridge.session_shape import did_you_mean, join, read, show
 
@@ -27,7 +28,6 @@ _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, no
 _NAME_PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _TOPIC = re.compile(rf"(/{_NAME_PART})+")
 _PREFIX = re.compile(rf"{_NAME_PART}(/{_NAME_PART})*")
-_TYPE = re.compile(r"([a-z][a-z0-9_]*/(msg/)?)?[A-Z][A-Za-z0-9]*")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
 
@@ -157,10 +157,7 @@ def _topic(topic: Topic, place: str, bluetooth: bool | None) -> Iterator[Problem
     yield from _topic_name(topic.topic, join(place, "topic"))
     if topic.remote_topic is not None:
         yield from _topic_name(topic.remote_topic, join(place, "remote_topic"))
-    if topic.type != "auto" and not _TYPE.fullmatch(topic.type):
-        yield Problem(
-            join(place, "type"), f"{show(topic.type)} is not a message type: pkg/msg/Name, a short Name, or auto"
-        )
+    yield from _type(topic.type, join(place, "type"))
     yield from _protocol(topic, join(place, "protocol"), bluetooth)
     if topic.port is not None:
         rfcomm = topic.protocol == "bluetooth" or (topic.protocol is None and bluetooth is True)
@@ -174,6 +171,15 @@ def _topic(topic: Topic, place: str, bluetooth: bool | None) -> Iterator[Problem
     yield from _rate(topic.expected_rate, join(place, "expected_rate"))
     if topic.stale_after is not None:
         yield from _seconds(topic.stale_after, join(place, "stale_after"))
+
+
+def _type(name: str, place: str) -> Iterator[Problem]:
+    if name == AUTO:
+        return
+    try:
+        expand_type_name(name)
+    except ValueError as error:
+        yield Problem(place, str(error))
 
 
 def _topic_name(name: str, place: str) -> Iterator[Problem]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.ros.types import SHORT_NAMES
 from rsb_bridge.session import Direction, Problem, Role, Session, is_mac
 from rsb_bridge.session_file import SessionError, read_text, read_yaml
 from rsb_bridge.session_rules import MAX_CHANNEL, build
@@ -172,6 +173,8 @@ def _modern(key: str, value: Any) -> Any:
         return value
     if key == "topic" and not value.startswith(("/", "~")):
         return f"/{value}"
+    if key == "type":
+        return SHORT_NAMES.get(value, value)
     if key in ("port", "qos") and value.isdecimal():
         return int(value)
     if key == "qos":

@@ -38,7 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argcomplete.autocomplete(parser)
     arguments = parser.parse_args(_with_command(sys.argv[1:] if argv is None else list(argv), names))
     try:
-        return int(arguments.command(arguments))
+        code: int = arguments.command(arguments)
+        sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
@@ -46,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
     except Exception as error:  # noqa: BLE001 (the last resort: an operator gets a line, and where the rest is)
-        return _unforeseen(error, show=arguments.debug)
+        return _unforeseen(error, show="debug" in arguments)
+    return code
 
 
 def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
@@ -71,7 +73,6 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         parents=[debug],
     )
-    parser.set_defaults(debug=False)
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
 

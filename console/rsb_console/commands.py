@@ -121,7 +121,7 @@ def import_thesis(arguments: Namespace) -> int:
         complain(f"not imported\n{error}")
         return USAGE
     if output is None:
-        sys.stdout.write(dump(session))
+        say(dump(session).removesuffix("\n"))
     for note in notes:
         complain(note)
     return OK
@@ -172,7 +172,6 @@ def _summary(session: Session) -> Iterator[str]:
 
 
 def _route(topic: Topic, session: Session) -> str:
-    sign = "→" if topic.direction == "transmit" else "←"
     carrier = topic.protocol or ("bluetooth" if session.is_bluetooth else "tcp")
     details = [f"type {topic.type}", f"qos {topic.qos}"]
     if topic.port is not None:
@@ -183,7 +182,7 @@ def _route(topic: Topic, session: Session) -> str:
         details.append(f"at most {topic.max_rate:g} Hz")
     if topic.paused:
         details.append("paused")
-    return f"{sign} {topic.topic}  {carrier}  {', '.join(details)}"
+    return f"{topic.direction} {topic.topic} over {carrier}: {', '.join(details)}"
 
 
 def _can_draw(instead: str) -> bool:

@@ -1,0 +1,255 @@
+"""The installed `rsb-console`, as a process: what it prints, where, and how it exits."""
+
+import os
+import pty
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rsb_bridge.session_file import load
+
+COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+SESSION = """\
+name: robot1
+role: client
+server_ip: 10.0.0.1
+server_port: 49152
+key_file: key.txt
+topics:
+  - {topic: /scan, direction: transmit, protocol: udp, max_rate: 5}
+"""
+BRINGUP = """\
+client_node:
+  ros__parameters:
+    server_ip: '127.0.0.1'
+    server_port: 3000
+    receive_topics: ['topic']
+    receive_msg_types: ['String']
+    receive_ports: [12001]
+    receive_protocols: ['TCP']
+    receive_qos: ['10']
+"""
+
+pytestmark = pytest.mark.usefixtures("folder")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    Path("robot1.yaml").write_text(SESSION)
+    return tmp_path
+
+
+def rsb_console(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=30, check=False, **options)  # type: ignore[call-overload]
+
+
+def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command in a Python that first does something else."""
+    script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
+def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) -> None:
+    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast'): sys.modules[name] = None"
+    assert in_process(blocked, *arguments).returncode == 0
+    times = []
+    for _ in range(5):  # the best of a few: others run on this machine
+        start = time.perf_counter()
+        assert rsb_console(*arguments).returncode == 0
+        times.append(time.perf_counter() - start)
+        if times[-1] < 0.3:
+            break
+    assert min(times) < 0.3
+
+
+def test_version_and_help() -> None:
+    assert rsb_console("--version").stdout.startswith("rsb-console 0.")
+    for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
+        assert command in rsb_console("--help").stdout
+        assert rsb_console(command, "--help").stdout.startswith(f"usage: rsb-console {command}")
+
+
+def test_check_says_what_would_be_bridged_and_warns() -> None:
+    run = rsb_console("check", "robot1.yaml")
+    assert run.returncode == 0
+    assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
+    assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
+    assert "warning: key.txt: no such key file" in run.stdout
+    rsb_console("keygen")
+    assert "warning" not in rsb_console("check", "robot1.yaml").stdout
+    Path("key.txt").chmod(0o644)
+    assert "others may read this key (mode 0644)" in rsb_console("check", "robot1.yaml").stdout
+
+
+def test_check_warns_of_what_is_allowed_but_unwise() -> None:
+    Path("open.yaml").write_text(
+        SESSION.replace("key_file: key.txt", "use_encryption: false\ndomain_id: 150\nshutdown_topic: /scan")
+    )
+    warnings = [line for line in rsb_console("check", "open.yaml").stdout.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 3
+    assert "in the clear" in warnings[0]
+    assert "domain 150" in warnings[1]
+    assert "/scan is bridged, and closes the bridge too" in warnings[2]
+
+
+@pytest.mark.parametrize("arguments", [("check",), ("run", "--no-ui"), ("run",), ()])
+def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]) -> None:
+    Path("bad.yaml").write_text(SESSION.replace("udp", "tpc").replace("49152", "0"))
+    run = rsb_console(*arguments, "bad.yaml")
+    assert run.returncode == 2
+    assert run.stdout == ""
+    assert run.stderr.splitlines()[1:] == [
+        "bad.yaml:4: server_port: 0 is not a port: 1 to 65535",
+        "bad.yaml:7: topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
+    ]
+    assert rsb_console(*arguments, "none.yaml").stderr.endswith("none.yaml: no such file\n")
+
+
+def test_keygen_makes_key_txt_and_never_prints_it() -> None:
+    run = rsb_console("keygen")
+    key = Path("key.txt").read_text().strip()
+    assert run.returncode == 0
+    assert run.stdout.startswith("key.txt: a new key, fingerprint ")
+    assert key not in run.stdout + run.stderr
+    again = rsb_console("keygen")
+    assert again.returncode == 1
+    assert "key.txt: exists already" in again.stderr
+    assert Path("key.txt").read_text().strip() == key
+    assert rsb_console("keygen", "--force").returncode == 0
+    assert Path("key.txt").read_text().strip() != key
+    assert rsb_console("keygen", "robot1.key").returncode == 0
+    assert Path("robot1.key").stat().st_mode & 0o777 == 0o600
+
+
+def test_import_writes_a_session_that_loads() -> None:
+    Path("bringup.yaml").write_text(BRINGUP)
+    Path("sessions").mkdir()
+    rsb_console("keygen")
+    arguments = ("import", "bringup.yaml", "--name", "robot1", "--key-file", "key.txt", "-o", "sessions/new.yaml")
+    run = rsb_console(*arguments)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+    session = load(Path("sessions/new.yaml"))
+    assert session.key_file == "../key.txt"
+    assert [topic.topic for topic in session.topics] == ["/topic"]
+    assert "warning" not in rsb_console("check", "sessions/new.yaml").stdout
+    assert rsb_console(*arguments).returncode == 1
+    assert rsb_console(*arguments, "--force", "--role", "server").returncode == 0
+    assert load(Path("sessions/new.yaml")).role == "server"
+
+
+def test_import_to_standard_output_and_its_mistakes() -> None:
+    Path("bringup.yaml").write_text(BRINGUP)
+    run = rsb_console("import", "bringup.yaml", "--name", "robot1", "--no-encryption", "--port", "4000")
+    assert run.returncode == 0
+    assert "server_port: 4000" in run.stdout
+    refused = rsb_console("import", "bringup.yaml", "--name", "robot1")
+    assert refused.returncode == 2
+    assert "key_file: missing" in refused.stderr
+    assert rsb_console("import", "bringup.yaml").returncode == 2
+
+
+@pytest.mark.parametrize("arguments", [(), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)])
+def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...]) -> None:
+    run = rsb_console(*arguments, stdin=subprocess.DEVNULL)
+    assert run.returncode == 2
+    assert run.stderr.startswith("rsb-console: the console needs a terminal")
+    assert "--no-ui" in run.stderr
+
+
+def test_the_console_is_refused_on_a_dumb_terminal() -> None:
+    ours, theirs = pty.openpty()
+    try:
+        run = subprocess.run(
+            [COMMAND, "robot1.yaml"],
+            stdin=theirs,
+            stdout=theirs,
+            stderr=subprocess.PIPE,
+            env=os.environ | {"TERM": "dumb"},
+            timeout=30,
+            check=False,
+        )
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert run.returncode == 2
+    assert b"Without it: rsb-console run --no-ui robot1.yaml" in run.stderr
+
+
+def test_bad_arguments_are_refused_in_words() -> None:
+    for arguments, words in [
+        (("chekc", "robot1.yaml"), "did you mean `rsb-console check`?"),
+        (("run", "--no-ui"), "--no-ui needs a session file"),
+        (("run", "--log-format", "xml", "robot1.yaml"), "invalid choice: 'xml'"),
+        (("demo", "--seconds", "0"), "argument --seconds"),
+        (("check",), "the following arguments are required: SESSION"),
+    ]:
+        run = rsb_console(*arguments)
+        assert run.returncode == 2
+        assert words in run.stderr
+        assert "Traceback" not in run.stderr
+
+
+def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
+    Path("checks").write_text(SESSION.replace("udp", "tpc"))
+    assert "checks:7: topics[0].protocol" in rsb_console("checks").stderr
+
+
+def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
+    broken = (
+        "from rsb_console import commands\ndef check(arguments): raise RuntimeError('sprocket')\ncommands.check = check"
+    )
+    run = in_process(broken, "check", "robot1.yaml")
+    log = folder / "state" / "rsb-console" / "crash.log"
+    assert run.returncode == 1
+    assert run.stderr == f"rsb-console: unforeseen RuntimeError: sprocket (details: {log})\n"
+    assert "Traceback" in log.read_text()
+    for arguments in (("--debug", "check", "robot1.yaml"), ("check", "--debug", "robot1.yaml")):
+        assert "Traceback" in in_process(broken, *arguments).stderr
+    (folder / "state").rename(folder / "elsewhere")
+    (folder / "state").write_text("not a folder")
+    assert in_process(broken, "check", "robot1.yaml").stderr.endswith("(details: again with --debug)\n")
+
+
+def test_an_interrupt_is_quiet() -> None:
+    """The command raises what Ctrl-C raises: no command here runs long enough to be hit by a real one."""
+    broken = "from rsb_console import commands\ndef check(arguments): raise KeyboardInterrupt\ncommands.check = check"
+    run = in_process(broken, "check", "robot1.yaml")
+    assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
+
+
+def test_a_reader_that_left_gets_no_traceback() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        run = subprocess.run(
+            [COMMAND, "check", "robot1.yaml"], stdout=writer, stderr=subprocess.PIPE, timeout=30, check=False
+        )
+    finally:
+        os.close(writer)
+    assert (run.returncode, run.stderr) == (1, b"")
+
+
+def test_names_outside_the_terminals_encoding_are_escaped() -> None:
+    Path("robot1.yaml").write_text(SESSION.replace("name: robot1", "name: röbot"), encoding="utf-8")
+    run = rsb_console("check", "robot1.yaml", env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    assert run.returncode == 0
+    assert r"client r\xf6bot" in run.stdout
+
+
+def test_a_shell_completes_commands_and_options() -> None:
+    for line, expected in [("rsb-console ke", {"keygen "}), ("rsb-console run --lo", {"--log-format "})]:
+        environment = os.environ | {
+            "_ARGCOMPLETE": "1",
+            "_ARGCOMPLETE_IFS": "\n",
+            "_ARGCOMPLETE_STDOUT_FILENAME": "completions",
+            "COMP_LINE": line,
+            "COMP_POINT": str(len(line)),
+        }
+        rsb_console(env=environment)
+        assert set(Path("completions").read_text().split("\n")) == expected

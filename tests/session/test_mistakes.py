@@ -1,0 +1,212 @@
+"""What a session file is refused for, and in which words."""
+
+from pathlib import Path
+
+import pytest
+
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.session_file import SessionError, load, parse, validate, validate_topic
+
+FILE = Path("robot1.yaml")
+CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
+SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
+BLUETOOTH = "name: robot1\nrole: client\nserver_ip: 5C:F3:70:9A:1B:2E\nserver_port: 5\nkey_file: key.txt\n"
+
+
+def refusals(text: str) -> list[str]:
+    with pytest.raises(SessionError) as caught:
+        parse(text, FILE)
+    return str(caught.value).splitlines()
+
+
+def topic(fields: str, base: str = CLIENT) -> str:
+    return f"{base}topics:\n  - {{topic: /scan, direction: transmit, {fields}}}\n"
+
+
+@pytest.mark.parametrize("text", [CLIENT, SERVER, BLUETOOTH])
+def test_the_bases_of_these_tests_are_right(text: str) -> None:
+    assert parse(text, FILE).server_ip in text
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (topic("protocol: tpc"), 7, "topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)"),
+        (topic("protocol: TCP"), 7, "(did you mean tcp?)"),
+        (topic("protcol: tcp"), 7, "topics[0].protcol: no such key (did you mean protocol?)"),
+        (topic("qos: sensor-data"), 7, "(did you mean sensor_data?)"),
+        (topic("qos: 0"), 7, "topics[0].qos: a depth is at least 1"),
+        (topic("qos: {depth: -1}"), 7, "topics[0].qos: depth: at least 1"),
+        (topic("qos: [1]"), 7, "topics[0].qos: [1] is not text or a whole number or a mapping"),
+        (topic("type: LaserScann"), 7, "did you mean sensor_msgs/msg/LaserScan"),
+        (topic("type: sensor_msgs.msg.LaserScan"), 7, "topics[0].type:"),
+        (topic("port: 0"), 7, "topics[0].port: 0 is not a port: 1 to 65535"),
+        (topic("port: 65536"), 7, "65536 is not a port"),
+        (topic("port: '49153'"), 7, "'49153' is not a whole number (leave out the quotes)"),
+        (topic("port: 31", BLUETOOTH), 7, "31 is not an RFCOMM channel: 1 to 30"),
+        (topic("port: 49152"), 7, "49152 is the server_port: leave port out to share it"),
+        (topic("protocol: bluetooth"), 7, "bluetooth needs a Bluetooth MAC as server_ip"),
+        (topic("protocol: udp", BLUETOOTH), 7, "not udp but bluetooth"),
+        (topic("max_rate: 0"), 7, "topics[0].max_rate: 0.0 is not a rate"),
+        (topic("expected_rate: -1"), 7, "topics[0].expected_rate:"),
+        (topic("stale_after: -1"), 7, "topics[0].stale_after:"),
+        (topic("paused: yes"), 7, "topics[0].paused: 'yes' is not true or false"),
+        (topic("remote_topic: scan"), 7, "topics[0].remote_topic: 'scan' is not an absolute topic name"),
+        (topic("remote_topic: ~/scan"), 7, "(did you mean /scan?)"),
+        (topic("remote_topic: /front-scan/2"), 7, "(did you mean /front_scan/_2?)"),
+        (topic("topic: /other"), 7, "topics[0].topic: stands twice, first on line 7"),
+        (CLIENT + "topics:\n  - {topic: scan, direction: transmit}\n", 7, "(did you mean /scan?)"),
+        (CLIENT + "topics:\n  - topic: /scan\n", 7, "topics[0].direction: missing: give one of transmit, receive"),
+        (CLIENT + "topics:\n  - /scan\n", 7, "topics[0]: '/scan' is not a mapping of topic, direction"),
+        (CLIENT + "topics: /scan\n", 6, "topics: '/scan' is not a list"),
+        (CLIENT + "topics:\n", 6, "topics: nothing is given"),
+        (CLIENT + "name: other\n", 6, "name: stands twice, first on line 1"),
+        (CLIENT + "domain_id: 233\n", 6, "domain_id: 233 is not a ROS domain: 0 to 232"),
+        (CLIENT + "stale_after: .inf\n", 6, "stale_after: '.inf' is not a number"),
+        (CLIENT + "stale_warnings: -1\n", 6, "stale_warnings: -1 is not a count"),
+        (CLIENT + "shutdown_topic: shutdown\n", 6, "shutdown_topic: 'shutdown' is not an absolute topic name"),
+        (CLIENT + "clients: [{name: robot2}]\n", 2, "role: a client has no clients"),
+        (CLIENT + "encryption_key: abc\n", 6, "the key itself never stands in a session file"),
+        (CLIENT.replace("robot1", "robot-1") + "use_name: true\n", 1, "cannot be a prefix of ROS topics"),
+        (CLIENT.replace("robot1", "12"), 1, "name: 12 is not text (put it in quotes)"),
+        (CLIENT.replace("robot1", "' '"), 1, "is not a name"),
+        (CLIENT.replace("robot1", "r" * 256), 1, "name: longer than 255 bytes"),
+        (CLIENT.replace("192.168.1.10", "192.168.1"), 3, "server_ip: '192.168.1' is not an IPv4 or IPv6 address"),
+        (CLIENT.replace("192.168.1.10", "192.168.1.256"), 3, "is not an IPv4 or IPv6 address"),
+        (CLIENT.replace("192.168.1.10", "0.0.0.0"), 3, "a client needs one, the server's own"),
+        (CLIENT.replace("192.168.1.10", "5C-F3-70-9A-1B-2E"), 3, "(did you mean 5C:F3:70:9A:1B:2E?)"),
+        (BLUETOOTH.replace("port: 5", "port: 31"), 4, "server_port: 31 is not an RFCOMM channel"),
+        (
+            CLIENT.replace("role: client", "role: cleint"),
+            2,
+            "'cleint' is not one of client, server (did you mean client?)",
+        ),
+        (CLIENT.replace("key_file: key.txt\n", ""), 1, "key_file: missing: use_encryption needs a key; make one with"),
+        (CLIENT.replace("key_file: key.txt", "key_file: ''"), 5, "key_file: is empty"),
+        (SERVER + "topics: [{topic: /a, direction: receive}]\n", 2, "role: a server has no topics"),
+        (
+            SERVER + "clients:\n  - {name: a}\n  - {name: a}\n",
+            8,
+            "clients[1].name: 'a' is the name of clients[0] already",
+        ),
+        (SERVER + "clients:\n  - {name: a, allow: [scan]}\n", 7, "clients[0].allow[0]: 'scan' fits no topic"),
+        (SERVER + "clients:\n  - {name: a, deny: scan}\n", 7, "clients[0].deny: 'scan' is not a list"),
+        (SERVER + "clients:\n  - {name: a b, use_name: true}\n", 7, "clients[0].name: 'a b' cannot be a prefix"),
+        (SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"), 5, "clients[0].key_file: missing"),
+    ],
+)
+def test_a_mistake_is_named_with_its_line_and_what_would_be_right(text: str, line: int, words: str) -> None:
+    (refusal,) = refusals(text)
+    assert refusal.startswith(f"robot1.yaml:{line}: ")
+    assert words in refusal
+
+
+def test_every_mistake_of_a_file_comes_at_once_in_its_order() -> None:
+    found = refusals(
+        "name: robot1\nrole: clint\nserver_ip: ''\nserver_port: 0\ncolour: red\ntopics:\n"
+        "  - {topic: scan, direction: transmit, protocol: tpc, max_rate: 0}\n"
+        "  - {topic: /map}\n"
+    )
+    places = [(line.split(":")[1], line.split(":")[2].strip()) for line in found]
+    assert set(places) == {
+        ("1", "key_file"),
+        ("2", "role"),
+        ("3", "server_ip"),
+        ("4", "server_port"),
+        ("5", "colour"),
+        ("7", "topics[0].topic"),
+        ("7", "topics[0].protocol"),
+        ("7", "topics[0].max_rate"),
+        ("8", "topics[1].direction"),
+    }
+    assert [int(line) for line, _ in places] == sorted(int(line) for line, _ in places)
+
+
+def test_a_mistake_is_not_held_against_what_rests_on_it() -> None:
+    """A mistyped direction could be either: it makes no duplicate of the topic's other direction."""
+    found = refusals(CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: recieve}\n")
+    assert len(found) == 1
+    assert "topics[1].direction" in found[0]
+
+
+def test_the_same_topic_twice_in_one_direction_is_refused_and_both_ways_is_not() -> None:
+    both = CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: receive}\n"
+    assert len(parse(both, FILE).topics) == 2
+    (refusal,) = refusals(both + "  - {topic: /a, direction: receive, protocol: udp}\n")
+    assert refusal.startswith("robot1.yaml:9: topics[2]: /a is in topics[1] already, as receive")
+
+
+def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() -> None:
+    text = CLIENT + "topics:\n  - {topic: /a, direction: transmit, port: 5000}\n"
+    assert parse(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: udp}\n", FILE)
+    (refusal,) = refusals(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: tcp}\n")
+    assert "topics[1].port: tcp 5000 is taken by topics[0]" in refusal
+
+
+def test_a_key_in_place_of_its_file_is_refused_without_being_quoted() -> None:
+    key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM="
+    (refusal,) = refusals(CLIENT.replace("key.txt", key))
+    assert "robot1.yaml:5: key_file: is a key itself" in refusal
+    assert key not in refusal
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "robot1.yaml: is empty"),
+        ("# nothing\n", "robot1.yaml: is empty"),
+        ("5", "robot1.yaml:1: 5 is not a mapping of name, role"),
+        ("name: [1,\n", "robot1.yaml:2: while parsing a flow node"),
+        ("name: a\n\trole: b\n", "robot1.yaml:2: while scanning"),
+        ("name: a: b\n", "robot1.yaml:1: mapping values are not allowed here"),
+        ("name: &a x\nrole: *a\n", "robot1.yaml:2: aliases (*) are not read"),
+        ("a: &a [*a]\n", "robot1.yaml:1: aliases (*) are not read"),
+        pytest.param("[" * 5000, "robot1.yaml:1: nested too deeply", id="deep"),
+        ("name: a\x07\n", "robot1.yaml:1: character U+0007 has no place here"),
+        ("--- {}\n--- {}\n", "robot1.yaml:2: expected a single document"),
+        ("name: !!python/object/apply:os.system [x]\n", "robot1.yaml:1: name: tag tag:yaml.org"),
+    ],
+)
+def test_what_is_no_session_at_all_is_refused_in_words(text: str, words: str) -> None:
+    assert any(line.startswith(words) for line in refusals(text))
+
+
+def test_files_that_cannot_be_read_are_refused_in_words(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"name: a\n\xff\xfe")
+    huge = tmp_path / "huge.yaml"
+    huge.write_text("#" * (1 << 20) + "\n")
+    for path, words in [
+        (tmp_path / "none.yaml", ": no such file"),
+        (tmp_path, ": is not a file"),
+        (binary, ":2: is not UTF-8 text"),
+        (huge, ": larger than 1048576 bytes"),
+    ]:
+        with pytest.raises(SessionError) as caught:
+            load(path)
+        assert str(caught.value).startswith(f"{path}{words}")
+
+
+@pytest.mark.parametrize(
+    "server_ip", ["80:32:53:10:12:20", "::1", "fe80::1%lo", "robot-1.local", "build_host", "127.0.0.1"]
+)
+def test_addresses_are_text_without_quotes(server_ip: str) -> None:
+    """YAML 1.1 reads the first, a MAC of digits, as a number in base 60."""
+    text = f"name: off\nrole: server\nserver_ip: {server_ip}\nserver_port: 5\nkey_file: key.txt\n"
+    session = parse(text, FILE)
+    assert session.server_ip == server_ip
+    assert session.name == "off"
+    assert session.is_bluetooth is (server_ip == "80:32:53:10:12:20")
+
+
+def test_a_form_has_the_same_rules_as_a_file() -> None:
+    (problem,) = validate_topic(Topic(topic="scan", direction="transmit"))
+    assert (problem.place, problem.line) == ("topic", None)
+    assert "did you mean /scan?" in problem.words
+    mistyped = Topic(topic="/scan", direction="transmit", protocol="tpc")  # type: ignore[arg-type]
+    assert [problem.place for problem in validate_topic(mistyped)] == ["protocol"]
+    on_bluetooth = Topic(topic="/scan", direction="transmit", protocol="tcp")
+    assert validate_topic(on_bluetooth) == validate_topic(on_bluetooth, bluetooth=False) == []
+    assert [problem.place for problem in validate_topic(on_bluetooth, bluetooth=True)] == ["protocol"]
+    session = Session(name="a", role="client", server_ip="localhost", server_port=0, topics=(mistyped,))
+    assert [problem.place for problem in validate(session)] == ["topics[0].protocol", "server_port", "key_file"]

@@ -1,0 +1,154 @@
+"""Whatever session there is, its file loads again to the same one; and saving never loses the old file."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_full_topic_name import validate_full_topic_name
+
+from rsb_bridge.qos import PROFILES
+from rsb_bridge.session import Client, Session, Topic
+from rsb_bridge.session_file import SessionError, dump, load, parse, save, validate, validate_topic
+
+FILE = Path("robot1.yaml")
+SESSION = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=49152, key_file="key.txt")
+
+words = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=20)
+names = st.one_of(words, st.sampled_from(["no", "1e5", "12:30:45", "null", "~", "0x1F", "- a", "*a", "a: b", "'", '"']))
+topic_names = st.from_regex(r"(/[A-Za-z_][A-Za-z0-9_]{0,5}){1,3}", fullmatch=True)
+rates = st.none() | st.floats(min_value=1e-9, max_value=1e9)
+waits = st.floats(min_value=0, max_value=1e9)
+macs = st.from_regex(r"[0-9A-F]{2}(:[0-9A-F]{2}){5}", fullmatch=True).filter(lambda mac: mac != "00:00:00:00:00:00")
+qos = st.one_of(
+    st.sampled_from(["auto", *PROFILES]),
+    st.integers(1, 1000),
+    st.fixed_dictionaries({}, optional={"profile": st.sampled_from(list(PROFILES)), "depth": st.integers(1, 99)}),
+)
+topics = st.builds(
+    Topic,
+    topic=topic_names,
+    direction=st.sampled_from(["transmit", "receive"]),
+    type=st.sampled_from(["auto", "LaserScan", "nav_msgs/Odometry", "my_msgs/msg/Thing2"]),
+    qos=qos,
+    remote_topic=st.none() | topic_names,
+    compression=st.sampled_from([None, "none", "zstd"]),
+    max_rate=rates,
+    expected_rate=rates,
+    stale_after=st.none() | waits,
+    paused=st.booleans(),
+)
+patterns = st.lists(topic_names.map(lambda name: f"{name}/*"), max_size=2).map(tuple)
+allowed = st.builds(
+    Client, name=names, key_file=st.none() | names, use_name=st.just(False), allow=patterns, deny=patterns
+)
+common = {
+    "name": names,
+    "domain_id": st.none() | st.integers(0, 232),
+    "key_file": names,
+    "use_encryption": st.booleans(),
+    "stale_after": waits,
+    "stale_warnings": st.integers(0, 99),
+    "shutdown_topic": st.none() | topic_names,
+}
+sessions = st.one_of(
+    st.builds(
+        Session,
+        role=st.just("client"),
+        server_ip=st.sampled_from(["10.0.0.1", "fe80::1%eth0", "robot-1.local"]),
+        server_port=st.integers(1, 65535),
+        topics=st.lists(topics, max_size=5, unique_by=lambda topic: (topic.topic, topic.direction)).map(tuple),
+        **common,
+    ),
+    st.builds(Session, role=st.just("client"), server_ip=macs, server_port=st.integers(1, 30), **common),
+    st.builds(
+        Session,
+        role=st.just("server"),
+        server_ip=st.sampled_from(["0.0.0.0", "::"]),
+        server_port=st.integers(1, 65535),
+        clients=st.lists(allowed, max_size=3, unique_by=lambda client: client.name).map(tuple),
+        **common,
+    ),
+)
+
+
+@given(sessions)
+def test_a_session_loads_again_as_it_was(session: Session) -> None:
+    assert validate(session) == []
+    text = dump(session)
+    assert parse(text, FILE) == session
+    assert yaml.safe_load(text)["name"] == session.name  # YAML 1.1 readers see the same
+
+
+@given(st.text("/aZ_09-~é ", max_size=12) | st.text("a", min_size=240, max_size=250).map("/{}".format))
+def test_topic_names_are_judged_as_ros_judges_them(name: str) -> None:
+    try:
+        right = validate_full_topic_name(name)
+    except InvalidTopicNameException:
+        right = False
+    assert (validate_topic(Topic(topic=name, direction="transmit")) == []) == right
+
+
+def test_saving_makes_a_private_file_and_follows_a_link(tmp_path: Path) -> None:
+    target = tmp_path / "sessions" / "robot1.yaml"
+    target.parent.mkdir()
+    target.write_text("old")
+    target.chmod(0o644)
+    link = tmp_path / "link.yaml"
+    link.symlink_to(target)
+    save(SESSION, link)
+    assert load(target) == SESSION
+    assert link.is_symlink()
+    assert target.stat().st_mode & 0o777 == 0o600
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_a_session_with_mistakes_is_not_saved(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    save(SESSION, path)
+    bad = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=0, key_file="key.txt")
+    with pytest.raises(SessionError, match="server_port: 0 is not a port"):
+        save(bad, path)
+    assert load(path) == SESSION
+
+
+def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
+    """A limit on file size, in a process of its own, stands in for the full disk: the same write fails."""
+    path = tmp_path / "robot1.yaml"
+    save(SESSION, path)
+    script = (
+        "import resource; from pathlib import Path; from rsb_bridge.session_file import *\n"
+        f"path = Path({str(path)!r}); session = load(path)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (16, 16))\n"
+        "try: save(session, path)\n"
+        "except SessionError as error: print(error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=30)
+    assert run.stdout == f"{path}: cannot be written: File too large\n"
+    assert load(path) == SESSION
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_readers_and_a_kill_see_one_whole_session_or_the_other(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    save(SESSION, path)
+    script = (
+        "from pathlib import Path; from rsb_bridge.session import *; from rsb_bridge.session_file import *\n"
+        f"path = Path({str(path)!r}); one = load(path)\n"
+        "topics = tuple(Topic(topic=f'/t{n}', direction='transmit') for n in range(100))\n"
+        "other = Session(name='robot1', role='client', server_ip='::1', server_port=1, key_file='k', topics=topics)\n"
+        "print('ready', flush=True)\n"
+        "while True: save(other, path); save(one, path)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as saver:
+        assert saver.stdout
+        assert saver.stdout.readline() == b"ready\n"
+        seen = {len(load(path).topics) for _ in range(60)}
+        os.kill(saver.pid, signal.SIGKILL)
+    assert seen | {len(load(path).topics)} <= {0, 100}

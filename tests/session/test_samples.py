@@ -1,0 +1,52 @@
+"""The sample sessions and the systemd unit that ship with the project."""
+
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from rsb_bridge.session_file import load, parse
+from rsb_console.cli import _parser
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SAMPLES = sorted(CONFIGS.glob("*.yaml"))
+UNIT = CONFIGS / "rsb-console@.service"
+
+
+def test_there_are_samples_for_each_kind() -> None:
+    sessions = {path.stem: load(path) for path in SAMPLES}
+    assert sessions["robot1"].role == "client"
+    assert sessions["control-pc"].role == "server"
+    assert sessions["bluetooth"].is_bluetooth
+    assert sessions["robot1"].server_port == sessions["control-pc"].server_port
+    assert sessions["robot1"].name in {client.name for client in sessions["control-pc"].clients}
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_a_sample_holds_no_key_and_needs_nothing_beside_it(path: Path, tmp_path: Path) -> None:
+    assert parse(path.read_text(encoding="utf-8"), tmp_path / path.name) == load(path)
+
+
+def test_the_unit_runs_a_command_that_exists() -> None:
+    (line,) = [line for line in UNIT.read_text().splitlines() if line.startswith("ExecStart=")]
+    shell = shlex.split(line.removeprefix("ExecStart="))[-1]
+    command = shlex.split(shell.partition("exec rsb-console ")[2])
+    arguments = _parser()[0].parse_args(command)
+    assert arguments.no_ui
+    assert arguments.session == Path("/etc/rsb-console/%i.yaml")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_systemd_takes_the_unit(tmp_path: Path) -> None:
+    unit = tmp_path / "rsb-console@robot1.service"
+    shutil.copy(UNIT, unit)
+    run = subprocess.run(
+        ["systemd-analyze", "verify", "--recursive-errors=no", str(unit)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert [line for line in run.stderr.splitlines() if unit.name in line] == []
