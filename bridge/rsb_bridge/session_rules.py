@@ -142,8 +142,8 @@ def _key_files(session: Session) -> Iterator[Problem]:
         if key_file is not None and is_key(key_file):
             # Not quoted: messages end up in logs.
             yield Problem(place, "is a key itself: put it in a file, mode 0600, and name that file here")
-        elif key_file is not None and not key_file.strip():
-            yield Problem(place, "is empty: name a key file")
+        elif key_file is not None and not (key_file.strip() and key_file.isprintable()):
+            yield Problem(place, f"{show(key_file)} is not a file name: name the key file")
     if not session.use_encryption or session.key_file is not None:
         return
     for place, key_file in owners[1:] or owners:
@@ -258,7 +258,7 @@ def _clients(session: Session) -> Iterator[Problem]:
 def _patterns(client: Client, place: str) -> Iterator[Problem]:
     for key, patterns in (("allow", client.allow), ("deny", client.deny)):
         for at, pattern in enumerate(patterns):
-            if not pattern.startswith(("/", "*")):
+            if not (pattern.startswith(("/", "*")) and pattern.isprintable()):
                 yield Problem(
                     join(join(place, key), at),
                     f"{show(pattern)} fits no topic: a pattern begins with / or * (/robot1/*)",

@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.keys import DEFAULT_KEY_FILE
 from rsb_console import commands
 from rsb_console.shell import FAILURE, INTERRUPTED, USAGE, complain, say
 
@@ -53,9 +54,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     """The arguments with `run` put in where no command stands first."""
-    first = next((argument for argument in argv if argument != "--debug"), "run")
+    first = next((argument for argument in argv if argument != "--debug"), None)
+    if first is None:
+        return ["run", *argv]
     if first in (*names, "-h", "--help", "--version"):
-        return argv if argv else ["run"]
+        return argv
     meant = get_close_matches(first, names, n=1, cutoff=0.75)
     if meant and not Path(first).exists():
         complain(f"{first}: neither a command nor a file; did you mean `rsb-console {meant[0]}`?")
@@ -86,7 +89,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     check.add_argument("session", type=Path, metavar="SESSION", help="session file")
     keygen = command("keygen", commands.keygen, "make a key for both sides of a link")
     keygen.add_argument(
-        "path", type=Path, metavar="PATH", nargs="?", default=Path("key.txt"), help="default: %(default)s"
+        "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
     )
     keygen.add_argument("--force", action="store_true", help="replace a key that is there")
     _import_arguments(command("import", commands.import_thesis, "make a session of the thesis's bringup.yaml"))

@@ -154,7 +154,9 @@ def test_import_to_standard_output_and_its_mistakes() -> None:
     assert rsb_console("import", "bringup.yaml").returncode == 2
 
 
-@pytest.mark.parametrize("arguments", [(), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)])
+@pytest.mark.parametrize(
+    "arguments", [(), ("--debug",), ("run",), ("robot1.yaml",), ("--readonly", "robot1.yaml"), ("demo",)]
+)
 def test_the_console_is_refused_without_a_terminal(arguments: tuple[str, ...]) -> None:
     run = rsb_console(*arguments, stdin=subprocess.DEVNULL)
     assert run.returncode == 2

@@ -82,7 +82,9 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
             "'cleint' is not one of client, server (did you mean client?)",
         ),
         (CLIENT.replace("key_file: key.txt\n", ""), 1, "key_file: missing: use_encryption needs a key; make one with"),
-        (CLIENT.replace("key_file: key.txt", "key_file: ''"), 5, "key_file: is empty"),
+        (CLIENT.replace("key_file: key.txt", "key_file: ''"), 5, "key_file: '' is not a file name"),
+        (CLIENT.replace("key_file: key.txt", r'key_file: "k\0y"'), 5, r"key_file: 'k\x00y' is not a file name"),
+        (SERVER + 'clients:\n  - {name: a, allow: ["/\\ud800"]}\n', 7, "clients[0].allow[0]: '/\\ud800' fits no topic"),
         (SERVER + "topics: [{topic: /a, direction: receive}]\n", 2, "role: a server has no topics"),
         (
             SERVER + "clients:\n  - {name: a}\n  - {name: a}\n",
