@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Topic
+if TYPE_CHECKING:
+    from rsb_bridge.qos import Qos
+    from rsb_bridge.session import Topic
 
 
 class State(StrEnum):

@@ -1,0 +1,273 @@
+"""The client's side of a link: call the server, and again whenever the line drops."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from typing import TYPE_CHECKING
+
+from rsb_bridge.control import Control
+from rsb_bridge.keys import Key, fingerprint
+from rsb_bridge.lanes import Lane
+from rsb_bridge.link import Link
+from rsb_bridge.snapshot import Level
+from rsb_bridge.transport import tcp, udp
+from rsb_bridge.transport.streams import Stream, StreamHandler, address_words, os_words
+from rsb_bridge.wire.connection import ClientConnection, DataConnection
+from rsb_bridge.wire.events import Accepted, Established, Failed, Refused
+from rsb_bridge.wire.opening import RefusalCode
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
+    from rsb_bridge.route import Route
+    from rsb_bridge.transport.udp import Address, UdpSocket
+    from rsb_bridge.wire.messages import Hello, Propose, Shutdown
+    from rsb_bridge.wire.sealing import Suite
+
+_HANDSHAKE_TIMEOUT = 5.0
+_FIRST_DELAY = 0.5
+_LONGEST_DELAY = 1.25
+"""s; a server that is back must be found within 3 s, handshake and DDS discovery included."""
+_LONGEST_DELAY_REFUSED = 10.0
+"""s, where the server is there and said no: it won't change its mind soon."""
+
+
+class ClientLink(Link):
+    """The one link of a client."""
+
+    def __init__(self, context: Context, hello: Hello, key: Key | None, suite: Suite) -> None:
+        session = context.session
+        mark = fingerprint(key) if key else ""
+        super().__init__(context, session.name, is_client=True, fingerprint=mark, encrypted=key is not None)
+        self.host, self.port = session.server_ip, session.server_port
+        self._hello = hello
+        self._key = key
+        self._suite = suite
+        self._ended = asyncio.Event()
+        self._retry = asyncio.Event()
+        self._retry_after: float | None = 0.0
+        self._refused = False
+        self._streams_opening: set[int] = set()
+
+    @property
+    def address(self) -> str:
+        return address_words((self.host, self.port))
+
+    def shared_port(self) -> int:
+        return self.port
+
+    # --- calling
+
+    async def run(self) -> None:
+        """Keep linked, for ever."""
+        while True:
+            self._retry.clear()
+            self._ended.clear()
+            self._retry_after = 0.0
+            await self._call()
+            await self._pause()
+
+    def retry(self) -> None:
+        """Call now, whatever was to be waited for, and open refused routes anew."""
+        self._retry.set()
+        self.retry_routes()
+
+    async def _call(self) -> None:
+        """One attempt; returns when it failed or when the link it made is over."""
+        if not self.attempts:
+            self.log(Level.INFO, f"connecting to {self.address}")
+        opening = _Opening(self, ClientConnection(self._hello, self._key.secret if self._key else None, self._suite))
+        try:
+            await tcp.connect(self.host, self.port, opening)
+            async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
+                failure = await opening.outcome
+        except (OSError, asyncio.CancelledError) as error:
+            opening.give_up()
+            if isinstance(error, asyncio.CancelledError):
+                raise
+            self._failed(f"{self.address}: {os_words(error)}", refused=False)
+            return
+        if failure is None:
+            self._refused = False
+            await self._ended.wait()
+        else:
+            self._failed(*failure)
+
+    def _failed(self, reason: str, refused: bool) -> None:
+        self.attempts += 1
+        self._refused = refused
+        repeated = reason == self.reason
+        self.reason = reason
+        self.log(Level.DEBUG if repeated else Level.ERROR, f"{reason}; trying again")
+
+    async def _pause(self) -> None:
+        if self._retry_after is None:
+            self.retry_at = None
+            await self._retry.wait()
+            return
+        longest = _LONGEST_DELAY_REFUSED if self._refused else _LONGEST_DELAY
+        delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * random.uniform(0.8, 1.2)  # noqa: S311 — jitter, no secret
+        delay = max(delay, self._retry_after)
+        self.retry_at = self.context.now() + delay
+        try:
+            async with asyncio.timeout(delay):
+                await self._retry.wait()
+        except TimeoutError:
+            pass
+        self.retry_at = None
+
+    def down(self, reason: str) -> None:
+        super().down(reason)
+        self._streams_opening.clear()
+        self._ended.set()
+
+    def told_to_stop(self, message: Shutdown) -> None:
+        self._retry_after = message.retry_after
+        if self.control is not None:
+            self.control.abort(f"the server closed the link: {message.reason}")
+
+    def refusal_words(self, code: RefusalCode, words: str) -> str:
+        """What the operator of this side is told."""
+        match code:
+            case RefusalCode.WRONG_KEY if self._key is not None:
+                return f"{words}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
+            case RefusalCode.ENCRYPTION_REQUIRED:
+                return f"{words}: set use_encryption and key_file"
+            case _:
+                return words
+
+    @property
+    def shut_down(self) -> bool:
+        """Whether the link is down on purpose and waits for an operator."""
+        return not self.linked and self._retry_after is None
+
+    def stay_down(self) -> None:
+        """After the next end of the link, wait for `retry`."""
+        self._retry_after = None
+
+    # --- routes
+
+    def admit(self, proposal: Propose) -> Propose:
+        return proposal
+
+    async def prepare_port(self, route: Route) -> None:
+        return
+
+    def open_stream(self, route: Route) -> None:
+        if route.id not in self._streams_opening:
+            self._streams_opening.add(route.id)
+            self.spawn(self._open_stream(route, route.id))
+
+    async def _open_stream(self, route: Route, route_id: int) -> None:
+        assert self.keys is not None
+        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
+        try:
+            await tcp.connect(self.host, route.proposal.port or self.port, opening)
+        except OSError as error:
+            if route.id == route_id:
+                route.path_lost(os_words(error))
+
+    def open_lane(self, port: int) -> Lane | None:
+        assert self.control is not None
+        assert self.prober is not None
+        address = self.control.stream.address
+        server: Address = (address[0], port) if len(address) == 2 else (address[0], port, address[2], address[3])
+        try:
+            socket = udp.connect(server, self._datagram)
+        except OSError as error:
+            self.log(Level.ERROR, f"UDP to {address_words(server)}: {os_words(error)}")
+            return None
+        lane = Lane(socket, self.prober, server)
+        lane.tick(self.context.now())
+        return lane
+
+    def _datagram(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
+        lane = next((lane for lane in self.lanes.values() if lane.socket is socket), None)
+        if lane is not None:
+            self.datagram(lane, datagram, address)
+
+
+class _Opening(StreamHandler):
+    """Handles the control stream until the handshake is done.
+
+    Attributes:
+        outcome: None: linked; else why not, and whether the server refused.
+    """
+
+    def __init__(self, link: ClientLink, connection: ClientConnection) -> None:
+        self.outcome: asyncio.Future[tuple[str, bool] | None] = link.context.loop.create_future()
+        self._link = link
+        self._connection = connection
+        self._stream: Stream | None = None
+
+    def connected(self, stream: Stream) -> None:
+        self._stream = stream
+        stream.write(self._connection.start())
+
+    def received(self, data: bytes) -> None:
+        events = self._connection.receive_data(data)
+        assert self._stream is not None
+        self._stream.write(self._connection.data_to_send())
+        for index, event in enumerate(events):
+            match event:
+                case Established(peer, keys):
+                    control = Control(self._stream, self._connection, self._link)
+                    self._finish(None)
+                    self._link.up(control, peer, keys)
+                    control.take(events[index + 1 :])
+                    return
+                case Refused(code, words, _):
+                    self._finish((self._link.refusal_words(code, words), True))
+                    self._stream.close(words)
+                case Failed(reason):
+                    self._finish((f"{self._link.address} does not speak this protocol: {reason}", True))
+                    self._stream.abort(reason)
+                case _:
+                    pass
+
+    def closed(self, reason: str) -> None:
+        self._finish((f"{self._link.address}: {reason} before the handshake was done", False))
+
+    def give_up(self) -> None:
+        """The caller waits no longer."""
+        if self._stream is not None:
+            self._stream.abort("given up")
+        self.outcome.cancel()
+
+    def _finish(self, outcome: tuple[str, bool] | None) -> None:
+        if not self.outcome.done():
+            self.outcome.set_result(outcome)
+
+
+class _StreamOpening(StreamHandler):
+    """Handles a route's own stream until the server lets it in."""
+
+    def __init__(self, link: ClientLink, connection: DataConnection, route: Route) -> None:
+        self._link = link
+        self._connection = connection
+        self._route = route
+        self._route_id = route.id
+        self._stream: Stream | None = None
+
+    def connected(self, stream: Stream) -> None:
+        self._stream = stream
+        stream.write(self._connection.start())
+
+    def received(self, data: bytes) -> None:
+        assert self._stream is not None
+        for event in self._connection.receive_data(data):
+            match event:
+                case Accepted() if self._route.id == self._route_id:
+                    self._link.attach_stream(self._route, self._stream, self._connection.leftover())
+                case Accepted():
+                    self._stream.close("the route was closed meanwhile")
+                case Refused(_, words, _):
+                    self._stream.close(words)
+                case Failed(reason):
+                    self._stream.abort(reason)
+                case _:
+                    pass
+
+    def closed(self, reason: str) -> None:
+        if self._route.id == self._route_id:
+            self._route.path_lost(reason)

@@ -1,0 +1,70 @@
+"""An authenticated control connection: what comes off its stream goes to its link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.wire.events import Event, Failed, Received, Refused
+from rsb_bridge.wire.messages import ControlMessage, Shutdown
+
+if TYPE_CHECKING:
+    from rsb_bridge.link import Link
+    from rsb_bridge.wire.connection import ClientConnection, ServerConnection
+
+
+class Control(StreamHandler):
+    """The stream's handler once the handshake is done.
+
+    Attributes:
+        stream: what carries it.
+        link: whose it is.
+    """
+
+    def __init__(self, stream: Stream, connection: ClientConnection | ServerConnection, link: Link) -> None:
+        self.stream = stream
+        self.link = link
+        self._connection = connection
+        self._goodbye = ""
+        stream.handler = self
+
+    def send(self, message: ControlMessage) -> None:
+        """Send a message."""
+        self.stream.write(self._connection.send(message))
+
+    def shut_down(self, reason: str, *, retry_after: float | None) -> None:
+        """Tell the peer that this ends on purpose, and end it."""
+        self.send(Shutdown(reason=reason, retry_after=retry_after))
+        self._goodbye = reason
+        self.stream.close(reason)
+        self._over(reason)
+
+    def abort(self, reason: str) -> None:
+        """End it without a word."""
+        self.stream.abort(reason)
+        self._over(reason)
+
+    def received(self, data: bytes) -> None:
+        """Bytes came."""
+        self.take(self._connection.receive_data(data))
+
+    def take(self, events: list[Event]) -> None:
+        """Act on what the connection made of them."""
+        for event in events:
+            if self.link.control is not self:
+                return  # an earlier event ended it
+            match event:
+                case Received(message):
+                    self.link.handle(message)
+                case Failed(reason):
+                    self.abort(f"the peer broke the format: {reason}")
+                case Refused(_, words, _):
+                    self.abort(words)
+
+    def closed(self, reason: str) -> None:
+        """The stream is over."""
+        self._over(self._goodbye or reason)
+
+    def _over(self, reason: str) -> None:
+        if self.link.control is self:
+            self.link.down(reason)

@@ -1,0 +1,362 @@
+"""The engine: one session's bridge, on threads of its own. Nothing in here waits for a user interface."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import logging
+import os
+import threading
+import time
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import msgspec
+
+from rsb_bridge.context import Context, Handoff
+from rsb_bridge.ends import ClientEnd, End, Keys, ServerEnd, clients_of
+from rsb_bridge.event_log import EventLog
+from rsb_bridge.graph import topics_of
+from rsb_bridge.keys import KeyFileError, read_key
+from rsb_bridge.link import Link, LinkError
+from rsb_bridge.ros.api import RosError, RosSide, Subscription
+from rsb_bridge.shutdown_topic import watch_shutdown_topic
+from rsb_bridge.snapshot import Event, Level, Snapshot, TopicInfo
+from rsb_bridge.transport.tcp import ListenError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from rsb_bridge.route import Route
+    from rsb_bridge.session import Session, Topic
+
+_POLL = 0.25
+_POLLS_PER_TICK = 4
+_LOOKED_AT_FOR = 2.0
+
+_logger = logging.getLogger(__name__)
+T = TypeVar("T")
+
+
+class EngineError(Exception):
+    """The engine can't do what was asked; the message tells an operator why, and what to do."""
+
+
+class Engine:
+    """Bridges what a session says, from `start` to `stop`. Used once.
+
+    All state belongs to the I/O thread; commands go there and return a future, whose exception is an `EngineError`.
+
+    Args:
+        session: what to bridge.
+        base: the folder that its key files are relative to.
+        ros: the ROS side; None: `rsb_bridge.ros.node.RosNode` in the session's domain.
+    """
+
+    def __init__(self, session: Session, *, base: Path = Path(), ros: RosSide | None = None) -> None:
+        self._session = session
+        self._base = base
+        self._ros = ros
+        self._events = EventLog()
+        self._stopping = asyncio.Event()
+        self._thread: threading.Thread | None = None
+        self._context: Context | None = None
+        self._end: End | None = None
+        self._looked_at = 0.0
+        address = f"{session.server_ip}:{session.server_port}"
+        self._snapshot = Snapshot(
+            time.time(), session.name, session.role, address, session.domain_id or 0, running=False
+        )
+
+    # --- from any thread
+
+    @property
+    def session(self) -> Session:
+        """The session as it is now: a client's topics as operators have left them."""
+        if self._session.role == "server" or self._end is None:
+            return self._session
+        (link,) = self._end.links()
+        topics = tuple(route.spec for route in tuple(link.routes.values()) if route.proposed_here)
+        return msgspec.structs.replace(self._session, topics=topics)
+
+    @property
+    def waits_for_operator(self) -> bool:
+        """Whether a client's link was shut down on purpose, so that it does not come back by itself."""
+        return any(link.shut_down for link in self._end.links()) if self._end is not None else False
+
+    def start(self) -> None:
+        """Join the ROS domain, and bind or begin to connect.
+
+        Raises:
+            EngineError: it can't; nothing is left running.
+        """
+        domain = _domain_of(self._session)
+        keys = self._load_keys()
+        ros = self._ros or _ros_node(domain, self._session.name)
+        try:
+            ros.start()
+        except RosError as error:
+            raise EngineError(str(error)) from None
+        started: Future[None] = Future()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._main(ros, domain, keys, started)), name="rsb-io", daemon=True
+        )
+        self._thread.start()
+        try:
+            started.result()
+        except EngineError:
+            self.stop()
+            ros.stop()
+            raise
+
+    def stop(self, timeout: float = 5.0) -> None:
+        """Tell the peers, close everything, end the threads: within `timeout` s, whatever the peers do."""
+        thread, context = self._thread, self._context
+        if thread is None or context is None:
+            return
+        context.call(self._stopping.set)
+        thread.join(timeout - 1.0)
+        context.ros.stop()
+        self._thread = None
+
+    def snapshot(self) -> Snapshot:
+        """The engine as it was at most a quarter of a second ago (right after a pause in asking: a second)."""
+        self._looked_at = time.monotonic()
+        return self._snapshot
+
+    def events(self, after: int = 0) -> list[Event]:
+        """What happened, numbered above `after`; the oldest are forgotten in time."""
+        return self._events.after(after)
+
+    def wait_for_events(self, after: int, timeout: float) -> list[Event]:
+        """As `events`, but waits up to `timeout` s for one to come."""
+        return self._events.wait(after, timeout)
+
+    # --- commands
+
+    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
+        """Bridge one more topic. On a server `link` says with which client. Gives the route's key."""
+
+        async def work(end: End) -> str:
+            return end.add(topic, link).key
+
+        return self._command(work)
+
+    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
+        """Put another topic in a route's place. Gives the new route's key; where that can't be, the old one stays."""
+
+        async def work(end: End) -> str:
+            link, route = _find(end, key)
+            link.remove(route, "edited")
+            try:
+                return end.add(topic, link.name).key
+            except (LinkError, ValueError):
+                end.add(route.spec, link.name)
+                raise
+
+        return self._command(work)
+
+    def remove_topic(self, key: str) -> Future[None]:
+        """Bridge a topic no longer, on both sides."""
+
+        async def work(end: End) -> None:
+            link, route = _find(end, key)
+            link.remove(route, "removed by an operator")
+
+        return self._command(work)
+
+    def pause(self, key: str, paused: bool) -> Future[None]:
+        """Stop or resume carrying a topic's messages, on both sides."""
+
+        async def work(end: End) -> None:
+            link, route = _find(end, key)
+            link.pause(route, paused)
+
+        return self._command(work)
+
+    def retry(self, link: str = "") -> Future[None]:
+        """Call now instead of later, and open refused topics anew."""
+
+        async def work(end: End) -> None:
+            end.retry(link)
+
+        return self._command(work)
+
+    def shut_down(self) -> Future[None]:
+        """Do what the shutdown topic does: close the sockets on both sides until an operator restarts."""
+
+        async def work(end: End) -> None:
+            end.shut_down("an operator shut it down")
+
+        return self._command(work)
+
+    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
+        """Close the links on both sides, then begin anew; `step` is told of each step, on the I/O thread."""
+
+        async def work(end: End) -> None:
+            def say(words: str) -> None:
+                self._events.add(Level.INFO, "engine", f"restart: {words}")
+                if step is not None:
+                    step(words)
+
+            await end.restart(say)
+
+        return self._command(work)
+
+    def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
+        """What there is to bridge: in this side's graph, or with `link` in that peer's."""
+
+        async def work(end: End) -> list[TopicInfo]:
+            if link is None:
+                assert self._context is not None
+                return await asyncio.to_thread(topics_of, self._context.ros)
+            for candidate in end.links():
+                if candidate.name == link:
+                    return await candidate.remote_topics()
+            raise LinkError(f"there is no link {link!r}")
+
+        return self._command(work)
+
+    def _command(self, work: Callable[[End], Coroutine[None, None, T]]) -> Future[T]:
+        """Run on the I/O thread; what is wrong with the request comes as an `EngineError` through the future."""
+        end, context = self._end, self._context
+
+        async def guarded() -> T:
+            assert end is not None
+            try:
+                return await work(end)
+            except (LinkError, ListenError, RosError, ValueError) as error:
+                raise EngineError(str(error)) from None
+            finally:
+                self._take_snapshot()
+
+        if end is not None and context is not None and self._thread is not None:
+            coroutine = guarded()
+            try:
+                return asyncio.run_coroutine_threadsafe(coroutine, context.loop)
+            except RuntimeError:
+                coroutine.close()
+        failed: Future[T] = Future()
+        failed.set_exception(EngineError("the engine is not running"))
+        return failed
+
+    # --- on the I/O thread
+
+    async def _main(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(self._internal_error)
+        context = self._context = Context(self._session, domain, ros, self._events, Handoff(loop), loop)
+        end = self._end = (ServerEnd if self._session.role == "server" else ClientEnd)(context, keys)
+        watch: Subscription | None = None
+        try:
+            watch = self._watch_shutdown(context, end)
+            await end.start()
+        except (ListenError, RosError, LinkError, ValueError) as error:
+            started.set_exception(EngineError(str(error)))
+            return
+        try:
+            self._take_snapshot()
+            started.set_result(None)
+            await self._run(context, end)
+        finally:
+            if watch is not None:
+                watch.close()
+            await end.stop()
+            self._events.add(Level.INFO, "engine", "stopped")
+            self._take_snapshot(running=False)
+
+    async def _run(self, context: Context, end: End) -> None:
+        polls = 0
+        while not self._stopping.is_set():
+            polls += 1
+            for link in end.links():
+                link.poll()
+            if polls % _POLLS_PER_TICK == 0:
+                end.tick()
+            if polls % _POLLS_PER_TICK == 0 or time.monotonic() - self._looked_at < _LOOKED_AT_FOR:
+                self._take_snapshot()
+            try:
+                async with asyncio.timeout_at(context.loop.time() + _POLL):
+                    await self._stopping.wait()
+            except TimeoutError:
+                pass
+
+    def _watch_shutdown(self, context: Context, end: End) -> Subscription | None:
+        topic = self._session.shutdown_topic
+        if topic is None:
+            return None
+        words = f'"shutdown" on {topic} in domain {context.domain_id}'
+
+        def act() -> None:
+            self._events.add(Level.WARNING, "engine", f"{words}: closing the sockets on both sides")
+            end.shut_down(words)
+
+        return watch_shutdown_topic(context.ros, topic, lambda: context.call(act))
+
+    def _take_snapshot(self, *, running: bool = True) -> None:
+        assert self._end is not None
+        assert self._context is not None
+        links = self._end.links()
+        self._snapshot = dataclasses.replace(
+            self._snapshot,
+            time=time.time(),
+            domain_id=self._context.domain_id,
+            running=running,
+            links=tuple(link.snapshot() for link in links),
+            routes=tuple(route.snapshot() for link in links for route in link.routes.values()),
+            last_event=self._events.last,
+        )
+
+    def _internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
+        error = details.get("exception")
+        exc_info = (type(error), error, error.__traceback__) if isinstance(error, BaseException) else None
+        _logger.error("internal error: %s", details.get("message"), exc_info=exc_info)
+        self._events.add(Level.ERROR, "engine", f"internal error, please report it: {error or details.get('message')}")
+
+    # --- before starting
+
+    def _load_keys(self) -> Keys:
+        session = self._session
+        clients = clients_of(session) if session.role == "server" else ()
+        files = {client.name: client.key_file or session.key_file for client in clients} or {
+            session.name: session.key_file
+        }
+        if not session.use_encryption:
+            self._events.add(Level.WARNING, "key", "encryption is off: everything crosses in the clear")
+            return dict.fromkeys(files)
+        keys = {}
+        for name, file in files.items():
+            if file is None:
+                raise EngineError(
+                    f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
+                )
+            try:
+                keys[name] = read_key(self._base / file)
+            except KeyFileError as error:
+                raise EngineError(str(error)) from None
+            for warning in keys[name].warnings:
+                self._events.add(Level.WARNING, "key", warning)
+        return keys
+
+
+def _find(end: End, key: str) -> tuple[Link, Route]:
+    for link in end.links():
+        if key in link.routes:
+            return link, link.routes[key]
+    raise LinkError(f"there is no route {key!r} any more")
+
+
+def _domain_of(session: Session) -> int:
+    if session.domain_id is not None:
+        return session.domain_id
+    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+    if not text.isdecimal() or int(text) > 232:
+        raise EngineError(f"ROS_DOMAIN_ID is {text!r}: it is a number from 0 to 232")
+    return int(text)
+
+
+def _ros_node(domain: int, name: str) -> RosSide:
+    from rsb_bridge.ros.node import RosNode  # noqa: PLC0415 — only a running engine needs ROS
+
+    return RosNode(domain, name)

@@ -1,0 +1,211 @@
+"""The receiving half of a route: open, count, publish."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, ClassVar
+
+import zstandard
+
+from rsb_bridge.qos import incompatible
+from rsb_bridge.ros.api import Publisher, RosError
+from rsb_bridge.route import Peer, Route
+from rsb_bridge.snapshot import Ledger, Level, Stage
+from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.wire.messages import Describe, Propose, Ready, ReceivedReport, Refuse, SentReport
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.session import Topic
+
+
+class IncomingRoute(Route):
+    """Publishes here what the peer sends."""
+
+    outgoing: ClassVar[bool] = False
+
+    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self._publisher: Publisher | None = None
+        self._decompressor = zstandard.ZstdDecompressor()
+        self._received = 0
+        self._delivered = 0
+        self._dropped: Counter[str] = Counter()
+        self._report: SentReport | None = None
+        self._clash = ""
+        self._subscribers = 0
+
+    # --- setting up
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening: it is counted anew, as the sender does."""
+        super().open(route_id)
+        self._received = self._delivered = 0
+        self._dropped.clear()
+
+    def described(self, description: Describe) -> None:
+        """The sender says what it will send: have a publisher for it, or say why not."""
+        if clash := self._type_clash(description):
+            self._refuse_type(clash)
+            return
+        if self._publisher is None or self._current() != (description.type, description.type_hash, description.qos):
+            if self._publisher is not None:
+                self._publisher.close()
+                self._publisher = None
+            try:
+                self._publisher = self.context.ros.advertise(
+                    self.remote_topic,
+                    description.type,
+                    description.type_hash,
+                    description.qos,
+                    origin=self.peer.name,
+                )
+            except RosError as error:
+                self._refuse_type(str(error))
+                return
+            self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
+        self.log(Level.INFO, f"← {self.transport} connected ({description.type})")
+        self.peer.send(Ready(route=self.id))
+        self.advance()
+
+    def _current(self) -> tuple[object, ...]:
+        return (self.type_name, self.type_hash, self.qos)
+
+    def _type_clash(self, description: Describe) -> str:
+        installed = self.context.ros.installed_hash(description.type)
+        if installed and installed != description.type_hash:
+            return (
+                f"{description.type} differs between the two sides ({description.type_hash} there, {installed} here): "
+                "install the same version on both"
+            )
+        return ""
+
+    def _refuse_type(self, reason: str) -> None:
+        route_id = self.id
+        self.refuse(reason)
+        self.peer.send(Refuse(route=route_id, code="type_differs", reason=reason))
+
+    def advance(self) -> None:
+        """Make the path once there is a publisher, and look who listens."""
+        if self._publisher is None:
+            return
+        if self.accepted and not self.paused and self.path is None:
+            self.peer.make_path(self)
+        self._subscribers = self._publisher.subscriber_count
+        self._clash = ""
+        if not self._subscribers and self.qos is not None:
+            for endpoint in self.context.ros.subscriptions(self.remote_topic):
+                self._clash = self._clash or incompatible(self.qos, endpoint.qos)
+
+    def destroy(self) -> None:
+        """End it for good, its publisher too."""
+        super().destroy()
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher = None
+
+    # --- messages
+
+    def deliver(self, messages: Iterable[Message]) -> None:
+        """Publish messages that arrived whole and authentic."""
+        publisher = self._publisher
+        if publisher is None:
+            return
+        now = time.time_ns()
+        count = size = 0
+        stamp = now
+        for payload, stamp, flags in messages:  # noqa: B007 — the last one's stamp is the batch's latency sample
+            self._received += 1
+            try:
+                publisher.publish(self._decompress(payload) if flags & ZSTD else payload)
+            except (RosError, zstandard.ZstdError) as error:
+                self._dropped["publish failed"] += 1
+                self._say(str(error))
+            else:
+                count += 1
+                size += len(payload)
+        self._delivered += count
+        if count:
+            self.latency.add((now - stamp) / 1e9 + (self.peer.clock_offset or 0.0))
+            self.count(count, size)
+
+    def _decompress(self, payload: bytes) -> bytes:
+        size = zstandard.frame_content_size(payload)
+        if not 0 <= size <= MESSAGE_LIMIT:
+            raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
+        return self._decompressor.decompress(payload)
+
+    def _say(self, text: str) -> None:
+        if text != self.last_error:
+            self.last_error = text
+            self.log(Level.ERROR, text)
+
+    # --- the ledger
+
+    def reported(self, report: SentReport) -> None:
+        """The sender's ledger, which counts for both sides."""
+        self._report = report
+        self.problem = report.problem
+
+    def ledger(self) -> Ledger:
+        """As the sender last said."""
+        report = self._report
+        if report is None:
+            return Ledger()
+        return Ledger(
+            offered=report.offered,
+            delivered=report.delivered,
+            throttled=report.throttled,
+            expired=report.expired,
+            in_flight=report.in_flight,
+            dropped=report.dropped,
+            lost_in_dds=report.lost_in_dds,
+        )
+
+    def received_report(self) -> ReceivedReport:
+        """What the sender is told of the present opening."""
+        counts = self.path.counts() if self.path is not None else None
+        return ReceivedReport(
+            route=self.id,
+            received=self._received,
+            delivered=self._delivered,
+            expired=counts.expired if counts else 0,
+            incomplete=counts.incomplete if counts else 0,
+            newest=counts.newest if counts else self._received,
+            dropped=dict(self._dropped),
+            subscribers=self._subscribers,
+            latency_p50=self.latency.p50,
+            latency_p99=self.latency.p99,
+            jitter=self.latency.jitter,
+        )
+
+    def stages(self) -> tuple[Stage, ...]:
+        """From the publisher there to the subscriber here."""
+        report = self._report
+        known = bool(self.type_name)
+        publishers = report.publishers if report else 0
+        return (
+            Stage(
+                "publisher seen",
+                publishers > 0 if report else None,
+                "" if publishers or not report else f"no publisher of {self.topic} on the other side",
+            ),
+            Stage("type known", known or None, self.type_name if known else self.problem),
+            Stage("QoS compatible", not self._clash if known else None, self._clash),
+            Stage("subscribed", (report is not None and report.subscribed) or None, self.problem),
+            self.link_stage(),
+            Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
+            Stage("sent", (report is not None and report.offered > 0) or None),
+            Stage("received", self._received > 0 or None),
+            Stage("published", self._delivered > 0 or None),
+            Stage(
+                "subscriber seen",
+                self._subscribers > 0 or None,
+                ""
+                if self._subscribers
+                else f"nobody subscribes to {self.remote_topic} in domain {self.context.domain_id}",
+            ),
+        )

@@ -1,0 +1,176 @@
+"""A link's datagrams: probes that find the way through a UDP socket, and the routes that share it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.paths import Counts
+from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, DatagramWriter, Probe
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.route import Route
+    from rsb_bridge.transport.udp import Address, UdpSocket
+    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.sealing import Role, SessionKeys
+
+_SILENT = 5.0
+_EXPIRE = 1.0
+
+
+class Prober:
+    """Probes of one connection, over all its lanes: one key, one sequence each way."""
+
+    def __init__(self, keys: SessionKeys, side: Role, other_side: Role) -> None:
+        self._writer = DatagramWriter(keys.route_sealer(PROBE_ROUTE, side), keys.link_id, PROBE_ROUTE)
+        self._reader = DatagramReader(keys.datagram_opener(PROBE_ROUTE, other_side), PROBE_ROUTE)
+
+    def write(self, probe: Probe, size: int) -> list[bytes]:
+        """The probe as datagrams."""
+        return self._writer.write(probe.pack(), 0, 0, size)
+
+    def read(self, datagram: bytes, now: float) -> Probe | None:
+        """The probe in a datagram; None: forged, replayed, or older than one that came before it."""
+        newest = self._reader.newest
+        message = self._reader.receive(datagram, now)
+        return Probe.unpack(message[0]) if message is not None and self._reader.newest > newest else None
+
+
+class Lane:
+    """One connection on one UDP socket.
+
+    The client probes; the server sends to wherever the newest authentic probe came from (NAT, roaming).
+
+    Attributes:
+        socket: a client's own, connected; a server's is shared by all its links.
+        trouble: the server does not answer probes: so in words; else empty.
+        received_bytes: so far.
+        sent_bytes: so far.
+    """
+
+    def __init__(self, socket: UdpSocket, prober: Prober, server: Address | None) -> None:
+        self.socket = socket
+        self.received_bytes = 0
+        self.sent_bytes = 0
+        self.trouble = ""
+        self._prober = prober
+        self._is_client = server is not None
+        self._address = server
+        self._heard: float | None = None
+        self._asked: float | None = None
+        self._paths: dict[int, DatagramPath] = {}
+
+    @property
+    def ready(self) -> bool:
+        """Whether datagrams are known to get through."""
+        return self._heard is not None
+
+    def add(self, route_id: int, path: DatagramPath) -> None:
+        """Let a route's datagrams through."""
+        self._paths[route_id] = path
+        self.socket.when_writable.add(path.writable)
+
+    def remove(self, route_id: int) -> None:
+        """Let them through no more."""
+        path = self._paths.pop(route_id, None)
+        if path is not None:
+            self.socket.when_writable.discard(path.writable)
+
+    def send(self, datagrams: list[bytes]) -> None:
+        """Send one message's datagrams."""
+        if self._address is not None:
+            self.sent_bytes += sum([len(datagram) for datagram in datagrams])
+            self.socket.send(datagrams, None if self._is_client else self._address)
+
+    def datagram_size(self) -> int:
+        """Bytes that one datagram to the peer may have."""
+        assert self._address is not None, "a lane sends only once it is ready"
+        return self.socket.datagram_size(self._address)
+
+    def received(self, datagram: bytes, route_id: int, address: Address, now: float) -> bool:
+        """Take a datagram of this connection. Returns whether the lane became ready by it."""
+        self.received_bytes += len(datagram)
+        if route_id != PROBE_ROUTE:
+            path = self._paths.get(route_id)
+            if path is not None:  # else its route was closed while the datagram was under way
+                path.received(datagram, now)
+            return False
+        probe = self._prober.read(datagram, now)
+        if probe is None:
+            return False
+        became_ready = self._heard is None
+        self._heard = now
+        if not probe.pong:
+            self._address = address
+            self.send(self._prober.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
+        return became_ready
+
+    def tick(self, now: float) -> None:
+        """As often as wanted: ask the server whether it hears us, give up messages whose fragments did not come."""
+        if self._is_client:
+            self._asked = self._asked if self._asked is not None else now
+            quiet = now - (self._heard if self._heard is not None else self._asked)
+            where = f"UDP port {self._address[1]} of {self._address[0]}" if self._address else ""
+            self.trouble = f"no answer from {where}: does a firewall drop it?" if quiet > _SILENT else ""
+            self.send(self._prober.write(Probe(pong=False, opaque=0), self.datagram_size()))
+        for path in self._paths.values():
+            path.expire(now)
+
+    def close(self) -> None:
+        """Free what is the lane's own: a client's socket."""
+        if self._is_client:
+            self.socket.close()
+
+
+class DatagramPath:
+    """A route's share of a lane."""
+
+    def __init__(self, lane: Lane, route: Route, end: DatagramWriter | DatagramReader) -> None:
+        self._lane = lane
+        self._route = route
+        self._route_id = route.id
+        self._end = end
+        lane.add(route.id, self)
+
+    @property
+    def ready(self) -> bool:
+        return self._lane.ready
+
+    @property
+    def congested(self) -> bool:
+        return self._lane.socket.congested
+
+    def send(self, batch: Sequence[Message]) -> None:
+        assert isinstance(self._end, DatagramWriter)
+        size = self._lane.datagram_size()
+        for payload, stamp, flags in batch:
+            self._lane.send(self._end.write(payload, stamp, flags, size))
+
+    def trouble(self) -> str:
+        return self._lane.trouble
+
+    def counts(self) -> Counts | None:
+        if isinstance(self._end, DatagramReader):
+            return Counts(self._end.newest, self._end.pending, self._end.expired)
+        return None
+
+    def close(self, reason: str) -> None:
+        self._lane.remove(self._route_id)
+
+    def received(self, datagram: bytes, now: float) -> None:
+        """A datagram of this route came."""
+        if not isinstance(self._end, DatagramReader):
+            return  # the peer has no business here; the sender's key would not open it anyway
+        message = self._end.receive(datagram, now)
+        if message is not None:
+            self._route.deliver((message,))
+
+    def expire(self, now: float) -> None:
+        """Give up messages whose fragments did not come within a second."""
+        if isinstance(self._end, DatagramReader):
+            self._end.expire(now, _EXPIRE)
+
+    def writable(self) -> None:
+        """The socket takes more again."""
+        self._route.flush()

@@ -1,0 +1,149 @@
+"""Rates, latencies and clock offsets of what crosses. No clocks in here: the caller says what time it is."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import islice
+from statistics import median
+
+HISTORY = 120
+"""Seconds of history a route keeps: what the console plots."""
+_WINDOWS = (3, 10, 30)
+_LATENCIES = 512
+_PINGS = 16
+
+
+class RateMeter:
+    """Counts messages and bytes; `tick` once a second makes rates of them."""
+
+    __slots__ = ("_at_tick", "_bytes_at_tick", "bytes", "bytes_per_second", "count", "history", "last")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.bytes = 0
+        self.last: float | None = None
+        self.bytes_per_second = 0.0
+        self.history: deque[int] = deque(maxlen=HISTORY)
+        self._at_tick = 0
+        self._bytes_at_tick = 0
+
+    def add(self, messages: int, size: int, now: float) -> None:
+        """Count messages of `size` bytes together, at `now` (s)."""
+        self.count += messages
+        self.bytes += size
+        self.last = now
+
+    def tick(self) -> None:
+        """Close one second of history."""
+        self.history.append(self.count - self._at_tick)
+        self._at_tick = self.count
+        self.bytes_per_second += 0.5 * (self.bytes - self._bytes_at_tick - self.bytes_per_second)
+        self._bytes_at_tick = self.bytes
+
+    @property
+    def rate(self) -> float:
+        """Hz, over the shortest of 3, 10 and 30 s that holds at least three messages."""
+        messages = seconds = 0
+        for window in _WINDOWS:
+            seconds = min(window, len(self.history))
+            messages = sum(islice(reversed(self.history), seconds))
+            if messages >= 3:
+                return messages / seconds
+        return messages / seconds if seconds else 0.0
+
+    @property
+    def usual_rate(self) -> float | None:
+        """Hz: the median second of the history, quiet seconds left out; None until five seconds had messages."""
+        busy = [count for count in self.history if count]
+        return float(median(busy)) if len(busy) >= 5 else None
+
+
+class LatencyMeter:
+    """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds."""
+
+    __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99")
+
+    def __init__(self) -> None:
+        self._samples: deque[float] = deque(maxlen=_LATENCIES)
+        self._transit: float | None = None
+        self._fresh = False
+        self.p50: float | None = None
+        self.p99: float | None = None
+        self.jitter: float | None = None
+
+    def add(self, transit: float) -> None:
+        """Take one message's transit time (s): arrival on our clock minus departure on the peer's."""
+        if self._transit is not None:
+            jitter = self.jitter or 0.0
+            self.jitter = jitter + (abs(transit - self._transit) - jitter) / 16
+        self._transit = transit
+        self._samples.append(transit)
+        self._fresh = True
+
+    def tick(self) -> None:
+        """Work out the percentiles over the last samples."""
+        if self._fresh:
+            self._fresh = False
+            ordered = sorted(self._samples)
+            self.p50 = ordered[len(ordered) // 2]
+            self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
+
+
+class ClockOffset:
+    """The peer's clock minus ours, from pings (RFC 5905 section 8: offset and delay from four timestamps)."""
+
+    __slots__ = ("_samples", "rtt")
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[float, float]] = deque(maxlen=_PINGS)
+        self.rtt: float | None = None
+
+    def add(self, sent: int, received: int, answered: int, back: int) -> None:
+        """Take one exchange. All in ns: sent and back on our clock, received and answered on the peer's."""
+        self.rtt = max(0, (back - sent) - (answered - received)) / 1e9
+        self._samples.append((self.rtt, ((received - sent) + (answered - back)) / 2e9))
+
+    @property
+    def offset(self) -> float | None:
+        """s, of the exchange with the shortest round trip; None: no exchange yet."""
+        return min(self._samples)[1] if self._samples else None
+
+    @property
+    def uncertainty(self) -> float | None:
+        """s: half that round trip, which bounds the error whatever the asymmetry of the path."""
+        return min(self._samples)[0] / 2 if self._samples else None
+
+
+class StaleWatch:
+    """The thesis's stale warning: after every `after` s without a message, `times` times, then silence."""
+
+    __slots__ = ("_quiet_since", "after", "times", "warned")
+
+    def __init__(self, after: float, times: int, now: float) -> None:
+        self.after = after
+        self.times = times
+        self.warned = 0
+        self._quiet_since = now
+
+    def seen(self, now: float) -> float | None:
+        """A message came at `now`. Returns how long (s) it had been quiet if that had been warned of, else None."""
+        quiet = now - self._quiet_since if self.warned else None
+        self.warned = 0
+        self._quiet_since = now
+        return quiet
+
+    def rearm(self, now: float) -> None:
+        """Start counting anew: a route that was just opened or resumed is not late yet."""
+        self.warned = 0
+        self._quiet_since = now
+
+    def check(self, now: float) -> int:
+        """The number of the warning that is due at `now`; 0: none is."""
+        if self.after and self.warned < self.times and now - self._quiet_since >= self.after * (self.warned + 1):
+            self.warned += 1
+            return self.warned
+        return 0
+
+    def stale(self, now: float) -> bool:
+        """Whether it has been quiet for too long."""
+        return bool(self.after) and now - self._quiet_since >= self.after

@@ -1,0 +1,353 @@
+"""The sending half of a route: subscribe, throttle, compress, queue, send; and the ledger, which the sender keeps."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
+
+import zstandard
+
+from rsb_bridge.qos import Qos, incompatible, match_publishers
+from rsb_bridge.ros.api import Endpoint, RosError, Subscription, Taken
+from rsb_bridge.ros.types import expand_type_name
+from rsb_bridge.route import LARGEST_DATAGRAM_MESSAGE, Peer, Route
+from rsb_bridge.snapshot import Ledger, Level, Stage
+from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.wire.messages import Close, Describe, Propose, ReceivedReport, SentReport
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.session import Topic
+
+_QUEUE_BYTES = 32 * 1024 * 1024
+_BATCH = 16
+_BATCH_BYTES = 256 * 1024
+_SETTLE = 2.0
+_ZSTD_LEVEL = 3
+
+
+@dataclass(slots=True)
+class _Tally:
+    """What this side counted, since the route was made."""
+
+    offered: int = 0
+    throttled: int = 0
+    sent: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    delivered: int = 0
+    expired: int = 0
+    lost_in_dds: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Unresolved:
+    """What keeps the type or the QoS from being known: the stage that fails, and why."""
+
+    stage: str
+    why: str
+
+
+class OutgoingRoute(Route):
+    """Takes a topic's messages here and sends them to the peer."""
+
+    outgoing: ClassVar[bool] = True
+
+    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self._subscription: Subscription | None = None
+        self._queue: deque[Message] = deque()
+        self._queue_bytes = 0
+        self._interval = int(1e9 / proposal.max_rate) if proposal.max_rate else 0
+        self._due = 0
+        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
+        self._largest = LARGEST_DATAGRAM_MESSAGE if proposal.transport == "udp" else MESSAGE_LIMIT
+        self._tally = _Tally()
+        self._sent_before = 0  # in earlier openings
+        self._report: ReceivedReport | None = None
+        self._described: Describe | None = None
+        self._ready = False
+        self._publishers: list[Endpoint] = []
+        self._unresolved: _Unresolved | None = None
+        self._hint = ("", "")
+
+    # --- setting up
+
+    def agreed(self, type_name: str = "", type_hash: str = "") -> None:
+        """Both sides want the route; the peer may say what its own graph knows of the type."""
+        self._hint = (type_name, type_hash)
+        super().agreed()
+
+    def peer_ready(self) -> None:
+        """The peer has a publisher for what was described."""
+        self._ready = True
+        self.advance()
+
+    def advance(self) -> None:
+        """Resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
+        if not self.accepted or self.paused:
+            self._unsubscribe()
+            return
+        self._publishers = self.context.ros.publishers(self.topic)
+        described = self._resolve()
+        if described is None:
+            return
+        if described != self._described:
+            self._unsubscribe()
+            self._ready = False
+            self._described = described
+            self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
+            self.peer.send(described)
+        if not self._ready:
+            return
+        if self.path is None:
+            self.peer.make_path(self)
+        if self.path is not None and self.path.ready and self._subscription is None:
+            self._subscribe()
+
+    def _resolve(self) -> Describe | None:
+        """The type, its hash and the QoS to send with; None: not known yet, and `_unresolved` says why."""
+        self._unresolved = None
+        self.problem = ""
+        wanted = "" if self.proposal.type in ("", "auto") else expand_type_name(self.proposal.type)
+        offered = sorted({e.type_name for e in self._publishers})
+        if wanted and offered and offered != [wanted]:
+            return self._waits("type known", f"publishers send {', '.join(offered)}, not {wanted}: correct the type")
+        if len(offered) > 1:
+            return self._waits("type known", f"publishers disagree: {', '.join(offered)}: name the type")
+        name = wanted or (offered[0] if offered else self._hint[0])
+        if not name:
+            return self._waits("publisher seen", self._no_publisher())
+        hashes = sorted({e.type_hash for e in self._publishers if e.type_hash})
+        if len(hashes) > 1:
+            return self._waits("type known", f"publishers have different versions of {name}: {', '.join(hashes)}")
+        hint = self._hint[1] if self._hint[0] == name else ""
+        type_hash = hashes[0] if hashes else self.context.ros.installed_hash(name) or hint
+        if not type_hash:
+            return self._waits("type known", f"{name} is not installed here, and nobody publishes it yet")
+        qos = self.proposal.qos or self._matched_qos()
+        if qos is None:
+            return self._waits("publisher seen", self._no_publisher())
+        return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos)
+
+    def _matched_qos(self) -> Qos | None:
+        return match_publishers([e.qos for e in self._publishers]) if self._publishers else None
+
+    def _waits(self, stage: str, why: str) -> Describe | None:
+        self._unresolved = _Unresolved(stage, why)
+        self.problem = why
+        return None
+
+    def _no_publisher(self) -> str:
+        return f"no publisher of {self.topic} in domain {self.context.domain_id}"
+
+    def _subscribe(self) -> None:
+        described = self._described
+        if described is None:
+            return
+        try:
+            self._subscription = self.context.ros.subscribe(
+                self.topic,
+                described.type,
+                described.type_hash,
+                described.qos,
+                lambda batch: self.context.handoff.put(self, batch),
+                origin=self.peer.name,
+            )
+        except RosError as error:
+            route_id = self.id
+            self.refuse(str(error))
+            self.peer.send(Close(route=route_id, reason=str(error)))
+            return
+        self.stale.rearm(self.context.now())
+        self.log(Level.INFO, f"→ {self.transport} connected ({described.type})")
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self._tally.lost_in_dds += self._subscription.lost
+            self._subscription.close()
+            self._subscription = None
+
+    def close(self, reason: str) -> None:
+        """End the opening: what was under way is settled with the peer's last word."""
+        self._unsubscribe()
+        self._described = None
+        self._ready = False
+        self._settle()
+        super().close(reason)
+
+    def _settle(self) -> None:
+        tally, report = self._tally, self._report
+        lost = len(self._queue) + tally.sent - self._sent_before
+        if report is not None:
+            tally.delivered += report.delivered
+            tally.expired += report.expired
+            tally.dropped.update(report.dropped)
+            lost -= report.delivered + report.expired + sum(report.dropped.values())
+        if lost > 0:
+            tally.dropped["link lost"] += lost
+        self._sent_before = tally.sent
+        self._report = None
+        self._queue.clear()
+        self._queue_bytes = 0
+
+    # --- messages
+
+    def offer(self, batch: Sequence[Taken]) -> None:
+        """Take messages from the ROS side, oldest first."""
+        self._tally.offered += len(batch)
+        messages: list[Message] = [(payload, stamp, 0) for payload, stamp in batch]
+        if self._interval:
+            messages = self._throttle(messages)
+        if self._compressor is not None:
+            messages = [self._compress(message) for message in messages]
+        if not self.flowing:
+            self._drop("link lost", len(messages))
+            return
+        self.count(len(messages), sum([len(message[0]) for message in messages]))
+        self._enqueue(messages)
+        self.flush()
+
+    def flush(self) -> None:
+        """Send from the queue while the path takes it."""
+        queue, path = self._queue, self.path
+        while queue and path is not None and not path.congested:
+            batch: list[Message] = []
+            size = 0
+            while queue and len(batch) < _BATCH and size < _BATCH_BYTES:
+                message = queue.popleft()
+                size += len(message[0])
+                batch.append(message)
+            self._queue_bytes -= size
+            self._tally.sent += len(batch)
+            path.send(batch)
+
+    def _enqueue(self, messages: list[Message]) -> None:
+        queue, path = self._queue, self.path
+        for message in messages:
+            size = len(message[0])
+            if size > self._largest:
+                self._too_large(size)
+                continue
+            queue.append(message)
+            self._queue_bytes += size
+        congested = path is not None and path.congested
+        depth = self.qos.depth if congested and self.qos is not None and self.qos.history == "keep_last" else 0
+        while queue and ((depth and len(queue) > depth) or self._queue_bytes > _QUEUE_BYTES + self._largest):
+            self._queue_bytes -= len(queue.popleft()[0])
+            self._drop("queue full", 1)
+
+    def _throttle(self, messages: list[Message]) -> list[Message]:
+        kept = []
+        for message in messages:
+            stamp = message[1]
+            if stamp >= self._due:
+                # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
+                self._due = max(self._due + self._interval, stamp - self._interval)
+                kept.append(message)
+        self._tally.throttled += len(messages) - len(kept)
+        return kept
+
+    def _compress(self, message: Message) -> Message:
+        assert self._compressor is not None
+        payload, stamp, flags = message
+        smaller = self._compressor.compress(payload)
+        return (smaller, stamp, flags | ZSTD) if len(smaller) < len(payload) else message
+
+    def _too_large(self, size: int) -> None:
+        self._drop("too large", 1)
+        text = f"a message of {size:,} bytes is more than {self.transport} carries here ({self._largest:,}): use tcp"
+        if text != self.last_error:
+            self.last_error = text
+            self.log(Level.ERROR, text)
+
+    def _drop(self, cause: str, count: int) -> None:
+        if count:
+            self._tally.dropped[cause] += count
+
+    # --- the ledger
+
+    def reported(self, report: ReceivedReport) -> None:
+        """The peer said what arrived in the present opening."""
+        self._report = report
+        self.latency.p50, self.latency.p99, self.latency.jitter = report.latency_p50, report.latency_p99, report.jitter
+
+    def ledger(self) -> Ledger:
+        """Where the messages went, by the peer's last report."""
+        tally, report = self._tally, self._report
+        delivered, expired, dropped = tally.delivered, tally.expired, Counter(tally.dropped)
+        if report is not None:
+            delivered += report.delivered
+            expired += report.expired
+            dropped.update(report.dropped)
+            if lost := self._lost_on_the_way(report):
+                dropped["lost on the way"] += lost
+        accounted = delivered + expired + tally.throttled + dropped.total()
+        lost_in_dds = tally.lost_in_dds + (self._subscription.lost if self._subscription else 0)
+        return Ledger(
+            offered=tally.offered,
+            delivered=delivered,
+            throttled=tally.throttled,
+            expired=expired,
+            in_flight=max(0, tally.offered - accounted),
+            dropped=dict(dropped),
+            lost_in_dds=lost_in_dds,
+        )
+
+    def _lost_on_the_way(self, report: ReceivedReport) -> int:
+        """Datagrams' messages that the peer has passed over, or that should long have arrived."""
+        if self.transport != "udp":
+            return 0
+        sent = self._tally.sent - self._sent_before
+        quiet = self.meter.last is not None and self.context.now() - self.meter.last > _SETTLE
+        passed = sent if quiet else report.newest
+        return max(0, passed - report.received - report.expired - report.incomplete)
+
+    def sent_report(self) -> SentReport:
+        """What the peer is told."""
+        ledger = self.ledger()
+        return SentReport(
+            route=self.id,
+            offered=ledger.offered,
+            delivered=ledger.delivered,
+            throttled=ledger.throttled,
+            expired=ledger.expired,
+            in_flight=ledger.in_flight,
+            dropped=ledger.dropped,
+            lost_in_dds=ledger.lost_in_dds,
+            publishers=len(self._publishers),
+            subscribed=self._subscription is not None,
+            problem=self.problem,
+        )
+
+    def stages(self) -> tuple[Stage, ...]:
+        """From the publisher here to the subscriber there."""
+        report = self._report
+        known = self._described is not None
+        publishers = len(self._publishers)
+        failed = self._unresolved.stage if self._unresolved else ""
+        why = self._unresolved.why if self._unresolved else ""
+        clash = self._qos_clash()
+        return (
+            Stage("publisher seen", publishers > 0, f"{publishers}" if publishers else self._no_publisher()),
+            Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),
+            Stage("QoS compatible", not clash if known else None, clash),
+            Stage("subscribed", self._subscription is not None or None),
+            self.link_stage(),
+            Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
+            Stage("sent", self._tally.sent > 0 or None),
+            Stage("received", (report is not None and report.received > 0) or None),
+            Stage("published", (report is not None and report.delivered > 0) or None),
+            Stage(
+                "subscriber seen",
+                (report is not None and report.subscribers > 0) or None,
+                "" if report is None or report.subscribers else f"nobody subscribes to {self.remote_topic} there",
+            ),
+        )
+
+    def _qos_clash(self) -> str:
+        if self.qos is None:
+            return ""
+        return next((clash for e in self._publishers if (clash := incompatible(e.qos, self.qos))), "")

@@ -1,0 +1,301 @@
+"""One topic in one direction over one link: what both halves of a route share.
+
+The sending half is `rsb_bridge.outgoing`, the receiving half `rsb_bridge.incoming`. A half moves on by `advance`, which
+may be called at any time and does whatever can be done next; so nothing depends on the order in which ROS, the peer and
+the sockets become ready.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import msgspec
+
+from rsb_bridge.meters import LatencyMeter, RateMeter, StaleWatch
+from rsb_bridge.snapshot import Ledger, Level, RouteSnapshot, Stage, State
+from rsb_bridge.wire.messages import Close, ControlMessage, Propose
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.paths import Path
+    from rsb_bridge.qos import Qos
+    from rsb_bridge.session import Topic
+    from rsb_bridge.wire.framing import Message
+
+LARGEST_DATAGRAM_MESSAGE = 8 * 1024 * 1024
+"""Bytes of one serialized message that UDP carries."""
+
+
+class Peer(Protocol):
+    """What a route asks of its link."""
+
+    name: str
+    is_client: bool
+
+    @property
+    def linked(self) -> bool:
+        """Whether the peer is connected and authenticated."""
+        ...
+
+    @property
+    def clock_offset(self) -> float | None:
+        """s, the peer's clock minus ours."""
+        ...
+
+    @property
+    def clock_uncertainty(self) -> float | None:
+        """Seconds by which `clock_offset` may be wrong."""
+        ...
+
+    @property
+    def down_reason(self) -> str:
+        """Why it isn't linked, in words."""
+        ...
+
+    def send(self, message: ControlMessage) -> None:
+        """Send a control message; without a connection, nothing happens."""
+        ...
+
+    def make_path(self, route: Route) -> None:
+        """Set `route.path` going; on a server a stream's path comes from the client instead."""
+        ...
+
+    def shared_port(self) -> int:
+        """The port or channel of the link itself."""
+        ...
+
+
+class Route:
+    """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
+
+    Attributes:
+        key: names it in commands.
+        spec: what was asked for, as the client sees it.
+        topic: its name on the sending side.
+        remote_topic: its name on the receiving side.
+        from_client: whether the client sends.
+        proposed_here: whether this side opens it anew after a reconnect.
+        id: route id on the present connection; 0: not open.
+        accepted: the peer said yes (or we did, to the peer's proposal).
+        refusal: why there is no such route, in words; empty: nothing was refused.
+    """
+
+    outgoing: ClassVar[bool]
+
+    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        self.context = context
+        self.peer = peer
+        self.spec = spec
+        self.proposal = proposal
+        self.topic = proposal.topic
+        self.remote_topic = proposal.remote_topic
+        self.from_client = proposal.from_client
+        self.transport = proposal.transport
+        self.proposed_here = proposed_here
+        self.key = route_key(peer.name, proposal)
+        self.id = 0
+        self.accepted = False
+        self.refusal = ""
+        self.retry_at = 0.0
+        self.refusals = 0
+        self.paused = proposal.paused
+        self.path: Path | None = None
+        self.type_name = ""
+        self.type_hash = ""
+        self.qos: Qos | None = None
+        self.problem = ""
+        self.last_error = ""
+        self.meter = RateMeter()
+        self.latency = LatencyMeter()
+        session = context.session
+        after = session.stale_after if spec.stale_after is None else spec.stale_after
+        self.stale = StaleWatch(after, session.stale_warnings, context.now())
+        self.never_stale = spec.stale_after is None
+        self.release_port: Callable[[], None] | None = None
+
+    # --- what the halves do differently
+
+    def agreed(self, type_name: str = "", type_hash: str = "") -> None:
+        """Both sides want the route; the peer may say what its own graph knows of the type."""
+        self.accepted = True
+        self.refusals = 0
+        self.advance()
+
+    def advance(self) -> None:
+        """Do what can be done next."""
+        raise NotImplementedError
+
+    def flush(self) -> None:
+        """The path takes more again. A receiving half sends nothing."""
+
+    def deliver(self, messages: Iterable[Message]) -> None:
+        """Messages came, whole and authentic. A sending half gets none: the peer does not even have its key."""
+
+    def ledger(self) -> Ledger:
+        """Where the messages went."""
+        raise NotImplementedError
+
+    def stages(self) -> tuple[Stage, ...]:
+        """The steps of a message's way."""
+        raise NotImplementedError
+
+    def named(self, topic: str) -> None:
+        """The peer says what the topic is called on its side."""
+        if self.outgoing:
+            self.remote_topic = topic
+        else:
+            self.topic = topic
+
+    @property
+    def local_topic(self) -> str:
+        """Its name on this side."""
+        return self.topic if self.outgoing else self.remote_topic
+
+    # --- opening and closing
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening on the present connection."""
+        self.id = route_id
+        self.refusal = ""
+        self.stale.rearm(self.context.now())
+
+    def close(self, reason: str) -> None:
+        """End the present opening; what it keeps across openings stays."""
+        if self.path is not None:
+            path, self.path = self.path, None
+            path.close(reason)
+        if self.release_port is not None:
+            self.release_port()
+            self.release_port = None
+        self.id = 0
+        self.accepted = False
+
+    def destroy(self) -> None:
+        """End it for good: endpoints too."""
+        self.close("removed")
+
+    def refuse(self, reason: str) -> None:
+        """The route can't be; it is tried again later if it was proposed here."""
+        if reason != self.refusal:
+            self.log(Level.ERROR, reason)
+        self.close(reason)
+        self.refusal = self.last_error = reason
+        self.refusals += 1
+        self.retry_at = self.context.now() + min(10.0, 0.5 * 2**self.refusals)
+
+    def path_lost(self, reason: str) -> None:
+        """What carried the route broke while the link lives: open it again."""
+        if self.id:
+            route_id = self.id
+            self.refuse(f"data connection: {reason}")
+            self.peer.send(Close(route=route_id, reason=reason))
+
+    def set_paused(self, paused: bool) -> None:
+        """Stop or resume carrying messages; the route stays set up."""
+        if paused != self.paused:
+            self.paused = paused
+            self.spec = msgspec.structs.replace(self.spec, paused=paused)
+            self.stale.rearm(self.context.now())
+            self.log(Level.INFO, "paused" if paused else "resumed")
+        self.advance()
+
+    # --- time
+
+    def tick(self) -> None:
+        """Once a second: histories, stale warnings, whatever became possible."""
+        now = self.context.now()
+        self.meter.tick()
+        self.latency.tick()
+        self.advance()
+        if self.flowing and not self.is_latched:
+            if number := self.stale.check(now):
+                text = f"nothing for {self.stale.after * number:g} s (warning {number} of {self.stale.times})"
+                if number == self.stale.times:
+                    text += "; no more will be said until data returns"
+                self.log(Level.WARNING, text, source="stale")
+        else:
+            self.stale.rearm(now)
+
+    def count(self, messages: int, size: int) -> None:
+        """Note that messages passed."""
+        now = self.context.now()
+        self.meter.add(messages, size, now)
+        quiet = self.stale.seen(now)
+        if quiet is not None:
+            self.log(Level.INFO, f"reinitialized: data again after {quiet:.0f} s", source="stale")
+
+    # --- how it is
+
+    def link_stage(self) -> Stage:
+        """Whether the peer is there, and what carries this route gets through."""
+        trouble = self.path.trouble() if self.path is not None else ""
+        return Stage("link up", self.peer.linked and not trouble, trouble or self.peer.down_reason)
+
+    @property
+    def is_latched(self) -> bool:
+        """A latched topic is not stale when silent, unless its session entry says after how long it is."""
+        return self.never_stale and self.qos is not None and self.qos.durability == "transient_local"
+
+    @property
+    def flowing(self) -> bool:
+        """Whether messages could cross now."""
+        return self.accepted and not self.paused and self.path is not None and self.path.ready
+
+    def state(self) -> tuple[State, str]:
+        """Its state and, where that is not OK, why."""
+        if not self.peer.linked:
+            return State.DOWN, self.peer.down_reason
+        if self.refusal:
+            return State.DOWN, self.refusal
+        if self.paused:
+            return State.PAUSED, "paused by an operator"
+        reason = self.problem or next((s.detail or s.name for s in self.stages() if not s.done), "")
+        if self.flowing and not self.is_latched and self.stale.stale(self.context.now()):
+            return State.STALE, reason or "nothing comes"
+        if self.meter.count and self.flowing:
+            return State.OK, ""
+        return State.WAITING, reason or "no message yet"
+
+    def snapshot(self) -> RouteSnapshot:
+        """The route as it is now."""
+        now = self.context.now()
+        state, reason = self.state()
+        return RouteSnapshot(
+            key=self.key,
+            link=self.peer.name,
+            topic=self.local_topic,
+            remote_topic=self.remote_topic if self.outgoing else self.topic,
+            outgoing=self.outgoing,
+            spec=self.spec,
+            state=state,
+            reason=reason,
+            type_name=self.type_name,
+            type_hash=self.type_hash,
+            qos=self.qos,
+            transport=self.transport,
+            port=self.proposal.port or self.peer.shared_port(),
+            stages=self.stages(),
+            ledger=self.ledger(),
+            rate=self.meter.rate,
+            expected_rate=self.spec.expected_rate or self.meter.usual_rate,
+            bytes_per_second=self.meter.bytes_per_second,
+            bytes_total=self.meter.bytes,
+            latency_p50=self.latency.p50,
+            latency_p99=self.latency.p99,
+            latency_uncertainty=self.peer.clock_uncertainty,
+            jitter=self.latency.jitter,
+            age=None if self.meter.last is None else now - self.meter.last,
+            history=tuple(self.meter.history),
+            last_error=self.last_error,
+        )
+
+    def log(self, level: Level, text: str, *, source: str = "route") -> None:
+        """Add an event about this route."""
+        self.context.log(level, source, f"{self.local_topic}: {text}", link=self.peer.name, topic=self.local_topic)
+
+
+def route_key(link: str, proposal: Propose) -> str:
+    """What identifies a route on both sides: the link, the direction and the topic's name on the sending side."""
+    return f"{link} {'→' if proposal.from_client else '←'} {proposal.topic}"

@@ -1,0 +1,203 @@
+"""The server's side: bind, let clients in, keep strangers out."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.control import Control
+from rsb_bridge.guests import Guests
+from rsb_bridge.keys import Key, fingerprint
+from rsb_bridge.lanes import Lane
+from rsb_bridge.link import Link, LinkError
+from rsb_bridge.ports import Ports
+from rsb_bridge.snapshot import Level
+from rsb_bridge.wire.connection import Credential, ServerConnection
+from rsb_bridge.wire.datagram import parse_header
+from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
+from rsb_bridge.wire.opening import LINK_ID_LENGTH, Refusal, RefusalCode
+from rsb_bridge.wire.sealing import SealError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.route import Route
+    from rsb_bridge.session import Client
+    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.transport.udp import Address, UdpSocket
+    from rsb_bridge.wire.events import Attach, Established
+
+_REPLACED_PAUSE = 10.0
+"""s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A client that may come in, with what the session says of it and its key (None: unencrypted)."""
+
+    client: Client
+    key: Key | None
+
+
+class ServerLink(Link):
+    """One client, as the server sees it."""
+
+    def __init__(self, context: Context, entry: Entry, ports: Ports) -> None:
+        mark = fingerprint(entry.key) if entry.key else ""
+        encrypted = entry.key is not None
+        super().__init__(context, entry.client.name, is_client=False, fingerprint=mark, encrypted=encrypted)
+        self.entry = entry
+        self._ports = ports
+
+    @property
+    def address(self) -> str:
+        return self.control.stream.peer if self.control else ""
+
+    def shared_port(self) -> int:
+        return self.context.session.server_port
+
+    def told_to_stop(self, message: Shutdown) -> None:
+        if self.control is not None:
+            self.control.abort(f"the client left: {message.reason}")
+
+    def admit(self, proposal: Propose) -> Propose:
+        """Check `allow` and `deny`, and put the client's name before the topic's on this side where that is wanted."""
+        client = self.entry.client
+        ours = proposal.remote_topic if proposal.from_client else proposal.topic
+        prefix = f"/{client.name}"
+        use_name = self.context.session.use_name if client.use_name is None else client.use_name
+        if use_name and not ours.startswith(prefix + "/"):
+            ours = prefix + ours
+        names = (ours, ours.removeprefix(prefix))
+        if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
+            raise LinkError(f"the server denies {ours} to {client.name}")
+        if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
+            raise LinkError(f"the server does not allow {ours} to {client.name}")
+        field = "remote_topic" if proposal.from_client else "topic"
+        return msgspec.structs.replace(proposal, **{field: ours})
+
+    def open_stream(self, route: Route) -> None:
+        """The client opens it."""
+
+    def open_lane(self, port: int) -> Lane | None:
+        """The client's first probe does."""
+        return None
+
+    async def prepare_port(self, route: Route) -> None:
+        port = route.proposal.port
+        if port and port != self.shared_port():
+            route.release_port = await self._ports.open(route.transport, port)
+
+    def probed(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
+        """A datagram says it is this link's; the first one on a socket makes a lane of it."""
+        assert self.prober is not None
+        lane = self.lanes.get(socket.port)
+        if lane is None or lane.socket is not socket:
+            lane = Lane(socket, self.prober, None)
+            self.lanes[socket.port] = lane
+        self.datagram(lane, datagram, address)
+
+
+class Server:
+    """The server's end of all its links.
+
+    Attributes:
+        links: by the client's name; a client that the session lists has one before it ever came.
+    """
+
+    def __init__(
+        self, context: Context, entries: list[Entry], make_welcome: Callable[[bytes], Welcome], *, aes: bool
+    ) -> None:
+        self.context = context
+        self._make_welcome = make_welcome
+        self._aes = aes
+        self._guests = Guests(self)
+        self._ports = Ports(context.session.server_ip, self._guests.arrive, self._datagram)
+        self._entries = {entry.client.name: entry for entry in entries}
+        self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
+
+    async def start(self) -> None:
+        """Bind the shared port.
+
+        Raises:
+            ListenError: it is taken, or not ours.
+        """
+        port = self.context.session.server_port
+        await self._ports.open("tcp", port)
+        await self._ports.open("udp", port)
+        self.context.log(
+            Level.INFO, "engine", f"listening on {self.context.session.server_ip} port {port} (TCP and UDP)"
+        )
+
+    def stop(self) -> None:
+        """Take nobody in any more."""
+        self._ports.close()
+        self._guests.close()
+
+    def tick(self) -> None:
+        """Once a second."""
+        self._guests.tick()
+
+    # --- who comes
+
+    def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
+        """The state machine for a stream that comes in."""
+        return ServerConnection(identify, self._welcome, self._aes)
+
+    def credential(self, name: str) -> Credential:
+        """What a client of that name has to prove; raises Refusal where there is none."""
+        entry = self._entries.get(name)
+        if entry is None:
+            raise Refusal(RefusalCode.UNKNOWN_NAME, f"the server knows no client of the name {name!r}")
+        return Credential(entry.key.secret if entry.key else None)
+
+    def _welcome(self, hello: Hello) -> Welcome:
+        return self._make_welcome(os.urandom(LINK_ID_LENGTH))
+
+    def established(self, stream: Stream, connection: ServerConnection, event: Established) -> Control:
+        """A client is authenticated; it takes the place of an older connection of its name."""
+        assert isinstance(event.peer, Hello)
+        link = self.links[event.peer.name]
+        if link.control is not None:
+            link.control.shut_down(
+                f"replaced by a newer connection of {link.name} from {stream.peer}", retry_after=_REPLACED_PAUSE
+            )
+        control = Control(stream, connection, link)
+        link.up(control, event.peer, event.keys)
+        return control
+
+    def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
+        """A stream wants to be a route's own."""
+        link = self._link_of(event.link_id)
+        route = link.open_route(event.route) if link is not None else None
+        try:
+            if link is None or link.keys is None or route is None or route.path is not None or route.transport == "udp":
+                raise Refusal(RefusalCode.NO_SUCH_ROUTE, "no such route waits for a stream")
+            link.keys.check_attach_proof(event.header, event.route, event.proof)
+        except (Refusal, SealError) as error:
+            stream.write(connection.refuse(RefusalCode.NO_SUCH_ROUTE, str(error)))
+            stream.close(str(error))
+            return
+        stream.write(connection.accept_attach())
+        link.attach_stream(route, stream, connection.leftover())
+
+    def fingerprint_of(self, name: str) -> str:
+        """Of the key that a client of that name should have; empty: none, or no such client."""
+        entry = self._entries.get(name)
+        return fingerprint(entry.key) if entry is not None and entry.key is not None else ""
+
+    def _link_of(self, link_id: bytes) -> ServerLink | None:
+        return next(
+            (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
+        )
+
+    def _datagram(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
+        header = parse_header(datagram)
+        link = self._link_of(header.link_id) if header is not None else None
+        if link is not None:
+            link.probed(socket, datagram, address)

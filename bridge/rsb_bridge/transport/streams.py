@@ -1,0 +1,129 @@
+"""A connected stream socket on the I/O loop, be it TCP or RFCOMM."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import Any, cast
+
+_HIGH_WATER = 256 * 1024
+_NOT_SENT_LOW_WATER = 128 * 1024
+_TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
+
+
+class StreamHandler:
+    """What a stream's bytes go to; by itself it lets everything pass. Every method is called on the I/O loop."""
+
+    def connected(self, stream: Stream) -> None:
+        """The stream is there; called once, on its first handler."""
+
+    def received(self, data: bytes) -> None:
+        """Bytes came."""
+
+    def writable(self) -> None:
+        """The stream was congested and takes more again."""
+
+    def closed(self, reason: str) -> None:
+        """The stream is over, by whatever cause; called once."""
+
+
+class Stream(asyncio.Protocol):
+    """A thin shell over asyncio's transport: it adds byte counts, an address in words, and a handler that may change.
+
+    Attributes:
+        handler: gets what happens from now on.
+        congested: more than 256 KiB wait for the socket: better not to write now.
+        received_bytes: so far.
+        sent_bytes: so far, those still waiting included.
+        address: of the other end, as the socket module has it.
+    """
+
+    def __init__(self, handler: StreamHandler) -> None:
+        self.handler = handler
+        self.congested = False
+        self.received_bytes = 0
+        self.sent_bytes = 0
+        self.address: tuple[Any, ...] = ("?", 0)
+        self._transport: asyncio.Transport | None = None
+        self._reason = ""
+
+    def write(self, data: bytes) -> None:
+        """Send, or keep until the socket takes it. Nothing happens on a stream that is over."""
+        if self._transport is not None:
+            self.sent_bytes += len(data)
+            self._transport.write(data)
+
+    def close(self, reason: str = "closed here") -> None:
+        """Send what waits, then close."""
+        if self._transport is not None:
+            self._reason = self._reason or reason
+            self._transport.close()
+
+    def abort(self, reason: str) -> None:
+        """Close now; what waits is lost."""
+        if self._transport is not None:
+            self._reason = self._reason or reason
+            self._transport.abort()
+
+    @property
+    def over(self) -> bool:
+        """Whether it is closed or closing."""
+        return self._transport is None or self._transport.is_closing()
+
+    @property
+    def gone(self) -> bool:
+        """Whether it is closed, and all that was written has left or is lost."""
+        return self._transport is None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+        self._transport.set_write_buffer_limits(high=_HIGH_WATER)
+        sock: socket.socket = transport.get_extra_info("socket")
+        if sock.family in (socket.AF_INET, socket.AF_INET6):
+            # What waits should wait with us, where old messages can be dropped, not in the kernel.
+            sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
+        self.address = transport.get_extra_info("peername") or self.address
+        self.handler.connected(self)
+
+    @property
+    def peer(self) -> str:
+        """The other end's address in words."""
+        return address_words(self.address)
+
+    @property
+    def host(self) -> str:
+        """The other end's host or adapter, without port or channel."""
+        return str(self.address[0])
+
+    def data_received(self, data: bytes) -> None:
+        self.received_bytes += len(data)
+        self.handler.received(data)
+
+    def pause_writing(self) -> None:
+        self.congested = True
+
+    def resume_writing(self) -> None:
+        self.congested = False
+        self.handler.writable()
+
+    def eof_received(self) -> None:
+        self._reason = self._reason or "closed by the other side"
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._transport = None
+        self.handler.closed(self._reason or (os_words(error) if error else "closed"))
+
+
+def address_words(address: tuple[Any, ...]) -> str:
+    """An IP socket address as ``host:port``, ``[host]:port`` for IPv6."""
+    host, port = address[0], address[1]
+    return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
+
+
+def os_words(error: BaseException) -> str:
+    """An OS error as a person reads it: the kernel's own words, without numbers."""
+    if isinstance(error, TimeoutError) and not error.args:
+        return "timed out"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return str(error) or type(error).__name__

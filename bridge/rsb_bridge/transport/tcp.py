@@ -1,0 +1,65 @@
+"""TCP: connect and listen."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from typing import TYPE_CHECKING
+
+from rsb_bridge.transport.streams import Stream, StreamHandler, os_words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+CONNECT_TIMEOUT = 3.0
+_HAPPY_EYEBALLS_DELAY = 0.25
+_BACKLOG = 128
+
+
+class ListenError(Exception):
+    """An address can't be bound; the message says why and what to do."""
+
+
+async def connect(host: str, port: int, handler: StreamHandler) -> Stream:
+    """Connect to the first of the host's addresses that answers (RFC 8305).
+
+    Raises:
+        OSError: none did within `CONNECT_TIMEOUT`, or the name is not known.
+    """
+    loop = asyncio.get_running_loop()
+    async with asyncio.timeout(CONNECT_TIMEOUT):
+        _, stream = await loop.create_connection(
+            lambda: Stream(handler), host, port, happy_eyeballs_delay=_HAPPY_EYEBALLS_DELAY
+        )
+    return stream
+
+
+async def listen(host: str, port: int, make_handler: Callable[[], StreamHandler]) -> asyncio.Server:
+    """Accept connections on all the host's addresses, each with a handler of its own.
+
+    Raises:
+        ListenError: in words.
+    """
+    loop = asyncio.get_running_loop()
+
+    def accept() -> Stream:
+        return Stream(make_handler())
+
+    try:
+        return await loop.create_server(accept, host, port, backlog=_BACKLOG, reuse_address=True)
+    except OSError as error:
+        raise ListenError(listen_words(error, f"{host}:{port}", "TCP")) from None
+
+
+def listen_words(error: OSError, address: str, kind: str) -> str:
+    """Why an address can't be bound, and the remedy."""
+    if error.errno == errno.EADDRINUSE:
+        return f"{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
+    if error.errno == errno.EACCES:
+        return f"{kind} {address}: ports below 1024 need root; choose a higher one"
+    if isinstance(error, socket.gaierror):
+        return f"{address}: the name is not known ({error.strerror})"
+    return f"{kind} {address}: {os_words(error)}"

@@ -1,0 +1,201 @@
+"""UDP sockets on the I/O loop, with what Python's own datagram transport lacks: draining, pacing, path MTU."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections import deque
+from collections.abc import Callable
+from typing import TypeAlias
+
+from rsb_bridge.transport.tcp import ListenError, listen_words
+
+Address: TypeAlias = tuple[str, int] | tuple[str, int, int, int]
+
+_READS_PER_WAKE = 64
+_BUFFER = 8 * 1024 * 1024
+_LARGEST = 65_535
+_BURST = 128 * 1024
+_BURST_PAUSE = 0.001
+_SO_RCVBUFFORCE, _SO_SNDBUFFORCE = 33, 32
+_IP_MTU, _IPV6_MTU = 14, 24
+_HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
+_BACKLOG_LIMIT = 16 * 1024 * 1024
+
+
+Received: TypeAlias = Callable[["UdpSocket", bytes, Address], None]
+"""Called with each datagram and where it came from."""
+
+
+class UdpSocket:
+    """A bound or connected UDP socket.
+
+    Attributes:
+        congested: datagrams wait for the kernel's buffer, or for their turn: better not to send now.
+    """
+
+    def __init__(self, sock: socket.socket, received: Received) -> None:
+        self._sock = sock
+        self._received = received
+        self._loop = asyncio.get_running_loop()
+        self._backlog: deque[tuple[bytes, Address | None]] = deque()
+        self._mtu: dict[Address, int] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self.when_writable: set[Callable[[], None]] = set()
+        self.received_bytes = 0
+        self.sent_bytes = 0
+        self._loop.add_reader(sock, self._read)
+
+    @property
+    def port(self) -> int:
+        """The local port."""
+        return int(self._sock.getsockname()[1])
+
+    @property
+    def congested(self) -> bool:
+        return bool(self._backlog)
+
+    def send(self, datagrams: list[bytes], address: Address | None) -> None:
+        """Send one message's datagrams, to `address` or, on a connected socket, None.
+
+        A message larger than a burst is paced at 128 MB/s: the far kernel's buffer is small, and nothing on loopback or
+        a fast link would slow us down.
+        """
+        if self._backlog:
+            if sum(len(d) for d, _ in self._backlog) < _BACKLOG_LIMIT:
+                self._backlog.extend((datagram, address) for datagram in datagrams)
+            return
+        burst = _BURST
+        for index, datagram in enumerate(datagrams):
+            burst -= len(datagram)
+            if burst < 0 and index:
+                self._backlog.extend((rest, address) for rest in datagrams[index:])
+                self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
+                return
+            if not self._send_one(datagram, address):
+                self._backlog.extend((rest, address) for rest in datagrams[index:])
+                self._loop.add_writer(self._sock, self._flush)
+                return
+
+    def datagram_size(self, address: Address) -> int:
+        """Bytes of the largest datagram that reaches `address` without IP fragmentation, as far as the kernel knows."""
+        size = self._mtu.get(address)
+        if size is None:
+            size = self._mtu[address] = _path_mtu(self._sock.family, address) - _HEADERS[self._sock.family]
+        return min(size, _LARGEST - _HEADERS[self._sock.family])
+
+    def close(self) -> None:
+        """Close it; what waits is lost."""
+        if self._timer:
+            self._timer.cancel()
+        self._loop.remove_reader(self._sock)
+        self._loop.remove_writer(self._sock)
+        self._backlog.clear()
+        self._sock.close()
+
+    def _read(self) -> None:
+        for _ in range(_READS_PER_WAKE):
+            try:
+                datagram, address = self._sock.recvfrom(_LARGEST)
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError:
+                return  # an ICMP error of an earlier send: the control connection tells whether the peer lives
+            self.received_bytes += len(datagram)
+            self._received(self, datagram, address)
+
+    def _send_one(self, datagram: bytes, address: Address | None) -> bool:
+        try:
+            if address is None:
+                self._sock.send(datagram)
+            else:
+                self._sock.sendto(datagram, address)
+        except BlockingIOError:
+            return False
+        except OSError:
+            self._mtu.clear()  # EMSGSIZE: the path changed; others: lost, as UDP may
+            return True
+        self.sent_bytes += len(datagram)
+        return True
+
+    def _flush(self) -> None:
+        self._loop.remove_writer(self._sock)
+        self._timer = None
+        burst = _BURST
+        while self._backlog:
+            datagram, address = self._backlog[0]
+            burst -= len(datagram)
+            if burst < 0:
+                self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
+                return
+            if not self._send_one(datagram, address):
+                self._loop.add_writer(self._sock, self._flush)
+                return
+            self._backlog.popleft()
+        for writable in tuple(self.when_writable):
+            writable()
+
+
+async def bind(host: str, port: int, received: Received) -> list[UdpSocket]:
+    """Bind a UDP socket on each of the host's addresses.
+
+    Raises:
+        ListenError: in words.
+    """
+    loop = asyncio.get_running_loop()
+    sockets: list[UdpSocket] = []
+    try:
+        found = await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
+        for family, kind, proto, _, address in dict.fromkeys(found):
+            sock = _socket(family, kind, proto)
+            try:
+                if family == socket.AF_INET6:
+                    sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                sock.bind(address)
+            except OSError:
+                sock.close()
+                raise
+            sockets.append(UdpSocket(sock, received))
+    except OSError as error:
+        for udp in sockets:
+            udp.close()
+        raise ListenError(listen_words(error, f"{host}:{port}", "UDP")) from None
+    return sockets
+
+
+def connect(peer: Address, received: Received) -> UdpSocket:
+    """A UDP socket to one peer, at a port of the kernel's choice.
+
+    Raises:
+        OSError: there is no route to it.
+    """
+    family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
+    sock = _socket(family, socket.SOCK_DGRAM, 0)
+    try:
+        sock.connect(peer)
+    except OSError:
+        sock.close()
+        raise
+    return UdpSocket(sock, received)
+
+
+def _socket(family: int, kind: int, proto: int) -> socket.socket:
+    sock = socket.socket(family, kind, proto)
+    sock.setblocking(False)
+    for forced, asked in ((_SO_RCVBUFFORCE, socket.SO_RCVBUF), (_SO_SNDBUFFORCE, socket.SO_SNDBUF)):
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, forced, _BUFFER)  # beyond net.core.?mem_max: root only
+        except OSError:
+            sock.setsockopt(socket.SOL_SOCKET, asked, _BUFFER)
+    return sock
+
+
+def _path_mtu(family: int, address: Address) -> int:
+    """What the kernel knows of the path (ip(7) IP_MTU, ipv6(7) IPV6_MTU); 1280 (RFC 8200) where it knows nothing."""
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect(address)
+        if family == socket.AF_INET6:
+            return probe.getsockopt(socket.IPPROTO_IPV6, _IPV6_MTU)
+        return probe.getsockopt(socket.IPPROTO_IP, _IP_MTU)
+    return 1280
