@@ -27,10 +27,10 @@ from rsb_console.terminal import ConsoleDriver, prefers_ascii
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rsb_bridge.engine import Engine
     from textual.filter import LineFilter
     from textual.screen import Screen
 
+    from rsb_bridge.engine import Engine
     from rsb_bridge.session import Session
 
     MakeEngine = Callable[[Session, Path], Engine]

@@ -27,11 +27,11 @@ def milliseconds(seconds: float) -> str:
 
 
 def byte_rate(bytes_per_second: float) -> str:
-    """``412 B/s``, ``41.2 kB/s``, ``3.10 MB/s``."""
+    """In at most eight characters: ``412 B/s``, ``9.4 kB/s``, ``312 kB/s``, ``3.1 MB/s``."""
     if bytes_per_second < 1e3:
         return f"{bytes_per_second:.0f} B/s"
     value, unit = (bytes_per_second / 1e6, "MB/s") if bytes_per_second >= 1e6 else (bytes_per_second / 1e3, "kB/s")
-    return f"{value:.1f} {unit}" if value < 100 else f"{value:.0f} {unit}"
+    return f"{value:.1f} {unit}" if value < 10 else f"{value:.0f} {unit}"
 
 
 def kilobytes(bytes_per_second: float) -> str:

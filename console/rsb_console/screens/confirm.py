@@ -39,8 +39,8 @@ class ConfirmScreen(ModalScreen[bool]):
             dialog.border_title = self._title
             yield Static(self._words, markup=False)
             with Horizontal(classes="buttons"):
-                yield Button(self._yes, id="yes", variant="error", flat=True)
-                yield Button("No", id="no", flat=True)
+                yield Button(self._yes, id="yes", variant="error", compact=True)
+                yield Button("No", id="no", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         """Answer."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from textual.containers import Horizontal
 
@@ -33,8 +33,8 @@ class MainScreen(OperationsScreen):
 
     BINDINGS = bindings(Group.VIEW, Group.OPERATE)
     AUTO_FOCUS = "#topics"
-    HORIZONTAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-narrow"), (110, "-wide")]
-    VERTICAL_BREAKPOINTS: ClassVar[list[tuple[int, str]] | None] = [(0, "-tiny"), (14, "-short"), (30, "-tall")]
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual says it is no ClassVar
+    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- Textual says it is no ClassVar
 
     def __init__(self) -> None:
         super().__init__()
@@ -161,7 +161,7 @@ class MainScreen(OperationsScreen):
             parts.append(f"/{self.topics.pattern.text}")
         if len(parts) > 1:
             parts.append(f"{len(self.topics.keys)} of {len(self.topics.routes)}")
-        self.topics.border_title = f" {' ▸ '.join(parts)} "
+        self.topics.entitle(f" {' ▸ '.join(parts)} ")
 
     def action_next_match(self) -> None:
         """Next match or fault."""

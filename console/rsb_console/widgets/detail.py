@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name
-STAGE_SIGN = {True: (DONE, "ok"), False: (FAILED, "down"), None: (UNKNOWN, "dim")}
 
 
 class DetailPane(LiveLines, can_focus=True):
@@ -41,7 +40,7 @@ class DetailPane(LiveLines, can_focus=True):
     def show(self, route: RouteSnapshot | None) -> None:
         """Show `route`; None: there is nothing to show."""
         self._route = route
-        self.border_title = "" if route is None else f" {route.topic} "
+        self.entitle("" if route is None else route.topic)
         width = self.size.width
         if route is None:
             self._lines = [(), ((" no topic selected", "dim"),)]
@@ -74,7 +73,8 @@ def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
         (f" {STATE_SIGN[route.state]} {STATE_WORD[route.state]} ", look),
         ("" if route.age is None else f" last {formats.age(route.age)} ago", "dim"),
     )
-    if route.state is not State.OK:
+    failed = next((stage.detail for stage in route.stages if not stage.done), "")
+    if route.state is not State.OK and route.reason != failed:
         yield from _wrapped(route.reason, width, look)
     yield ((f" {route.type_name or 'type not known yet'}", "strong" if route.type_name else "dim"),)
     way = f"{OUT} to" if route.outgoing else f"{IN} from"
@@ -85,17 +85,25 @@ def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
 
 
 def _stages(stages: Sequence[Stage], width: int) -> Iterator[Line]:
-    """Why it is, or isn't, flowing: what is passed on one line, what isn't on its own."""
-    yield ((" Way of a message", "head"),)
-    failed = next((stage for stage in stages if not stage.done), None)
-    if failed is None and stages:
-        yield ((f" {DONE} ", "ok"), (f"all {len(stages)} stages passed", ""))
+    """Why it isn't flowing: what is passed in short, what isn't on a line of its own, what comes after it in short."""
+    at = next((index for index, stage in enumerate(stages) if not stage.done), None)
+    if at is None:
+        yield ((" Stages", "head"),)
+        yield ((f" {DONE} ", "ok"), (f"all {len(stages)} passed", ""))
         return
-    for stage in stages:
-        sign, look = STAGE_SIGN[stage.done]
-        yield ((f" {sign} ", look), (stage.name, "strong" if stage is failed else "" if stage.done else "dim"))
-        if stage is failed and stage.detail:
-            yield from _wrapped(stage.detail, width, "down" if stage.done is False else "waiting")
+    failed = stages[at]
+    yield ((" Why it isn't flowing", "head"),)
+    yield from _listed(DONE, "ok", stages[:at], width)
+    sign, look = (UNKNOWN, "waiting") if failed.done is None else (FAILED, "down")
+    yield ((f" {sign} ", look), (failed.name, "strong"))
+    yield from _wrapped(failed.detail, width, look)
+    yield from _listed(UNKNOWN, "dim", stages[at + 1 :], width)
+
+
+def _listed(sign: str, look: str, stages: Sequence[Stage], width: int) -> Iterator[Line]:
+    names = ", ".join(stage.name for stage in stages)
+    for number, text in enumerate(textwrap.wrap(names, max(10, width - 4))):
+        yield ((f" {' ' if number else sign} ", look), (text, "dim"))
 
 
 def _wrapped(text: str, width: int, look: str) -> Iterator[Line]:
@@ -131,10 +139,10 @@ def _ledger(ledger: Ledger, width: int) -> Iterator[Line]:
     ]
     name_width = max(LABEL, *(len(name) for name, _, _ in rows)) + 1
     for name, count, look in rows:
-        share = f"{100 * count / ledger.offered:6.1f} %" if ledger.offered and name == "delivered" else ""
+        share = f"  {100 * count / ledger.offered:.1f} %" if ledger.offered and name == "delivered" else ""
         yield (
             (f" {name:<{name_width}}", "dim"),
-            (f"{formats.thousands(count):>11}", look if count else "dim"),
+            (f"{formats.thousands(count):>9}", look if count else "dim"),
             (share, ""),
         )
 

@@ -1,4 +1,4 @@
-"""A view of styled lines that redraws only the columns that changed: the base of every live pane."""
+"""A view of styled lines that redraws only what changed: the base of every live pane."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.style import Style
 
 Line = tuple[tuple[str, str], ...]
@@ -39,6 +37,7 @@ class LiveLines(ScrollView):
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002 -- Textual's name
         super().__init__(id=id, classes=classes)
         self._drawn: dict[int, tuple[Line, bool]] = {}
+        self._title = ""
 
     @property
     def line_count(self) -> int:
@@ -68,8 +67,7 @@ class LiveLines(ScrollView):
             if cursor != was_cursor:
                 self.refresh(Region(0, y, width, 1))
             elif new != old:
-                start, end = changed_columns(old, new, width)
-                self.refresh(Region(start, y, end - start, 1))
+                self.refresh(Region(0, y, changed_width(old, new, width), 1))
 
     def _make(self, y: int) -> tuple[Line, bool]:
         index = self.index_at(y)
@@ -82,10 +80,16 @@ class LiveLines(ScrollView):
         made, cursor = self._drawn[y] = self._make(y)
         base = self.get_component_rich_style("line--cursor") if cursor else self.rich_style
         strip = Strip([Segment(text, self._style(look, base)) for text, look in made])
-        return strip.adjust_cell_length(self.size.width, base)
+        return strip.adjust_cell_length(self.size.width, base).simplify()
 
     def _style(self, look: str, base: Style) -> Style:
         return base + self.get_component_rich_style(look_class(look), partial=True) if look else base
+
+    def entitle(self, title: str) -> None:
+        """Set the title on the border; Textual would redraw the pane even for the same one."""
+        if title != self._title:
+            self._title = title
+            self.border_title = title
 
     def on_resize(self) -> None:
         """Lay everything out anew."""
@@ -94,32 +98,27 @@ class LiveLines(ScrollView):
         self.sync()
 
 
-def changed_columns(old: Line, new: Line, width: int) -> tuple[int, int]:
-    """The span of cells, start and end, outside of which two lines look the same.
+def changed_width(old: Line, new: Line, width: int) -> int:
+    """The cells from the left edge beyond which two lines look the same; Textual draws from a pane's left edge anyway.
 
     Args:
         old: what is on screen.
         new: what is to be there.
         width: of the pane.
     """
-    start = _common_cells(old, new)
-    if sum(cell_len(text) for text, _ in old) != sum(cell_len(text) for text, _ in new):
-        return start, width
-    return start, max(start + 1, width_of(new) - _common_cells(old[::-1], new[::-1]))
+    cells = width_of(new)
+    if width_of(old) != cells:
+        return width
+    for before, after in zip(reversed(old), reversed(new), strict=False):
+        if before != after:
+            break
+        cells -= cell_len(after[0])
+    return max(1, cells)
 
 
 def width_of(line: Line) -> int:
     """Cells of a line."""
     return sum(cell_len(text) for text, _ in line)
-
-
-def _common_cells(old: Sequence[tuple[str, str]], new: Sequence[tuple[str, str]]) -> int:
-    cells = 0
-    for before, after in zip(old, new, strict=False):
-        if before != after:
-            break
-        cells += cell_len(after[0])
-    return cells
 
 
 def fit(line: Line, width: int) -> Line:

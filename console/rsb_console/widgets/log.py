@@ -51,14 +51,14 @@ class LogPane(CursorLines):
         """Filter anew."""
         self._shown = {str(event.number): event for event in reversed(self.events) if self._wanted(event)}
         self.show_keys(list(self._shown))
-        self.border_title = self._title()
+        self.entitle(self._heading())
 
     def _wanted(self, event: Event) -> bool:
         if SEVERITY[event.level] < SEVERITY[self.level]:
             return False
         return self.pattern is None or self.pattern.matches(plain(event))
 
-    def _title(self) -> str:
+    def _heading(self) -> str:
         parts = ["Log"]
         if self.level is not Level.DEBUG:
             parts.append(f"{WORD[self.level]}+")
@@ -104,7 +104,7 @@ class LogPane(CursorLines):
             (f" {formats.time_of_day(event.time)} ", "dim"),
             (f"{WORD[event.level]:<6}", look),
             (f"{event.source:<7}", "dim"),
-            (event.text, look),
+            (event.text, "dim" if event.level is Level.DEBUG else ""),
         )
 
 

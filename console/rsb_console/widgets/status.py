@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.snapshot import LinkSnapshot, Snapshot
 
-HISTORY = 8  # s
+HISTORY = 6  # s
 ROOMY = 100  # cells from which on there is room for small charts
 
 
@@ -62,8 +62,10 @@ class StatusBar(LiveLines):
         """One of them."""
         width = self.size.width
         if index == 0:
-            brand = ((" rsb-console ", "strong"),) if width >= ROOMY else ()
-            return _spread((*brand, *self._identity), self._view, width)
+            roomy = width >= ROOMY
+            return _spread(
+                self._identity if roomy else self._identity[2:], self._view if roomy else self._view[-1:], width
+            )
         return fit(tuple(piece for piece in self._totals if width >= ROOMY or piece[1] != "plot"), width)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -81,28 +83,30 @@ class StatusBar(LiveLines):
         pieces: list[tuple[str, str]] = [(f" {len(snapshot.routes)} topics", "strong")]
         pieces += [
             (f"  {STATE_SIGN[state]} {counts[state]} {STATE_WORD[state].lower()}", state.value)
-            for state in reversed(State)
+            for state in State
             if counts[state]
         ]
+        drops = sum(route.ledger.dropped_total for route in snapshot.routes)
+        pieces += [(" │ ", "dim"), (f"drops {formats.thousands(drops)}", "stale" if drops else "")]
+        rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
+        if rtts:
+            pieces += [(" │ ", "dim"), (f"rtt {formats.span(max(rtts))}", "")]
         for name, history in (("RX", self._received), ("TX", self._sent)):
             if history:
                 pieces += [
                     (" │ ", "dim"),
-                    (f"{name} {formats.byte_rate(history[-1]):>9} ", ""),
+                    (f"{name} {formats.byte_rate(history[-1]):>8} ", ""),
                     (sparkline(list(history), HISTORY), "plot"),
                 ]
-        rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
-        if rtts:
-            pieces += [(" │ ", "dim"), (f"rtt {formats.span(max(rtts))}", "")]
-        drops = sum(route.ledger.dropped_total for route in snapshot.routes)
-        pieces += [(" │ ", "dim"), (f"drops {formats.thousands(drops)}", "stale" if drops else "")]
         return tuple(pieces)
 
 
 def _identity(snapshot: Snapshot, view: View) -> Line:
     pieces = [
-        (f" {snapshot.role} ", "dim"),
-        (snapshot.name, "strong"),
+        (" rsb-console", "strong"),
+        (f"  {snapshot.role}", "dim"),
+        (f" {snapshot.name}", "strong"),
+        *_warnings(snapshot),
         (f" ⇄ {snapshot.address}", ""),
     ]
     if view.note:
@@ -114,17 +118,19 @@ def _identity(snapshot: Snapshot, view: View) -> Line:
 
 
 def link_words(snapshot: Snapshot) -> list[tuple[str, str]]:
-    """The state of the link, or how many of a server's are linked, and whether they are encrypted."""
+    """The state of the link, or how many of a server's are linked, and that they are encrypted."""
     if not snapshot.running:
         return [("   ✗ STOPPED", "down")]
     if not snapshot.links:
         return [("   ◌ no client yet", "waiting")]
-    pieces = [_links_state(snapshot.links, snapshot.time)]
+    return [_links_state(snapshot.links, snapshot.time), ("  encrypted ✓", "dim")][: 1 if _warnings(snapshot) else 2]
+
+
+def _warnings(snapshot: Snapshot) -> list[tuple[str, str]]:
+    """What must be seen however narrow the screen is."""
     if all(link.encrypted for link in snapshot.links):
-        pieces.append(("  encrypted ✓", "dim"))
-    else:
-        pieces += [("  ", ""), (" NOT ENCRYPTED ", "alarm")]
-    return pieces
+        return []
+    return [(" ", ""), (" NOT ENCRYPTED ", "alarm")]
 
 
 def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:

@@ -129,7 +129,9 @@ class TopicsTable(CursorLines):
     def _wanted(self, route: RouteSnapshot) -> bool:
         if self.faults_only and route.state not in FAULTS:
             return False
-        return self.pattern is None or self.pattern.matches(f"{route.topic} {route.link} {route.type_name}")
+        return self.pattern is None or self.pattern.matches(
+            f"{route.topic} {route.link}" if self._peers else route.topic
+        )
 
     @property
     def selected(self) -> RouteSnapshot | None:
