@@ -1,0 +1,101 @@
+"""The kernel's own Bluetooth: its adapters, RFCOMM sockets, and why there are none."""
+
+from __future__ import annotations
+
+import array
+import errno
+import fcntl
+import socket
+import struct
+from dataclasses import dataclass
+
+ANY_ADAPTER = "00:00:00:00:00:00"
+"""Binds a channel on all adapters (``BDADDR_ANY``)."""
+
+CHANNELS = range(1, 31)
+"""RFCOMM server channels (Bluetooth Core, RFCOMM 5.4). The kernel binds others without an error; they don't work."""
+
+# linux/include/net/bluetooth/{bluetooth,hci,hci_sock}.h. Numbers: a Python without AF_BLUETOOTH can list adapters too.
+_AF_BLUETOOTH = 31
+_BTPROTO_HCI = 1
+_HCIGETDEVINFO = 0x800448D3
+_HCI_MAX_DEV = 16
+_HCI_UP = 1
+_DEVICE_INFO = struct.Struct("H8s6sI72x")  # number, name, address, flags, and what we don't use
+
+_REASONS = {
+    errno.EAFNOSUPPORT: "no Bluetooth in this kernel, or hidden by a container: modprobe bluetooth; "
+    "in a container, use the host's network (--network host)",
+    errno.EPROTONOSUPPORT: "this kernel's Bluetooth lacks RFCOMM: modprobe rfcomm",
+    errno.EPERM: "Bluetooth sockets are forbidden here: by a container's seccomp profile, or the unit's "
+    "RestrictAddressFamilies (add AF_BLUETOOTH)",
+    errno.EACCES: "Bluetooth sockets are forbidden here by a security module: see the kernel's log (dmesg) for which",
+}
+
+
+class NoBluetoothError(Exception):
+    """Bluetooth sockets can't be opened; the message says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """One Bluetooth adapter of this machine.
+
+    Attributes:
+        name: the kernel's, ``hci0``.
+        address: its MAC: what a server's session gives as `server_ip`.
+        powered: whether it is on.
+        alias: what others see it as; empty where BlueZ was not asked.
+    """
+
+    name: str
+    address: str
+    powered: bool
+    alias: str = ""
+
+
+def adapters() -> list[Adapter]:
+    """The kernel's adapters, by number.
+
+    Raises:
+        NoBluetoothError: it has no Bluetooth, or we may not ask.
+    """
+    found = []
+    with _open(_AF_BLUETOOTH, socket.SOCK_RAW, _BTPROTO_HCI) as sock:
+        for number in range(_HCI_MAX_DEV):
+            info = array.array("B", struct.pack("H", number) + bytes(_DEVICE_INFO.size - 2))
+            try:
+                fcntl.ioctl(sock, _HCIGETDEVINFO, info)
+            except OSError as error:
+                if error.errno == errno.ENODEV:
+                    continue
+                raise NoBluetoothError(_words(error)) from None
+            _, name, address, flags = _DEVICE_INFO.unpack(info)
+            mac = ":".join(f"{byte:02X}" for byte in reversed(address))
+            found.append(Adapter(name.rstrip(b"\0").decode(), mac, bool(flags & _HCI_UP)))
+    return found
+
+
+def rfcomm_socket() -> socket.socket:
+    """A new RFCOMM stream socket.
+
+    Raises:
+        NoBluetoothError: this Python or this machine has none.
+    """
+    if not hasattr(socket, "AF_BLUETOOTH"):
+        raise NoBluetoothError(
+            "this Python was built without Bluetooth sockets (socket.AF_BLUETOOTH): "
+            "use the distribution's own (/usr/bin/python3), or build with libbluetooth-dev installed"
+        )
+    return _open(socket.AF_BLUETOOTH, socket.SOCK_STREAM, socket.BTPROTO_RFCOMM)
+
+
+def _open(family: int, kind: int, protocol: int) -> socket.socket:
+    try:
+        return socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise NoBluetoothError(_words(error)) from None
+
+
+def _words(error: OSError) -> str:
+    return _REASONS.get(error.errno or 0, f"no Bluetooth: {error.strerror}")

@@ -1,0 +1,69 @@
+"""``rsb-console bt-scan``: adapters, channels and devices, for people or as JSON."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from rsb_bridge.bluetooth import ANY_ADAPTER, CHANNELS, Scan, Use, scan
+from rsb_console.shell import FAILURE, OK, complain, say
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+
+def run_bt_scan(adapter: str | None, as_json: bool) -> int:
+    """Scan once and print; problems go to standard error, or are part of the JSON.
+
+    Args:
+        adapter: only this one, by name or address; None: all.
+        as_json: print one JSON object with the fields of `Scan`.
+
+    Returns:
+        0; 1 where no session could use Bluetooth as it is.
+    """
+    found = asyncio.run(scan(adapter))
+    if as_json:
+        say(json.dumps(asdict(found), indent=2))
+    else:
+        for line in _lines(found):
+            say(line)
+        for problem in found.problems:
+            complain(problem)
+    return OK if found.usable else FAILURE
+
+
+def _lines(found: Scan) -> Iterator[str]:
+    for adapter in found.adapters:
+        yield "  ".join(
+            filter(None, (adapter.name, adapter.address, "on" if adapter.powered else "off", adapter.alias))
+        )
+        yield from _channels(found, adapter.address)
+    if found.channels:
+        yield f"any   {ANY_ADAPTER}"
+        yield from _channels(found, ANY_ADAPTER)
+        free = [number for number in CHANNELS if all(use[number] is Use.FREE for use in found.channels.values())]
+        yield f"channels to choose from: {_ranges(free)}"
+    for device in found.devices:
+        states = ", ".join(word for word in ("paired", "connected") if getattr(device, word))
+        yield f"{device.address}  {device.name}  {states} ({device.adapter})"
+
+
+def _channels(found: Scan, address: str) -> Iterator[str]:
+    use = found.channels.get(address, {})
+    busy = [number for number in use if use[number] is Use.BUSY]
+    if use:
+        yield f"      busy: {_ranges(busy)}"
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Numbers as ``1-4, 7``; none as ``none``."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs) or "none"
