@@ -6,6 +6,7 @@ A caller reads a socket and gives what came to `receive_data`, acts on the event
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -63,8 +64,10 @@ class _Phase(Enum):
     OVER = auto()
 
 
-class _Stream:
+class _Stream(ABC):
     """What every end of a stream shares: the opening frames, and how it goes wrong."""
+
+    _is_server = False
 
     def __init__(self) -> None:
         self._phase = _Phase.OPENING
@@ -102,20 +105,17 @@ class _Stream:
         self._inbox += data
         while self._is(_Phase.OPENING) and (frame := take_frame(self._inbox)) is not None:
             self._on_opening(*parse_opening(frame), frame)
-        if self._is(_Phase.SEALED):
-            self._on_sealed(self.leftover())
 
     def _is(self, phase: _Phase) -> bool:
         return self._phase is phase
 
+    @abstractmethod
     def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
-        raise NotImplementedError
-
-    def _on_sealed(self, data: Buffer) -> None:
-        raise NotImplementedError
+        """Act on one opening frame, whole in `frame`."""
 
     def _refuse(self, code: RefusalCode, words: str) -> None:
-        """Tell the peer; only a server has a frame for it."""
+        if self._is_server:  # a client has no frame for it
+            self._outbox += pack_frame(refuse_frame(code, words))
 
     def _refused_by_peer(self, body: bytes) -> None:
         code, words = parse_refuse(body)
@@ -163,9 +163,14 @@ class _Control(_Stream):
             raise RuntimeError("nothing can be sent before the connection is established")
         self._outbox += pack_frame(_CONTROL_HEADER, self._sealer.seal(content, _CONTROL_HEADER))
 
-    def _on_sealed(self, data: Buffer) -> None:
+    def _take_in(self, data: Buffer) -> None:
+        super()._take_in(data)
+        if self._is(_Phase.SEALED):
+            self._open_frames()
+
+    def _open_frames(self) -> None:
         assert self._opener is not None
-        for frame in self._frames.feed(data):
+        for frame in self._frames.feed(self.leftover()):
             header = frame[: HEADER.size]
             if header == _CONTROL_HEADER:
                 self._on_control(self._opener.open(frame[HEADER.size :], header))
@@ -232,6 +237,8 @@ class ClientConnection(_Control):
 class ServerConnection(_Control):
     """The server's end of any stream that comes in: a control connection, or a data stream to be attached."""
 
+    _is_server = True
+
     def __init__(
         self,
         identity: Callable[[str], Credential],
@@ -261,7 +268,7 @@ class ServerConnection(_Control):
         return self.data_to_send()
 
     def refuse(self, code: RefusalCode, words: str) -> bytes:
-        """Turn the stream away: the bytes to write before closing it."""
+        """Turn a stream that would attach away: the bytes to write before closing it."""
         self._phase = _Phase.OVER
         self._refuse(code, words)
         return self.data_to_send()
@@ -322,9 +329,6 @@ class ServerConnection(_Control):
         else:
             self._events.append(self._unconfirmed)
             self._unconfirmed = None
-
-    def _refuse(self, code: RefusalCode, words: str) -> None:
-        self._outbox += pack_frame(refuse_frame(code, words))
 
 
 class DataConnection(_Stream):

@@ -1,0 +1,221 @@
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.wire.datagram import (
+    FRAGMENTS_LIMIT,
+    PROBE_ROUTE,
+    DatagramReader,
+    DatagramWriter,
+    Header,
+    Probe,
+    parse_header,
+)
+from rsb_bridge.wire.framing import ZSTD, ProtocolError
+from rsb_bridge.wire.sealing import DatagramOpener, Sealer, Suite
+
+KEY = bytes(range(32))
+LINK = b"linklink"
+ROUTE = 7
+OVERHEAD = 38 + 16
+HEADER = struct.Struct(">BBHHI8sQIQ")
+SUITES = pytest.mark.parametrize("suite", list(Suite))
+
+
+def ends(suite=Suite.AESGCM, key=KEY, **limits):
+    plain = suite is Suite.PLAIN
+    return (
+        DatagramWriter(Sealer(suite, None if plain else KEY), LINK, ROUTE),
+        DatagramReader(DatagramOpener(suite, None if plain else key), ROUTE, **limits),
+    )
+
+
+class Peer:
+    """A peer that holds the key and says what it likes."""
+
+    def __init__(self):
+        self.sealer = Sealer(Suite.AESGCM, KEY)
+
+    def datagram(self, content=b"x", *, magic=0xB5, flags=0, index=0, count=1, route=ROUTE, number=1):
+        header = HEADER.pack(magic, flags, index, count, route, LINK, self.sealer.sequence, number, 0)
+        return header + self.sealer.seal(content, header)
+
+
+def test_a_datagram_is_as_the_document_says():
+    writer, _ = ends()
+    writer.number = 4
+    first, second = writer.write(b"abc", 1234, ZSTD, OVERHEAD + 2)
+    assert first[:38] == bytes((0xB5, 1)) + struct.pack(">HHI", 0, 2, ROUTE) + LINK + struct.pack(">QIQ", 0, 5, 1234)
+    assert second[:38] == bytes((0xB5, 1)) + struct.pack(">HHI", 1, 2, ROUTE) + LINK + struct.pack(">QIQ", 1, 5, 1234)
+    sealer = Sealer(Suite.AESGCM, KEY)
+    assert first[38:] == sealer.seal(b"ab", first[:38])
+    assert second[38:] == sealer.seal(b"c", second[:38])
+    assert parse_header(second) == Header(ZSTD, 1, 2, ROUTE, LINK, 1, 5, 1234)
+
+
+@SUITES
+@given(
+    data=st.data(),
+    sent=st.lists(
+        st.tuples(st.binary(max_size=300), st.integers(0, 2**64 - 1), st.sampled_from([0, ZSTD])), max_size=6
+    ),
+    room=st.integers(2, 120),  # so that disorder stays within the replay window
+)
+def test_messages_come_whole_and_once_in_whatever_order(suite, data, sent, room):
+    writer, reader = ends(suite)
+    size = 38 + suite.tag_length + room
+    datagrams = [datagram for message in sent for datagram in writer.write(*message, size)]
+    assert all(len(datagram) <= size for datagram in datagrams)
+    shuffled = data.draw(st.permutations(datagrams))
+    repeated = data.draw(st.lists(st.sampled_from(shuffled), max_size=5)) if shuffled else []
+    out = [message for datagram in shuffled + repeated if (message := reader.receive(datagram, 0.0)) is not None]
+    assert sorted(out) == sorted(sent)
+    assert (reader.received, reader.newest, reader.lost, reader.pending) == (len(sent), len(sent), 0, 0)
+    assert (reader.authentic, reader.rejected) == (len(datagrams), len(repeated))
+    assert not repeated or "replayed" in reader.problem
+
+
+@given(data=st.data(), sizes=st.lists(st.integers(0, 60), min_size=1, max_size=12))
+def test_every_message_is_accounted_for_whatever_is_lost(data, sizes):
+    writer, reader = ends()
+    datagrams = [datagram for size in sizes for datagram in writer.write(bytes(size), 0, 0, OVERHEAD + 10)]
+    arriving = data.draw(st.lists(st.sampled_from(range(len(datagrams))), unique=True))
+    for at in arriving:
+        reader.receive(datagrams[at], data.draw(st.sampled_from([0.0, 1.0])))
+        if data.draw(st.booleans()):
+            reader.expire(1.5)
+        assert reader.newest == reader.received + reader.expired + reader.pending + reader.lost
+    reader.expire(10.0)
+    assert reader.pending == 0
+    assert reader._cost == 0
+
+
+def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again():
+    writer, reader = ends()
+    old, new = (writer.write(bytes(20), 0, 0, OVERHEAD + 10) for _ in range(2))
+    assert reader.receive(old[0], 10.0) is None
+    assert reader.receive(new[0], 10.5) is None
+    reader.expire(11.0)
+    assert (reader.pending, reader.expired) == (2, 0)
+    reader.expire(11.1)
+    assert (reader.pending, reader.expired) == (1, 1)
+    assert reader.receive(old[1], 11.2) is None
+    assert (reader.pending, reader.expired, reader.rejected) == (1, 1, 0)
+    assert reader.receive(new[1], 11.3) == (bytes(20), 0, 0)
+    reader.expire(99.0)
+    assert (reader.pending, reader.expired, reader.received, reader.lost) == (0, 1, 1, 0)
+
+
+def test_what_is_kept_is_bounded_and_the_oldest_gives_way():
+    writer, reader = ends(max_bytes=3 * 1200)
+    messages = [writer.write(bytes(2000), 0, 0, OVERHEAD + 1000) for _ in range(4)]
+    for fragments in messages:
+        assert reader.receive(fragments[0], 0.0) is None
+    assert (reader.pending, reader.expired) == (3, 1)
+    assert reader.receive(messages[0][1], 0.0) is None
+    assert reader.receive(messages[1][1], 0.0) == (bytes(2000), 0, 0)
+
+
+def test_tiny_fragments_cost_what_they_take():
+    peer, (_, reader) = Peer(), ends(max_bytes=10_000)
+    for number in range(1, 200):
+        assert reader.receive(peer.datagram(b"", index=0, count=2, number=number), 0.0) is None
+    assert reader.pending == 50
+    assert reader.expired == 149
+
+
+def test_a_message_too_long_is_given_up():
+    writer, reader = ends(max_message=25)
+    assert reader.receive(writer.write(bytes(25), 0, 0, OVERHEAD + 10)[0], 0.0) is None
+    for datagram in writer.write(bytes(26), 0, 0, OVERHEAD + 10):
+        assert reader.receive(datagram, 0.0) is None
+    assert (reader.expired, reader.rejected) == (1, 1)
+    assert "too many" in reader.problem
+
+
+@pytest.mark.parametrize("second", [{"index": 1, "count": 3}, {"index": 0, "count": 2}])
+def test_fragments_that_do_not_go_together_are_refused_in_words(second):
+    peer, (_, reader) = Peer(), ends()
+    assert reader.receive(peer.datagram(index=0, count=2), 0.0) is None
+    assert reader.receive(peer.datagram(**second), 0.0) is None
+    assert (reader.pending, reader.expired, reader.rejected) == (0, 1, 1)
+    assert "do not go together" in reader.problem
+
+
+@pytest.mark.parametrize(
+    "fields", [{"magic": 0xB6}, {"flags": 2}, {"index": 1}, {"index": 0, "count": 0}, {"route": 9}]
+)
+def test_a_datagram_that_has_no_place_is_refused_in_words(fields):
+    peer, (_, reader) = Peer(), ends()
+    assert reader.receive(peer.datagram(**fields), 0.0) is None
+    assert (reader.authentic, reader.rejected) == (0, 1)
+    assert "has no place on route 7" in reader.problem
+
+
+@SUITES
+@given(garbage=st.binary(max_size=100))
+def test_garbage_is_refused_in_words(suite, garbage):
+    _, reader = ends(suite)
+    for datagram in (garbage, b"\xb5" + garbage, HEADER.pack(0xB5, 0, 0, 1, ROUTE, LINK, 0, 1, 0) + garbage):
+        before = reader.rejected
+        assert reader.receive(datagram, 0.0) is None
+        assert reader.rejected == before + 1
+        assert reader.problem
+    assert (reader.newest, reader.authentic) == (0, 0)
+
+
+def test_only_our_own_datagrams_have_a_header():
+    datagram = Peer().datagram()
+    assert parse_header(datagram) == Header(0, 0, 1, ROUTE, LINK, 0, 1, 0)
+    assert parse_header(datagram[:37]) is None
+    assert parse_header(b"\xb6" + datagram[1:]) is None
+    assert parse_header(b"") is None
+
+
+def test_another_key_or_another_link_does_not_open():
+    writer, _ = ends()
+    (datagram,) = writer.write(b"x", 0, 0, 1400)
+    _, stranger = ends(key=bytes(32))
+    assert stranger.receive(datagram, 0.0) is None
+    _, reader = ends()
+    assert reader.receive(datagram.replace(LINK, b"LINKlink"), 0.0) is None
+    for end in (stranger, reader):
+        assert (end.rejected, end.authentic) == (1, 0)
+        assert "damaged or forged" in end.problem
+
+
+def test_message_numbers_are_counted_on_past_their_wrap():
+    writer, reader = ends()
+    writer.number = reader.newest = 2**32 - 2
+    datagrams = [writer.write(bytes(20), n, 0, OVERHEAD + 10) for n in range(4)]
+    for fragment in (1, 0):
+        for n in (2, 0, 3, 1):
+            reader.receive(datagrams[n][fragment], 0.0)
+    assert (reader.received, reader.newest) == (4, 2**32 + 2)
+
+
+def test_a_message_of_too_many_datagrams_is_refused_and_nothing_is_spent():
+    writer, reader = ends()
+    assert len(writer.write(bytes(FRAGMENTS_LIMIT), 0, 0, OVERHEAD + 1)) == FRAGMENTS_LIMIT
+    with pytest.raises(ValueError, match="use tcp"):
+        writer.write(bytes(FRAGMENTS_LIMIT + 1), 0, 0, OVERHEAD + 1)
+    assert writer.number == 1
+    assert reader.receive(writer.write(b"next", 0, 0, 1400)[0], 0.0) == (b"next", 0, 0)
+
+
+@given(st.booleans(), st.integers(0, 2**64 - 1))
+def test_probes_travel_on_their_own_route(pong, opaque):
+    probe = Probe(pong, opaque)
+    writer = DatagramWriter(Sealer(Suite.AESGCM, KEY), LINK, PROBE_ROUTE)
+    (datagram,) = writer.write(probe.pack(), 0, 0, 1400)
+    assert parse_header(datagram).route == PROBE_ROUTE
+    payload, _, _ = DatagramReader(DatagramOpener(Suite.AESGCM, KEY), PROBE_ROUTE).receive(datagram, 0.0)
+    assert Probe.unpack(payload) == probe
+
+
+@given(st.binary(max_size=20).filter(lambda payload: len(payload) != 9))
+def test_what_is_no_probe_is_refused_in_words(payload):
+    with pytest.raises(ProtocolError, match=f"a probe of {len(payload)} bytes"):
+        Probe.unpack(payload)

@@ -1,0 +1,54 @@
+"""PROTOCOL.md's tables against the code: the document is what is implemented."""
+
+import re
+import typing
+from pathlib import Path
+
+import msgspec
+import pytest
+
+import rsb_bridge
+from rsb_bridge.qos import Qos
+from rsb_bridge.wire import messages, opening
+
+DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
+STRUCTS = {
+    "Hello": messages.Hello,
+    "Welcome": messages.Welcome,
+    "SentReport": messages.SentReport,
+    "ReceivedReport": messages.ReceivedReport,
+    "TopicEntry": messages.TopicEntry,
+    "qos": Qos,
+} | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
+
+
+def documented_fields() -> dict[str, set[str]]:
+    """Section 3's tables: the first column names a message where it isn't empty, the second its fields."""
+    fields: dict[str, set[str]] = {}
+    name = ""
+    for row in re.findall(r"^\|(.*)\|$", DOCUMENT.split("## 3.")[1], re.MULTILINE):
+        first, second, *_ = (cell.strip() for cell in row.split("|"))
+        if first in ("message", "map") or first.startswith("---"):
+            continue
+        name = first or name
+        fields.setdefault(name, set()).update(re.split(", *", second))
+    return fields
+
+
+def test_every_message_is_documented_and_no_other():
+    assert documented_fields().keys() == STRUCTS.keys()
+
+
+@pytest.mark.parametrize("name", STRUCTS)
+def test_every_field_is_documented_and_no_other(name):
+    assert documented_fields()[name] == {field.name for field in msgspec.structs.fields(STRUCTS[name])}
+
+
+@pytest.mark.parametrize("kind", list(opening.Kind))
+def test_every_opening_frame_is_documented(kind):
+    assert re.search(rf"^\| {kind.value} {kind.name} \| (client|server) \|", DOCUMENT, re.MULTILINE)
+
+
+@pytest.mark.parametrize("code", list(opening.RefusalCode))
+def test_every_refusal_code_is_documented(code):
+    assert f"| {code.value} | {code.name.replace('_', ' ').lower()} |" in DOCUMENT

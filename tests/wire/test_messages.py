@@ -1,0 +1,172 @@
+import math
+import typing
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.messages import (
+    Accept,
+    Close,
+    ControlMessage,
+    Describe,
+    Hello,
+    ListTopics,
+    Pause,
+    Ping,
+    Pong,
+    Propose,
+    Ready,
+    ReceivedReport,
+    Refuse,
+    Report,
+    SentReport,
+    Shutdown,
+    TopicEntry,
+    TopicList,
+    Welcome,
+    decode,
+    decode_hello,
+    decode_welcome,
+    encode,
+)
+
+PROPOSE = Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
+EXAMPLES = [
+    PROPOSE,
+    Propose(
+        route=2**32 - 1,
+        topic="/map",
+        remote_topic="/map",
+        from_client=False,
+        type="nav_msgs/msg/OccupancyGrid",
+        transport="bluetooth",
+        port=30,
+        qos=PROFILES["latched"],
+        compression="zstd",
+        max_rate=5.0,
+        expected_rate=4.5,
+        stale_after=15.0,
+        paused=True,
+    ),
+    Accept(route=1, topic="/robot1/scan", type="sensor_msgs/msg/LaserScan", type_hash="RIHS01_00"),
+    Refuse(route=1, code="type_differs", reason="the type's hash differs"),
+    Describe(route=1, type="sensor_msgs/msg/LaserScan", type_hash="RIHS01_00", qos=Qos(deadline=0.5, lifespan=2.0)),
+    Ready(route=1),
+    Close(route=1, reason="removed", removed=True),
+    Pause(route=1, paused=True),
+    Ping(n=1, sent=2**62),
+    Pong(n=1, sent=2, received=3, answered=4),
+    Report(
+        sent=(SentReport(route=1, offered=9, delivered=7, dropped={"queue full": 2}, subscribed=True, problem="übel"),),
+        received=(ReceivedReport(route=2, received=3, newest=2**40, latency_p50=-0.001, jitter=0.0),),
+    ),
+    ListTopics(request=1),
+    TopicList(request=1, topics=(TopicEntry("/scan", "", "", None, 0, 1), TopicEntry("/a", "b", "c", Qos(), 1, 0))),
+    Shutdown(reason="stopped"),
+]
+HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
+WELCOME = Welcome(version="0.1.0", name="pc", link_id=b"linklink", instance="def", domain_id=0, features=("x",))
+
+
+def test_there_is_an_example_of_every_message():
+    assert {type(example) for example in EXAMPLES} == set(typing.get_args(ControlMessage))
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda message: type(message).__name__)
+def test_a_message_reads_as_it_was_written(message):
+    data = encode(message)
+    assert decode(data) == message
+    assert msgspec.msgpack.decode(data)["message"] == type(message).__name__.lower()
+
+
+def test_the_handshake_s_messages_read_as_they_were_written():
+    assert decode_hello(encode(HELLO)) == HELLO
+    assert decode_welcome(encode(WELCOME)) == WELCOME
+
+
+@given(reason=st.text(), route=st.integers(1, 2**32 - 1))
+def test_any_text_crosses(reason, route):
+    message = Close(route=route, reason=reason)
+    assert decode(encode(message)) == message
+
+
+def test_unknown_fields_are_ignored_and_missing_ones_have_their_defaults():
+    fields = {"message": "propose", "route": 1, "topic": "/scan", "remote_topic": "/robot1/scan", "from_client": True}
+    assert decode(msgspec.msgpack.encode(fields | {"later": [1, {"a": None}]})) == PROPOSE
+
+
+@pytest.mark.parametrize("example", [*EXAMPLES, HELLO, WELCOME], ids=lambda message: type(message).__name__)
+@given(data=st.data())
+def test_a_damaged_message_reads_or_gives_words(example, data):
+    damaged = bytearray(encode(example))
+    for _ in range(data.draw(st.integers(1, 3))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    del damaged[data.draw(st.integers(0, len(damaged))) :]
+    try:
+        message = decode(bytes(damaged))
+    except ProtocolError:
+        return
+    assert isinstance(message, typing.get_args(ControlMessage))
+
+
+@given(st.binary())
+def test_garbage_gives_words(garbage):
+    for read in (decode, decode_hello, decode_welcome):
+        with pytest.raises(ProtocolError, match="does not read"):
+            read(garbage)
+
+
+def test_nesting_without_end_gives_words():
+    nested = msgspec.msgpack.encode({"message": "ready", "route": 1, "x": 0})[:-1] + b"\x91" * 100_000
+    with pytest.raises(ProtocolError, match="recursion"):
+        decode(nested)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"message": "ready", "route": 0},
+        {"message": "ready", "route": 2**32},
+        {"message": "ping", "n": -1, "sent": 0},
+        {"message": "ping", "n": 2**63, "sent": 0},
+        {"message": "hello"},
+        {"message": "refuse", "route": 1, "code": "whim", "reason": ""},
+        {"message": "report", "sent": [{"route": 1, "dropped": {"a": -1}}], "received": []},
+        {"message": "report", "sent": [], "received": [{"route": 1, "jitter": math.nan}]},
+    ],
+)
+def test_a_field_out_of_its_range_gives_words(fields):
+    with pytest.raises(ProtocolError, match="does not read"):
+        decode(msgspec.msgpack.encode(fields))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"port": 65536},
+        {"max_rate": math.nan},
+        {"max_rate": math.inf},
+        {"stale_after": -1.0},
+        {"transport": "ip"},
+        {"qos": {"depth": -1}},
+        {"qos": {"depth": 2**31}},
+        {"qos": {"deadline": math.nan}},
+        {"qos": {"lifespan": 1e9}},
+        {"qos": {"surprise": 1}},
+    ],
+)
+def test_a_proposal_out_of_its_range_gives_words(change):
+    with pytest.raises(ProtocolError, match="does not read"):
+        decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | change))
+
+
+def test_a_link_id_has_eight_bytes():
+    for link_id in (b"", bytes(7), bytes(9)):
+        with pytest.raises(ProtocolError, match="link_id"):
+            decode_welcome(
+                msgspec.msgpack.encode(msgspec.to_builtins(WELCOME, builtin_types=(bytes,)) | {"link_id": link_id})
+            )

@@ -1,0 +1,240 @@
+import hmac
+import struct
+import zlib
+
+import pytest
+from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.wire.sealing import (
+    EPOCH_BITS,
+    EPOCHS_AHEAD,
+    DatagramOpener,
+    Sealer,
+    SealError,
+    SessionKeys,
+    StreamOpener,
+    Suite,
+)
+
+KEY = bytes(range(32))
+EPOCH = 1 << EPOCH_BITS
+SUITES = pytest.mark.parametrize("suite", list(Suite))
+ENCRYPTED = pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
+
+
+def key_for(suite):
+    return None if suite is Suite.PLAIN else KEY
+
+
+def sealed_at(suite, sequence, content=b"content", associated=b"header"):
+    sealer = Sealer(suite, key_for(suite))
+    sealer.sequence = sequence
+    return sealer.seal(content, associated)
+
+
+def by_the_book(suite, key, sequence, content, associated):
+    """PROTOCOL.md 1.4, written out again."""
+    if suite is Suite.AESGCM:
+        return AESGCM(key).encrypt(bytes(4) + struct.pack(">Q", sequence), content, associated)
+    if suite is Suite.CHACHAPOLY:
+        return ChaCha20Poly1305(key).encrypt(bytes(4) + struct.pack("<Q", sequence), content, associated)
+    return content + struct.pack(">I", zlib.crc32(struct.pack(">Q", sequence) + associated + content))
+
+
+@SUITES
+@given(messages=st.lists(st.tuples(st.binary(), st.binary()), max_size=5))
+def test_what_is_sealed_opens_in_order(suite, messages):
+    sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
+    for n, (content, associated) in enumerate(messages):
+        sealed = sealer.seal(content, associated)
+        assert sealed == by_the_book(suite, KEY, n, content, associated)
+        assert len(sealed) == len(content) + suite.tag_length
+        assert opener.open(memoryview(sealed), memoryview(associated)) == content
+    assert sealer.sequence == opener.sequence == len(messages)
+
+
+@SUITES
+def test_every_byte_counts(suite):
+    sealed = Sealer(suite, key_for(suite)).seal(b"content", b"header")
+    for at in range(len(sealed)):
+        damaged = bytearray(sealed)
+        damaged[at] ^= 0x10
+        with pytest.raises(SealError, match="damaged or forged"):
+            StreamOpener(suite, key_for(suite)).open(damaged, b"header")
+    with pytest.raises(SealError):
+        StreamOpener(suite, key_for(suite)).open(sealed, b"Header")
+
+
+@SUITES
+@given(garbage=st.binary(max_size=64))
+def test_garbage_does_not_open(suite, garbage):
+    with pytest.raises(SealError):
+        StreamOpener(suite, key_for(suite)).open(garbage, b"header")
+
+
+@SUITES
+def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite):
+    sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
+    first, second = sealer.seal(b"1", b""), sealer.seal(b"2", b"")
+    with pytest.raises(SealError):
+        opener.open(second, b"")
+    assert opener.open(first, b"") == b"1"
+    with pytest.raises(SealError):
+        opener.open(first, b"")
+    assert opener.open(second, b"") == b"2"
+
+
+@pytest.mark.parametrize("key", [None, b"", KEY[1:]])
+@ENCRYPTED
+def test_a_cipher_takes_a_whole_key(suite, key):
+    with pytest.raises(ValueError, match="32 bytes"):
+        Sealer(suite, key)
+
+
+def rekeyed(suite, key):
+    """REKEY of the Noise specification, 4.2."""
+    return by_the_book(suite, key, 2**64 - 1, bytes(32), b"")[:32]
+
+
+@SUITES
+def test_each_epoch_has_the_key_that_rekey_gives(suite):
+    keys = [KEY]
+    while len(keys) < 4:
+        keys.append(rekeyed(suite, keys[-1]))
+    sealer, stream = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
+    for epoch in range(3):
+        sealer.sequence = stream.sequence = (epoch + 1) * EPOCH - 1
+        for sequence in (sealer.sequence, sealer.sequence + 1):
+            sealed = sealer.seal(b"content", b"header")
+            assert sealed == by_the_book(suite, keys[sequence >> EPOCH_BITS], sequence, b"content", b"header")
+            assert stream.open(sealed, b"header") == b"content"
+
+
+@ENCRYPTED
+def test_the_keys_of_past_epochs_are_forgotten(suite):
+    opener = DatagramOpener(suite, KEY)
+    opener.open(0, sealed_at(suite, 0), b"header")
+    opener.open(5 * EPOCH, sealed_at(suite, 5 * EPOCH), b"header")
+    assert opener._epochs._first == 4
+    assert len(opener._epochs._ciphers) == 2
+    sealer = Sealer(suite, KEY)
+    sealer.sequence = 5 * EPOCH
+    sealer.seal(b"", b"")
+    assert len(sealer._epochs._ciphers) == 1
+
+
+@SUITES
+def test_datagrams_open_across_an_epoch_in_any_order(suite):
+    opener = DatagramOpener(suite, key_for(suite))
+    for sequence in (EPOCH - 3, EPOCH + 1, EPOCH - 1, EPOCH, EPOCH - 2, 3 * EPOCH, 3 * EPOCH - 1):
+        assert opener.open(sequence, sealed_at(suite, sequence), b"header") == b"content"
+
+
+@SUITES
+def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite):
+    opener = DatagramOpener(suite, key_for(suite))
+    with pytest.raises(SealError, match="too far ahead"):
+        opener.open((EPOCHS_AHEAD + 1) * EPOCH, b"", b"header")
+    with pytest.raises(SealError, match="too far ahead"):
+        opener.open(2**64 - 1, b"", b"header")
+    far = EPOCHS_AHEAD * EPOCH
+    assert opener.open(far, sealed_at(suite, far), b"header") == b"content"
+
+
+@SUITES
+def test_a_forged_datagram_moves_nothing(suite):
+    opener = DatagramOpener(suite, key_for(suite))
+    opener.open(7, sealed_at(suite, 7), b"header")
+    for sequence in (9, 2000, 3 * EPOCH, 6):
+        with pytest.raises(SealError, match="damaged or forged"):
+            opener.open(sequence, b"forged, and long enough", b"header")
+    for sequence in (6, 8, 9):
+        assert opener.open(sequence, sealed_at(suite, sequence), b"header") == b"content"
+
+
+@SUITES
+@given(
+    window=st.integers(1, 12),
+    arrivals=st.lists(st.integers(0, 30), max_size=60),
+    leap=st.sampled_from([0, EPOCH - 15, 5 * EPOCH]),
+)
+def test_each_sequence_opens_once_and_only_within_the_window(suite, window, arrivals, leap):
+    opener = DatagramOpener(suite, key_for(suite), window)
+    opened, newest = set(), None
+    for sequence in (leap + arrival for arrival in arrivals):
+        fresh = sequence not in opened and (newest is None or sequence > newest - window)
+        sealed = sealed_at(suite, sequence)
+        if fresh:
+            assert opener.open(sequence, sealed, b"header") == b"content"
+            opened.add(sequence)
+            newest = sequence if newest is None else max(newest, sequence)
+        else:
+            with pytest.raises(SealError, match="replayed"):
+                opener.open(sequence, sealed, b"header")
+
+
+def session_keys(suite=Suite.AESGCM, export=KEY):
+    return SessionKeys(suite, None if suite is Suite.PLAIN else export, b"linklink")
+
+
+def expand(label, route, direction):
+    """HKDF-Expand of RFC 5869 for one block: PROTOCOL.md 1.3, written out again."""
+    return hmac.digest(KEY, label + struct.pack(">IB", route, direction) + b"\x01", "sha256")
+
+
+@ENCRYPTED
+@pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
+def test_data_keys_are_those_of_the_document(suite, role, direction):
+    sealed = session_keys(suite).route_sealer(5, role).seal(b"content", b"header")
+    assert sealed == by_the_book(suite, expand(b"rsb data", 5, direction), 0, b"content", b"header")
+
+
+@ENCRYPTED
+def test_attach_proof_is_that_of_the_document(suite):
+    proof = session_keys(suite).attach_proof(b"header", 5)
+    assert proof == by_the_book(suite, expand(b"rsb attach", 5, 0), 0, b"", b"header")
+
+
+@SUITES
+def test_both_sides_derive_the_same_for_streams_and_datagrams(suite):
+    ours, theirs = session_keys(suite), session_keys(suite)
+    for route, role in ((1, "client"), (1, "server"), (2, "client")):
+        sealed = ours.route_sealer(route, role).seal(b"content", b"header")
+        assert theirs.stream_opener(route, role).open(sealed, b"header") == b"content"
+        assert theirs.datagram_opener(route, role).open(0, sealed, b"header") == b"content"
+
+
+@ENCRYPTED
+def test_no_other_route_direction_or_link_opens_it(suite):
+    sealed = session_keys(suite).route_sealer(1, "client").seal(b"content", b"header")
+    for keys, route, role in (
+        (session_keys(suite), 3, "client"),
+        (session_keys(suite), 1, "server"),
+        (session_keys(suite, bytes(32)), 1, "client"),
+    ):
+        with pytest.raises(SealError):
+            keys.stream_opener(route, role).open(sealed, b"header")
+
+
+def test_a_route_has_one_sealer_each_way():
+    keys = session_keys()
+    keys.route_sealer(1, "client")
+    keys.route_sealer(1, "server")
+    with pytest.raises(ValueError, match="route 1 has had its sealer"):
+        keys.route_sealer(1, "client")
+
+
+@SUITES
+def test_attach_proof_holds_for_its_header_and_route_only(suite):
+    keys = session_keys(suite)
+    proof = keys.attach_proof(b"header of 5", 5)
+    session_keys(suite).check_attach_proof(b"header of 5", 5, proof)
+    with pytest.raises(SealError):
+        keys.check_attach_proof(b"header of 7", 5, proof)
+    with pytest.raises(SealError):
+        keys.check_attach_proof(b"header of 5", 5, b"")
+    if suite is not Suite.PLAIN:
+        with pytest.raises(SealError):
+            keys.check_attach_proof(b"header of 5", 7, proof)
