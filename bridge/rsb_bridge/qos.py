@@ -68,7 +68,7 @@ def parse_qos(value: object) -> Qos | None:
     if isinstance(value, Qos):
         return value
     if isinstance(value, bool):
-        raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
+        raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")  # noqa: TRY004  one error for all mistakes
     if isinstance(value, int):
         if value < 1:
             raise ValueError(f"a depth is at least 1, not {value}")

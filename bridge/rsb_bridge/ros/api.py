@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from rsb_bridge.qos import Qos
+if TYPE_CHECKING:
+    from rsb_bridge.qos import Qos
 
 
 class RosError(Exception):
@@ -31,7 +32,7 @@ class Endpoint(NamedTuple):
     """A publisher or subscription that some node has on a topic.
 
     Attributes:
-        node: its node's full name, ``/namespace/name``.
+        node: its node's full name, ``/namespace/name``; empty for the moment in which only the endpoint is known.
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``, or empty where the middleware did not say.
         qos: its policies; the depth is not known to others and stands as 0.
@@ -48,7 +49,7 @@ class Subscription(Protocol):
 
     @property
     def lost(self) -> int:
-        """Messages DDS lost before we could take them: gaps in ``publication_sequence_number``, one publisher only."""
+        """Messages DDS lost before we could take them: gaps in each publisher's ``publication_sequence_number``."""
         ...
 
     def close(self) -> None:

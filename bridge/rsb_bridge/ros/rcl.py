@@ -29,6 +29,9 @@ _NO_ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs",
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
 _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
+_LAST_DOMAIN = 232  # past it Fast DDS, which has no ports left, ends the process
+_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
+_MOST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 _PUBLISHERS_REMEMBERED = 256
 
@@ -87,11 +90,13 @@ class Participant:
         Raises:
             RosError: the domain cannot be joined.
         """
+        if not 0 <= domain_id <= _LAST_DOMAIN:
+            raise RosError(f"ROS domain {domain_id} cannot be joined: domains are 0 to {_LAST_DOMAIN}")
         self._context = Context()
         try:
             self._context.init(_NO_ARGUMENTS, domain_id=domain_id)
             self._node = _rclpy.Node(node_name, "/", self._context.handle, [], False, False)
-        except (RuntimeError, ValueError) as error:
+        except RuntimeError as error:
             self._context.try_shutdown()
             raise RosError(f"ROS domain {domain_id} cannot be joined: {_reason(error)}") from error
         self._name = self._node.get_fully_qualified_name()
@@ -110,15 +115,15 @@ class Participant:
 
     def topics(self) -> dict[str, list[str]]:
         """Every topic, our own node's too, with its type names."""
-        return {name: list(types) for name, types in _rclpy.rclpy_get_topic_names_and_types(self._node, False)}
+        return {name: list(types) for name, types in self._ask(_rclpy.rclpy_get_topic_names_and_types)}
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers on a topic, our own left out."""
-        return self._others(_rclpy.rclpy_get_publishers_info_by_topic(self._node, topic, False))
+        return self._others(self._ask(_rclpy.rclpy_get_publishers_info_by_topic, topic))
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
         """The subscriptions on a topic, our own left out."""
-        return self._others(_rclpy.rclpy_get_subscriptions_info_by_topic(self._node, topic, False))
+        return self._others(self._ask(_rclpy.rclpy_get_subscriptions_info_by_topic, topic))
 
     def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
         """A raw subscription.
@@ -169,8 +174,20 @@ class Participant:
         message = message_class(type_name, type_hash)
         try:
             return kind(self._node, message, topic, _profile(qos).get_c_qos_profile())
-        except (RuntimeError, ValueError) as error:
+        except ValueError as error:
+            _reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
+            raise RosError(
+                f"{topic!r} is not a topic name: write parts of letters, digits and _ after one / each, "
+                "none beginning with a digit"
+            ) from error
+        except RuntimeError as error:
             raise RosError(f"{topic}: {_reason(error)}") from error
+
+    def _ask(self, question: Any, *arguments: str) -> Any:
+        try:
+            return question(self._node, *arguments, False)  # names as ROS has them, not DDS
+        except RuntimeError as error:
+            raise RosError(f"the ROS graph cannot be read: {_reason(error)}") from error
 
     def _others(self, infos: list[dict[str, Any]]) -> list[Endpoint]:
         return [end for info in infos if (end := _endpoint(info)).node != self._name]
@@ -267,14 +284,16 @@ class Writer:
     @property
     def matched(self) -> int:
         """How many subscriptions match it, our own node's too; 0 once closed."""
-        count: int = 0 if self._closed else self._handle.get_subscription_count()
+        try:
+            count: int = self._handle.get_subscription_count()
+        except RuntimeError:
+            return 0
         return count
 
     def close(self) -> None:
         """Free it. May be called twice."""
-        if not self._closed:
-            self._closed = True
-            self._handle.destroy_when_not_in_use()
+        self._closed = True
+        self._handle.destroy_when_not_in_use()
 
 
 def _profile(qos: Qos) -> QoSProfile:
@@ -282,16 +301,22 @@ def _profile(qos: Qos) -> QoSProfile:
         reliability=ReliabilityPolicy[qos.reliability.upper()],
         durability=DurabilityPolicy[qos.durability.upper()],
         history=HistoryPolicy[qos.history.upper()],
-        depth=qos.depth,
-        deadline=Duration(seconds=qos.deadline),
-        lifespan=Duration(seconds=qos.lifespan),
+        depth=min(max(qos.depth, 1), _MOST),
+        deadline=_duration(qos.deadline),
+        lifespan=_duration(qos.lifespan),
     )
+
+
+def _duration(seconds: float) -> Duration:
+    """A peer's figure may be anything; ROS takes what fits in 63 bits."""
+    return Duration(nanoseconds=int(min(_INFINITE, max(0, seconds * 1e9))))
 
 
 def _endpoint(info: dict[str, Any]) -> Endpoint:
     type_hash, profile = info["topic_type_hash"], info["qos_profile"]
+    known = info["node_name"] != _UNKNOWN_NODE
     return Endpoint(
-        node=f"{info['node_namespace'].rstrip('/')}/{info['node_name']}",
+        node=f"{info['node_namespace'].rstrip('/')}/{info['node_name']}" if known else "",
         type_name=info["topic_type"],
         type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash["version"] == 1 else "",
         qos=Qos(

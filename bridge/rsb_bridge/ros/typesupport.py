@@ -1,7 +1,7 @@
 """rosidl's type supports seen through ctypes, and the message classes that are installed here.
 
-A message class keeps its type support in a capsule: a pointer to rosidl_message_type_support_t, laid out as in
-rosidl_runtime_c/message_type_support_struct.h and rosidl_runtime_c/type_hash.h (ROS 2 Jazzy).
+A message class keeps its type support in a capsule without a name: a pointer to rosidl_message_type_support_t, laid
+out as in rosidl_runtime_c/message_type_support_struct.h and rosidl_runtime_c/type_hash.h (ROS 2 Jazzy).
 """
 
 from __future__ import annotations
@@ -46,14 +46,9 @@ GET_HASH = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
 _capsule_get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
 _capsule_get_pointer.restype = ctypes.c_void_p
 _capsule_get_pointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
-_capsule_get_name = ctypes.pythonapi.PyCapsule_GetName
-_capsule_get_name.restype = ctypes.c_void_p
-_capsule_get_name.argtypes = [ctypes.py_object]
 _capsule_new = ctypes.pythonapi.PyCapsule_New
 _capsule_new.restype = ctypes.py_object
 _capsule_new.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
-
-_CAPSULE_NAME = b"rosidl_message_type_support_t"
 
 
 def type_support_of(message_class: type) -> TypeSupport:
@@ -61,13 +56,12 @@ def type_support_of(message_class: type) -> TypeSupport:
     metaclass: Any = type(message_class)
     if metaclass._TYPE_SUPPORT is None:
         metaclass.__import_type_support__()
-    capsule = metaclass._TYPE_SUPPORT
-    return TypeSupport.from_address(_capsule_get_pointer(capsule, _capsule_get_name(capsule)))
+    return TypeSupport.from_address(_capsule_get_pointer(metaclass._TYPE_SUPPORT, None))
 
 
 def capsule_of(type_support: TypeSupport) -> object:
     """A capsule that rclpy takes for a message class's type support; the caller keeps `type_support` alive."""
-    return _capsule_new(ctypes.addressof(type_support), _CAPSULE_NAME, None)
+    return _capsule_new(ctypes.addressof(type_support), None, None)
 
 
 def hash_of(message_class: type) -> str:

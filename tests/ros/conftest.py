@@ -1,0 +1,63 @@
+"""Real ROS nodes: ours, and stock rclpy's, on domains 20-29 of this machine alone."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
+
+from rclpy.context import Context
+from rclpy.node import Node
+
+from rsb_bridge.ros.node import RosNode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+DOMAIN = 20
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], Any]], Any]:
+    """Wait for a condition, 10 s at most, and return what it returned."""
+
+    def wait(condition: Callable[[], Any], within: float = 10.0) -> Any:
+        deadline = time.monotonic() + within
+        while not (found := condition()):
+            assert time.monotonic() < deadline, "it did not happen in time"
+            time.sleep(0.005)
+        return found
+
+    return wait
+
+
+@pytest.fixture
+def open_node() -> Iterator[Callable[..., RosNode]]:
+    """Start our nodes; they are stopped at the end."""
+    nodes: list[RosNode] = []
+
+    def start(domain_id: int = DOMAIN, name: str = "robot1") -> RosNode:
+        node = RosNode(domain_id, name)
+        node.start()
+        nodes.append(node)
+        return node
+
+    yield start
+    for node in nodes:
+        node.stop()
+
+
+@pytest.fixture
+def rclpy_node() -> Iterator[Node]:
+    """A stock rclpy node, as a robot's own programs are."""
+    context = Context()
+    context.init([], domain_id=DOMAIN)
+    node = Node("stock", context=context, enable_rosout=False, use_global_arguments=False)
+    yield node
+    node.destroy_node()
+    context.shutdown()
+    context.destroy()

@@ -1,0 +1,17 @@
+"""A stock rclpy program: what it takes on /odom_in it says again on /odom_out, until it is told to end."""
+
+import contextlib
+import os
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+import rclpy
+from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
+
+rclpy.init(domain_id=20)
+node = rclpy.create_node("relay")
+publisher = node.create_publisher(Odometry, "/odom_out", 10)
+subscription = node.create_subscription(Odometry, "/odom_in", publisher.publish, 10)
+with contextlib.suppress(ExternalShutdownException):
+    rclpy.spin(node)

@@ -1,0 +1,427 @@
+"""What `RosNode` promises the engine: no echo, no loss unseen, fair turns, a clean end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.rcl import Participant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+STRING = "std_msgs/msg/String"
+DEEP = Qos(depth=5000)
+
+
+def payload(text: str) -> bytes:
+    """A serialized std_msgs/String."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + len(data).to_bytes(4, "little") + data
+
+
+class Received:
+    """A sink that keeps the payloads; it blocks while `hold` is clear."""
+
+    def __init__(self) -> None:
+        self.payloads: list[bytes] = []
+        self.batches: list[int] = []
+        self.stamps: list[int] = []
+        self.blocked = threading.Event()
+        self.hold = threading.Event()
+        self.hold.set()
+
+    def __call__(self, batch: Any) -> None:
+        self.payloads += [taken.payload for taken in batch]
+        self.stamps += [taken.stamp for taken in batch]
+        self.batches.append(len(batch))
+        if not self.hold.is_set():
+            self.blocked.set()
+            assert self.hold.wait(20)
+
+
+def threads() -> int:
+    return len(list(Path("/proc/self/task").iterdir()))
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.fixture
+def start_one() -> None:
+    """What the first node leaves in a process for good: Fast DDS's and the logger's own threads."""
+    node = RosNode(22, "first")
+    node.start()
+    node.stop()
+
+
+def test_graph_shows_others_and_not_ourselves(
+    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+) -> None:
+    ours = open_node(name="robot-1 é")
+    qos = Qos("best_effort", "transient_local", deadline=0.5, lifespan=2.0)
+    ours.subscribe("/ours_only", STRING, "", DEEP, Received(), "link")
+    ours.subscribe("/shared", STRING, "", PROFILES["sensor_data"], Received(), "link")
+    publisher = ours.advertise("/shared", STRING, "", qos, "link")
+    rclpy_node.create_publisher(String, "/shared", 1)
+    other = open_node(name="other")
+    other.advertise("/theirs", STRING, "", qos, "link")
+    [theirs] = eventually(lambda: ours.publishers("/theirs"))
+    assert theirs.qos == Qos("best_effort", "transient_local", depth=0, deadline=0.5, lifespan=2.0)
+    assert theirs.type_name == STRING
+    assert theirs.type_hash == ours.installed_hash(STRING)
+    [stock] = eventually(lambda: [each for each in ours.publishers("/shared") if each.node])
+    assert (stock.node, stock.qos) == ("/stock", Qos(depth=0))
+    assert ours.subscriptions("/shared") == []
+    assert publisher.subscriber_count == 0
+    topics = ours.topics()
+    assert topics["/theirs"] == topics["/shared"] == [STRING]
+    assert "/ours_only" not in topics
+    [seen] = [name for name in rclpy_node.get_node_names() if name.startswith("rsb_robot_1__")]
+    assert rclpy_node.get_publisher_names_and_types_by_node(seen, "/") == [("/shared", [STRING])]
+    assert rclpy_node.get_service_names_and_types_by_node(seen, "/") == []
+
+
+def test_two_bridges_of_one_name_are_two_nodes(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    one, other = open_node(), open_node()
+    one.advertise("/chat", STRING, "", DEEP, "link")
+    assert len(eventually(lambda: other.publishers("/chat"))) == 1
+
+
+def test_nothing_of_the_same_origin_comes_back_under_two_way_traffic(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    """A foreign publisher and one of another origin shout at once on the same topic: all of theirs, none of ours."""
+    ours, foreign = open_node(), open_node(name="foreign")
+    received = Received()
+    ours.subscribe("/chat", STRING, "", DEEP, received, ("link", 1))
+    publishers = {
+        "ours": ours.advertise("/chat", STRING, "", DEEP, ("link", 1)),
+        "other link": ours.advertise("/chat", STRING, "", DEEP, ("link", 2)),
+        "foreign": foreign.advertise("/chat", STRING, "", DEEP, ("link", 1)),
+    }
+    eventually(lambda: ours.publishers("/chat"))
+    eventually(lambda: publishers["foreign"].subscriber_count)
+
+    def shout(name: str) -> None:
+        for number in range(1500):
+            publishers[name].publish(payload(f"{name} {number}"))
+
+    shouting = [threading.Thread(target=shout, args=(name,)) for name in publishers]
+    for thread in shouting:
+        thread.start()
+    for thread in shouting:
+        thread.join()
+    eventually(lambda: len(received.payloads) >= 3000)
+    publishers["ours"].publish(payload("ours, after all"))
+    publishers["ours"].close()
+    publishers["foreign"].publish(payload("the last"))
+    eventually(lambda: received.payloads[-1] == payload("the last"))
+    for name in ("other link", "foreign"):
+        said = [each for each in received.payloads if name.encode() in each]
+        assert said == [payload(f"{name} {number}") for number in range(1500)]
+    assert len(received.payloads) == 3001  # those, and the last
+
+
+def test_a_latched_topic_tells_its_history_to_each_new_subscription(
+    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+) -> None:
+    node = open_node()
+    latched = rclpy_node.create_publisher(
+        String, "/map", QoSProfile(depth=3, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    )
+    for number in range(5):
+        latched.publish(String(data=str(number)))
+    for _ in range(2):
+        received = Received()
+        subscription = node.subscribe("/map", STRING, "", Qos(durability="transient_local"), received, "link")
+        eventually(lambda received=received: len(received.payloads) == 3)
+        assert [each[8:9] for each in received.payloads] == [b"2", b"3", b"4"]
+        assert subscription.lost == 0
+        subscription.close()
+
+
+def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    node, other = open_node(), open_node(name="other")
+    node.advertise("/map", STRING, "", PROFILES["latched"], "link").publish(payload("ours"))
+    theirs = Received()
+    other.subscribe("/map", STRING, "", PROFILES["latched"], theirs, "link")
+    eventually(lambda: theirs.payloads)
+    received = Received()
+    node.subscribe("/map", STRING, "", PROFILES["latched"], received, "link")
+    other.advertise("/map", STRING, "", PROFILES["latched"], "link").publish(payload("theirs"))
+    eventually(lambda: received.payloads)
+    assert received.payloads == [payload("theirs")]
+
+
+def test_what_dds_drops_before_us_is_counted_publisher_by_publisher(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    node, one, two = open_node(), open_node(name="one"), open_node(name="two")
+    received = Received()
+    subscription = node.subscribe("/fast", STRING, "", Qos(depth=4), received, "link")
+    publishers = [each.advertise("/fast", STRING, "", DEEP, "link") for each in (one, two)]
+    for publisher in publishers:  # a gap is one only after the first message
+        eventually(lambda publisher=publisher: publisher.subscriber_count)
+        publisher.publish(payload("first"))
+    eventually(lambda: len(received.payloads) == 2)
+    received.hold.clear()
+    publishers[0].publish(payload("block"))
+    assert received.blocked.wait(10)
+    for number in range(100):
+        for publisher in publishers:
+            publisher.publish(payload(str(number)))
+    received.hold.set()
+    eventually(lambda: received.payloads.count(payload("99")) == 2)
+    assert len(received.payloads) == 3 + 4
+    assert subscription.lost == 200 - 4
+
+
+def test_a_flood_on_one_topic_lets_another_have_its_turn(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    node, other = open_node(), open_node(name="other")
+    order: list[str] = []
+    gate = Received()
+    gate.hold.clear()
+    node.subscribe("/gate", STRING, "", DEEP, gate, "link")
+    node.subscribe("/flood", STRING, "", DEEP, lambda batch: order.extend(["flood"] * len(batch)), "link")
+    node.subscribe("/calm", STRING, "", DEEP, lambda _: order.append("calm"), "link")
+    publishers = {name: other.advertise(name, STRING, "", DEEP, "link") for name in ("/gate", "/flood", "/calm")}
+    for publisher in publishers.values():
+        eventually(lambda publisher=publisher: publisher.subscriber_count)
+    publishers["/gate"].publish(payload("stop here"))
+    assert gate.blocked.wait(10)
+    for number in range(2000):
+        publishers["/flood"].publish(payload(str(number)))
+    publishers["/calm"].publish(payload("me too"))
+    gate.hold.set()
+    eventually(lambda: len(order) == 2001)
+    assert order.index("calm") <= 128
+
+
+def test_keep_all_keeps_all(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+    node, other = open_node(), open_node(name="other")
+    received = Received()
+    received.hold.clear()
+    subscription = node.subscribe("/all", STRING, "", Qos(history="keep_all"), received, "link")
+    publisher = other.advertise("/all", STRING, "", Qos(history="keep_all"), "link")
+    eventually(lambda: publisher.subscriber_count)
+    for number in range(3000):
+        publisher.publish(payload(str(number)))
+    received.hold.set()
+    eventually(lambda: len(received.payloads) == 3000)
+    assert received.payloads == [payload(str(number)) for number in range(3000)]
+    assert subscription.lost == 0
+    assert max(received.batches) == 64
+
+
+def test_a_slow_reader_does_not_hold_up_who_publishes(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    """A keep_all publisher of DDS's own kind would block 100 ms for each message past 5000, then refuse it."""
+    node, other = open_node(), open_node(name="other")
+    received = Received()
+    received.hold.clear()
+    node.subscribe("/slow", STRING, "", Qos(history="keep_all"), received, "link")
+    publisher = other.advertise("/slow", STRING, "", Qos(history="keep_all"), "link")
+    eventually(lambda: publisher.subscriber_count)
+    publisher.publish(payload("block"))
+    assert received.blocked.wait(10)
+    started = time.monotonic()
+    for number in range(11_000):
+        publisher.publish(payload(str(number)))
+    assert time.monotonic() - started < 5
+    received.hold.set()
+
+
+def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+    node, other = open_node(), open_node(name="other")
+    received = Received()
+    node.subscribe("/chat", STRING, "", DEEP, received, "link")
+    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    eventually(lambda: publisher.subscriber_count)
+    before = time.time_ns()
+    publisher.publish(payload("now"))
+    eventually(lambda: received.stamps)
+    assert before <= received.stamps[0] <= time.time_ns()
+
+
+def test_domains_do_not_hear_each_other(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+    here, there, elsewhere = open_node(20), open_node(20, "there"), open_node(21, "elsewhere")
+    received, unheard = Received(), Received()
+    here.subscribe("/chat", STRING, "", DEEP, received, "link")
+    elsewhere.subscribe("/chat", STRING, "", DEEP, unheard, "link")
+    publisher = there.advertise("/chat", STRING, "", DEEP, "link")
+    eventually(lambda: publisher.subscriber_count)
+    publisher.publish(payload("hello"))
+    eventually(lambda: received.payloads)
+    assert not unheard.payloads
+    assert "/chat" not in elsewhere.topics()
+
+
+def test_a_closed_subscription_is_silent(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+    """`close` returns only once a sink that is being called has returned, and frees the endpoint."""
+    node, other = open_node(), open_node(name="other")
+    received = Received()
+    received.hold.clear()
+    subscription = node.subscribe("/chat", STRING, "", DEEP, received, "link")
+    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    eventually(lambda: publisher.subscriber_count)
+    publisher.publish(payload("1"))
+    assert received.blocked.wait(10)
+    closing = threading.Thread(target=subscription.close)
+    closing.start()
+    closing.join(0.05)
+    assert closing.is_alive()
+    received.hold.set()
+    closing.join(10)
+    publisher.publish(payload("2"))
+    eventually(lambda: publisher.subscriber_count == 0)
+    subscription.close()
+    assert received.payloads == [payload("1")]
+
+
+def test_a_sink_may_close_its_subscription_and_stop_the_node(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    node, other = open_node(), open_node(name="other")
+    called = []
+
+    def sink(batch: Any) -> None:
+        called.append(batch)
+        subscription.close()
+        node.stop()
+
+    subscription = node.subscribe("/chat", STRING, "", DEEP, sink, "link")
+    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    eventually(lambda: publisher.subscriber_count)
+    publisher.publish(payload("1"))
+    eventually(lambda: called and not node._thread.is_alive())
+    assert len(called) == 1
+
+
+@pytest.mark.usefixtures("start_one")
+def test_fifty_nodes_and_endpoints_leave_nothing_behind() -> None:
+    before = threads(), descriptors()
+    for _ in range(50):
+        node = RosNode(22, "robot1")
+        node.start()
+        node.subscribe("/chat", STRING, "", DEEP, Received(), "link")
+        node.subscribe("/chat", STRING, "", DEEP, Received(), "link").close()
+        node.advertise("/chat", STRING, "", DEEP, "link")
+        node.advertise("/chat", STRING, "", DEEP, "link").close()
+        node.stop()
+        node.stop()
+    assert threads() <= before[0]
+    assert descriptors() <= before[1]
+
+
+@pytest.mark.usefixtures("start_one")
+def test_stop_returns_within_a_second_though_a_sink_blocks(eventually: Callable[..., Any]) -> None:
+    before = threads()
+    node, other = RosNode(22, "robot1"), RosNode(22, "other")
+    node.start()
+    other.start()
+    received = Received()
+    received.hold.clear()
+    node.subscribe("/chat", STRING, "", DEEP, received, "link")
+    publisher = other.advertise("/chat", STRING, "", DEEP, "link")
+    eventually(lambda: publisher.subscriber_count)
+    publisher.publish(payload("1"))
+    assert received.blocked.wait(10)
+    started = time.monotonic()
+    node.stop()
+    assert time.monotonic() - started < 1.2
+    received.hold.set()
+    other.stop()
+    eventually(lambda: threads() <= before)
+
+
+def test_an_idle_node_costs_next_to_nothing(open_node: Callable[..., RosNode]) -> None:
+    node = open_node()
+    for number in range(20):
+        node.subscribe(f"/quiet{number}", STRING, "", DEEP, Received(), "link")
+    before = time.process_time()
+    time.sleep(1)  # the second measured
+    assert time.process_time() - before < 0.05
+
+
+def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], capfd: pytest.CaptureFixture[str]) -> None:
+    """And rcl itself says nothing: there may be a terminal user interface where it would."""
+    node = open_node()
+    node.advertise("/taken", STRING, "", DEEP, "link")
+    publisher = node.advertise("/chat", STRING, "", DEEP, "link")
+    with pytest.raises(RosError, match=r"/chat: a serialized message has at least 4 bytes, not 2"):
+        publisher.publish(b"hi")
+    publisher.close()
+    publisher.close()
+    assert publisher.subscriber_count == 0
+    with pytest.raises(RosError, match=r"^/chat: the publisher is closed$"):
+        publisher.publish(payload("late"))
+    with pytest.raises(RosError, match="'/no spaces' is not a topic name: "):
+        node.advertise("/no spaces", STRING, "", DEEP, "link")
+    with pytest.raises(RosError, match=r"'/7' is not a topic name: .*none beginning with a digit"):
+        node.subscribe("/7", STRING, "", DEEP, Received(), "link")
+    with pytest.raises(RosError, match=r"^/taken: .*incompatible type std_msgs::msg::dds_::Int8_$"):
+        node.advertise("/taken", "std_msgs/msg/Int8", "", DEEP, "link")
+    assert capfd.readouterr() == ("", "")
+    with pytest.raises(RosError, match=r"'String' is not a message type: write it as package/msg/Name"):
+        node.subscribe("/chat", "String", "", DEEP, Received(), "link")
+    assert node.installed_hash("String") is None
+    assert node.installed_hash("no_such_msgs/msg/Name") is None
+    with pytest.raises(RosError, match="a ROS node is started once"):
+        node.start()
+    node.stop()
+    with pytest.raises(RosError, match="the ROS node is not running"):
+        node.topics()
+
+
+@pytest.mark.parametrize("domain_id", [-1, 233])
+def test_a_domain_that_cannot_be_joined(domain_id: int) -> None:
+    with pytest.raises(RosError, match=f"ROS domain {domain_id} cannot be joined: domains are 0 to 232"):
+        RosNode(domain_id, "robot1").start()
+
+
+def test_what_rcl_refuses_is_said() -> None:
+    """A null address stands for a subscription that rcl finds broken."""
+    participant = Participant(22, "reader")
+    reader = participant.create_reader("/chat", STRING, "", DEEP)
+    reader.address = 0
+    with pytest.raises(RosError, match=r"/chat: a message could not be taken \(rcl error \d+\)"):
+        reader.take(1, ())
+    reader.close()
+    participant.leave()
+    with pytest.raises(RosError, match="the ROS graph cannot be read: "):
+        participant.topics()
+
+
+def test_without_rclpy_it_says_how_to_get_it() -> None:
+    program = (
+        "import sys; sys.modules['rclpy'] = None\n"
+        "from rsb_bridge.ros.api import RosError\n"
+        "from rsb_bridge.ros.node import RosNode\n"
+        "try: RosNode(20, 'robot1').start()\n"
+        "except RosError as error: print(error)"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
+    assert "pip install 'rsb-console[ros]'" in run.stdout
+    assert "source /opt/ros/jazzy/setup.bash" in run.stdout

@@ -1,0 +1,57 @@
+"""QoS matching in words, held against the middleware's own verdict."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+
+from rsb_bridge.qos import PROFILES, Qos, incompatible, match_publishers
+from rsb_bridge.ros.rcl import _profile
+
+POLICIES = [
+    Qos(reliability=reliability, durability=durability, deadline=deadline)
+    for reliability, durability, deadline in product(
+        ("reliable", "best_effort"), ("volatile", "transient_local"), (0.0, 1.0, 2.0)
+    )
+]
+
+
+@pytest.mark.parametrize("offered", POLICIES)
+def test_incompatible_agrees_with_the_middleware(offered: Qos) -> None:
+    for requested in POLICIES:
+        verdict, why = qos_check_compatible(_profile(offered), _profile(requested))
+        assert bool(incompatible(offered, requested)) == (verdict == QoSCompatibility.ERROR), (requested, why)
+
+
+def test_incompatible_says_every_reason() -> None:
+    offered = Qos(reliability="best_effort", deadline=2.0)
+    requested = Qos(durability="transient_local", deadline=1.0)
+    assert incompatible(offered, requested) == (
+        "the publisher is best_effort, the subscription asks for reliable; "
+        "the publisher is volatile, the subscription asks for transient_local; "
+        "the publisher offers a deadline of 2 s, the subscription asks for 1 s"
+    )
+    assert incompatible(Qos(), Qos(deadline=1.5)) == "the publisher offers no deadline, the subscription asks for 1.5 s"
+
+
+@pytest.mark.parametrize(
+    ("offered", "matched"),
+    [
+        ([], Qos()),
+        ([PROFILES["sensor_data"]], Qos(reliability="best_effort")),
+        ([PROFILES["latched"], PROFILES["latched"]], Qos(durability="transient_local")),
+        ([PROFILES["latched"], PROFILES["default"]], Qos()),
+        ([PROFILES["default"], PROFILES["sensor_data"]], Qos(reliability="best_effort")),
+        ([Qos(deadline=1.0, lifespan=3.0), Qos(deadline=2.0)], Qos(deadline=2.0)),
+    ],
+)
+def test_match_publishers(offered: list[Qos], matched: Qos) -> None:
+    assert match_publishers(offered) == matched
+    assert not any(incompatible(each, matched) for each in offered)
+
+
+@pytest.mark.parametrize("absurd", [Qos(depth=0), Qos(depth=2**70), Qos(deadline=1e300), Qos(lifespan=float("nan"))])
+def test_no_figure_of_a_peer_upsets_ros(absurd: Qos) -> None:
+    assert 1 <= _profile(absurd).depth < 2**31

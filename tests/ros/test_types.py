@@ -1,0 +1,91 @@
+"""Type names, and what is known of installed types."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+from rsb_bridge.ros.types import SHORT_NAMES, expand_type_name, split_type_name
+from rsb_bridge.ros.typesupport import hash_of, installed_class
+
+COMMON_INTERFACES = [
+    "actionlib_msgs",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "sensor_msgs",
+    "shape_msgs",
+    "std_msgs",
+    "stereo_msgs",
+    "trajectory_msgs",
+    "visualization_msgs",
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "full"),
+    [
+        ("LaserScan", "sensor_msgs/msg/LaserScan"),
+        ("TFMessage", "tf2_msgs/msg/TFMessage"),
+        ("nav_msgs/Odometry", "nav_msgs/msg/Odometry"),
+        ("my_pkg/msg/Thing", "my_pkg/msg/Thing"),
+        ("my_pkg/action/Go_FeedbackMessage", "my_pkg/action/Go_FeedbackMessage"),
+    ],
+)
+def test_expands(name: str, full: str) -> None:
+    assert expand_type_name(name) == full
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("LaserScann", "did you mean sensor_msgs/msg/LaserScan"),
+        ("Xyzzy", "write it as package/msg/Name"),
+        ("a/b/c/d", "write it as package/msg/Name"),
+        ("Pkg/msg/Name", "'Pkg/msg/Name' is not a message type"),
+        ("pkg/msgs/Name", "is not a message type"),
+        ("", "''"),
+    ],
+)
+def test_refuses_with_a_remedy(name: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        expand_type_name(name)
+
+
+@pytest.mark.parametrize("package", COMMON_INTERFACES)
+def test_short_names_are_those_of_the_installed_package(package: str) -> None:
+    module = importlib.import_module(f"{package}.msg")
+    installed = {f"{package}/msg/{name}" for name in vars(module) if name[0].isupper()}
+    assert {full for full in SHORT_NAMES.values() if full.startswith(f"{package}/")} == installed
+
+
+def test_hash_is_the_published_one() -> None:
+    """The figure is what `ros2 topic info --verbose` shows for std_msgs/msg/String on any Jazzy."""
+    string = installed_class("std_msgs/msg/String")
+    assert string is not None
+    assert hash_of(string) == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+
+
+def test_a_python_package_that_rosidl_did_not_make_is_not_imported() -> None:
+    assert installed_class("antigravity/msg/Name") is None
+    assert "antigravity" not in sys.modules
+
+
+def test_unknown_names_are_not_installed() -> None:
+    assert installed_class("no_such_msgs/msg/Name") is None
+    assert installed_class("std_msgs/msg/NoSuch") is None
+    assert installed_class("std_msgs/srv/String") is None
+
+
+def test_split_type_name() -> None:
+    assert split_type_name("std_msgs/msg/String") == ("std_msgs", "msg", "String")
+
+
+def test_nothing_but_a_started_node_imports_rclpy() -> None:
+    program = (
+        "import sys, rsb_bridge.ros.api, rsb_bridge.ros.types, rsb_bridge.ros.node; sys.exit('rclpy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=30).returncode == 0
