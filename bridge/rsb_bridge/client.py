@@ -116,8 +116,8 @@ class ClientLink(Link):
             pass
         self.retry_at = None
 
-    def down(self, reason: str) -> None:
-        super().down(reason)
+    def down(self, reason: str, *, on_purpose: bool = False) -> None:
+        super().down(reason, on_purpose=on_purpose)
         self._streams_opening.clear()
         self._ended.set()
 

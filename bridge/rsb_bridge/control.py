@@ -67,4 +67,4 @@ class Control(StreamHandler):
 
     def _over(self, reason: str) -> None:
         if self.link.control is self:
-            self.link.down(reason)
+            self.link.down(reason, on_purpose=bool(self._goodbye))

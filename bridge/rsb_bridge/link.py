@@ -169,7 +169,7 @@ class Link:
             if route.proposed_here:
                 self.propose(route)
 
-    def down(self, reason: str) -> None:
+    def down(self, reason: str, *, on_purpose: bool = False) -> None:
         """The connection is over."""
         if self.control is None:
             return
@@ -185,7 +185,7 @@ class Link:
         for future in self._requests.values():
             future.cancel()
         self._requests.clear()
-        self.log(Level.WARNING, f"link lost: {reason}")
+        self.log(Level.INFO if on_purpose else Level.WARNING, f"link {'closed' if on_purpose else 'lost'}: {reason}")
 
     def destroy(self) -> None:
         """End routes and tasks for good."""

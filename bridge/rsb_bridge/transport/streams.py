@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import socket
 from typing import Any, cast
+
+from rsb_bridge.session import is_mac
 
 _HIGH_WATER = 256 * 1024
 _NOT_SENT_LOW_WATER = 128 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
+# RFCOMM carries some 50 kB/s: what waits behind the scheduler (`shared`) should be well below a second of that.
+_RFCOMM_HIGH_WATER = 2048
+_RFCOMM_SEND_BUFFER = 4096
 
 
 class StreamHandler:
@@ -32,7 +39,7 @@ class Stream(asyncio.Protocol):
 
     Attributes:
         handler: gets what happens from now on.
-        congested: more than 256 KiB wait for the socket: better not to write now.
+        congested: more than 256 KiB (RFCOMM: 2 KiB) wait for the socket: better not to write now.
         received_bytes: so far.
         sent_bytes: so far, those still waiting included.
         address: of the other end, as the socket module has it.
@@ -77,11 +84,14 @@ class Stream(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
-        self._transport.set_write_buffer_limits(high=_HIGH_WATER)
         sock: socket.socket = transport.get_extra_info("socket")
+        # What waits should wait with us, where old messages can be dropped, not in the kernel.
         if sock.family in (socket.AF_INET, socket.AF_INET6):
-            # What waits should wait with us, where old messages can be dropped, not in the kernel.
+            self._transport.set_write_buffer_limits(high=_HIGH_WATER)
             sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
+        else:
+            self._transport.set_write_buffer_limits(high=_RFCOMM_HIGH_WATER)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _RFCOMM_SEND_BUFFER)
         self.address = transport.get_extra_info("peername") or self.address
         self.handler.connected(self)
 
@@ -115,8 +125,10 @@ class Stream(asyncio.Protocol):
 
 
 def address_words(address: tuple[Any, ...]) -> str:
-    """An IP socket address as ``host:port``, ``[host]:port`` for IPv6."""
+    """A socket address as ``host:port``, ``[host]:port`` for IPv6, ``MAC channel n`` for RFCOMM."""
     host, port = address[0], address[1]
+    if is_mac(str(host)):
+        return f"{host} channel {port}"
     return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
 
 
@@ -124,6 +136,9 @@ def os_words(error: BaseException) -> str:
     """An OS error as a person reads it: the kernel's own words, without numbers."""
     if isinstance(error, TimeoutError) and not error.args:
         return "timed out"
+    if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
+        words = os.strerror(error.errno)  # asyncio puts its own into strerror
+        return f"{words}: is the server running there?" if error.errno == errno.ECONNREFUSED else words
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return str(error) or type(error).__name__

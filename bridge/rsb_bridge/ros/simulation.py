@@ -1,0 +1,167 @@
+"""A simulated robot and the desk it talks to, for the demo: real topics, about the sizes of the thesis's table 3.1.
+
+Run as ``python -m rsb_bridge.ros.simulation robot|desk DOMAIN``: it prints a JSON line of message counts by topic every
+second, and ends when its standard input does; so nothing is left when whoever started it dies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import select
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import LaserScan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+SCAN_RATE, ODOM_RATE, GOAL_RATE = 10.0, 50.0, 1.0
+"""Hz."""
+_BEAMS = 360
+_MAP_SIDE = 384  # cells
+_LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Simulation:
+    """A node that publishes and subscribes, and counts both.
+
+    Attributes:
+        published: messages by topic.
+        received: messages by topic.
+    """
+
+    def __init__(self, domain_id: int, name: str) -> None:
+        self.published: dict[str, int] = {}
+        self.received: dict[str, int] = {}
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(name, context=self._context, enable_rosout=False, start_parameter_services=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._began = time.monotonic()
+
+    def spin_once(self, timeout: float) -> None:
+        """Handle one message or timer, or wait for up to `timeout` s."""
+        self._executor.spin_once(timeout)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _publishes(self, kind: type, topic: str, qos: Any, rate: float, make: Callable[[float], Any]) -> None:
+        publisher = self._node.create_publisher(kind, topic, qos)
+        self.published[topic] = 0
+
+        def publish() -> None:
+            publisher.publish(make(time.monotonic() - self._began))
+            self.published[topic] += 1
+
+        if rate:
+            self._node.create_timer(1 / rate, publish)
+        else:
+            publish()
+
+    def _counts(self, kind: type, topic: str, qos: Any) -> None:
+        self.received[topic] = 0
+
+        def count(_: Any) -> None:
+            self.received[topic] += 1
+
+        self._node.create_subscription(kind, topic, count, qos)
+
+    def _stamp(self) -> Any:
+        return self._node.get_clock().now().to_msg()
+
+
+class Robot(Simulation):
+    """Drives a circle in a square room: scan, odometry, a latched map; takes goals."""
+
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(domain_id, "simulated_robot")
+        self._publishes(LaserScan, "/scan", qos_profile_sensor_data, SCAN_RATE, self._scan)
+        self._publishes(Odometry, "/odom", 10, ODOM_RATE, self._odometry)
+        self._publishes(OccupancyGrid, "/map", _LATCHED, 0, self._map)
+        self._counts(PoseStamped, "/goal_pose", 10)
+
+    def _scan(self, t: float) -> LaserScan:
+        scan = LaserScan(angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / _BEAMS)
+        scan.header.stamp, scan.header.frame_id = self._stamp(), "laser"
+        scan.time_increment, scan.scan_time, scan.range_min, scan.range_max = 0.0, 1 / SCAN_RATE, 0.1, 12.0
+        angles = (2 * math.pi * i / _BEAMS + t / 10 for i in range(_BEAMS))
+        scan.ranges = [2.5 / max(abs(math.cos(a)), abs(math.sin(a))) for a in angles]
+        scan.intensities = [100.0] * _BEAMS
+        return scan
+
+    def _odometry(self, t: float) -> Odometry:
+        odometry = Odometry(child_frame_id="base_link")
+        odometry.header.stamp, odometry.header.frame_id = self._stamp(), "odom"
+        odometry.pose.pose.position.x, odometry.pose.pose.position.y = math.cos(t / 5), math.sin(t / 5)
+        odometry.pose.pose.orientation.w = 1.0
+        odometry.twist.twist.linear.x = 0.2
+        return odometry
+
+    def _map(self, _: float) -> OccupancyGrid:
+        grid = OccupancyGrid()
+        grid.header.stamp, grid.header.frame_id = self._stamp(), "map"
+        grid.info.resolution, grid.info.width, grid.info.height = 0.05, _MAP_SIDE, _MAP_SIDE
+        edge = (0, _MAP_SIDE - 1)
+        grid.data = [100 if x in edge or y in edge else 0 for y in range(_MAP_SIDE) for x in range(_MAP_SIDE)]
+        return grid
+
+
+class Desk(Simulation):
+    """The control PC's side: listens to the robot, sends it goals."""
+
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(domain_id, "simulated_desk")
+        self._counts(LaserScan, "/scan", qos_profile_sensor_data)
+        self._counts(Odometry, "/odom", 10)
+        self._counts(OccupancyGrid, "/map", _LATCHED)
+        self._publishes(PoseStamped, "/goal_pose", 10, GOAL_RATE, self._goal)
+
+    def _goal(self, t: float) -> PoseStamped:
+        goal = PoseStamped()
+        goal.header.stamp, goal.header.frame_id = self._stamp(), "map"
+        goal.pose.position.x = math.cos(t / 20)
+        goal.pose.orientation.w = 1.0
+        return goal
+
+
+def main() -> None:
+    """Simulate until standard input ends."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("part", choices=("robot", "desk"))
+    parser.add_argument("domain", type=int)
+    arguments = parser.parse_args()
+    simulation = (Robot if arguments.part == "robot" else Desk)(arguments.domain)
+    next_line = 0.0
+    while not select.select([sys.stdin], [], [], 0)[0]:
+        simulation.spin_once(0.1)
+        if time.monotonic() >= next_line:
+            next_line = time.monotonic() + 1.0
+            _report(simulation)
+    _report(simulation)
+    simulation.close()
+
+
+def _report(simulation: Simulation) -> None:
+    sys.stdout.write(json.dumps({"published": simulation.published, "received": simulation.received}) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

