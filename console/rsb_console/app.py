@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import locale
 import os
 import signal
 import time
 import traceback
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -22,10 +22,12 @@ from rsb_console.actions import BY_ID, Action, Group, KeymapError, bindings, loa
 from rsb_console.glyphs import AsciiFilter
 from rsb_console.palette import ActionsProvider
 from rsb_console.screens.main import MainScreen
+from rsb_console.shell import complain
 from rsb_console.terminal import ConsoleDriver, prefers_ascii
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from types import FrameType
 
     from textual.filter import LineFilter
     from textual.screen import Screen
@@ -50,6 +52,13 @@ class Leaving(Enum):
     TERMINATED = "terminated"
     HANGUP = "hangup"
     CRASH = "crash"
+
+
+SIGNALS = {
+    signal.SIGTERM: Leaving.TERMINATED,
+    signal.SIGINT: Leaving.TERMINATED,
+    signal.SIGHUP: Leaving.HANGUP,
+}
 
 
 class ConsoleApp(App[None]):
@@ -112,14 +121,6 @@ class ConsoleApp(App[None]):
         """Textual's, and ours where nothing but ASCII may go out."""
         filters = super().get_line_filters()
         return [*filters, self._filters_ascii] if self.ascii_only else filters
-
-    def on_load(self) -> None:
-        """Before the first picture: signals."""
-        if not self.is_headless:
-            loop = asyncio.get_running_loop()
-            loop.add_signal_handler(signal.SIGTERM, self.leave, Leaving.TERMINATED)
-            loop.add_signal_handler(signal.SIGINT, self.leave, Leaving.TERMINATED)
-            loop.add_signal_handler(signal.SIGHUP, self.leave, Leaving.HANGUP)
 
     def on_mount(self) -> None:
         """Themes and keys, and the session."""
@@ -248,16 +249,25 @@ class ConsoleApp(App[None]):
         self.leaving = why
         self.exit()
 
+    def leave_soon(self, why: Leaving) -> None:
+        """As `leave`, from a signal handler or another thread."""
+        self.call_later(self.leave, why)
+
     def terminal_gone(self) -> None:
-        """The terminal has hung up. Comes from the driver's thread."""
-        self.call_later(self.leave, Leaving.HANGUP)
+        """The terminal has hung up; the driver's thread says so."""
+        self.leave_soon(Leaving.HANGUP)
 
     def _fatal_error(self) -> None:
-        """An error nobody handled. Textual would print it with all local variables, which an operator cannot use."""
-        self.leaving = Leaving.CRASH
-        crash_path().parent.mkdir(parents=True, exist_ok=True)
-        crash_path().write_text(traceback.format_exc(), encoding="utf-8")
+        """An error nobody handled. Textual would print it with all local variables, which no operator can use."""
+        self.record_crash()
         self._close_messages_no_wait()
+
+    def record_crash(self) -> None:
+        """Write the error that is being handled where it can be reported from."""
+        self.leaving = Leaving.CRASH
+        path = crash_path()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(traceback.format_exc(), encoding="utf-8")
 
 
 def crash_path() -> Path:
@@ -304,16 +314,30 @@ def run_console(
         load(path) if path is not None else session,
         path,
         readonly=readonly,
-        ascii_only=ascii_only or prefers_ascii(os.environ, locale.getpreferredencoding()),
+        ascii_only=ascii_only or prefers_ascii(os.environ),
         theme=theme,
     )
-    app.run(mouse=mouse)
+    for (
+        number,
+        why,
+    ) in SIGNALS.items():  # not asyncio's handlers: they would be gone with its loop, and a second SIGHUP kill
+        signal.signal(number, partial(_on_signal, app, why))
+    try:
+        app.run(mouse=mouse)
+    except Exception:  # noqa: BLE001 -- whatever befell the app, the bridge goes on
+        app.record_crash()
     return _after(app, on_hangup)
+
+
+def _on_signal(app: ConsoleApp, why: Leaving, _number: int, _frame: FrameType | None) -> None:
+    app.leave_soon(why)
 
 
 def _after(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app."""
     crashed = app.leaving is Leaving.CRASH
+    if crashed:
+        complain(f"the console has crashed; please report {crash_path()}")
     if app.engine is None:
         return int(crashed)
     if crashed or (app.leaving is Leaving.HANGUP and on_hangup == "continue"):

@@ -31,7 +31,7 @@ def byte_rate(bytes_per_second: float) -> str:
     if bytes_per_second < 1e3:
         return f"{bytes_per_second:.0f} B/s"
     value, unit = (bytes_per_second / 1e6, "MB/s") if bytes_per_second >= 1e6 else (bytes_per_second / 1e3, "kB/s")
-    return f"{value:.1f} {unit}" if value < 10 else f"{value:.0f} {unit}"
+    return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
 
 
 def kilobytes(bytes_per_second: float) -> str:

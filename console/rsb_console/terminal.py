@@ -92,11 +92,11 @@ class ConsoleDriver(LinuxDriver):
         thread.join(CLOSE_TIMEOUT)
 
 
-def prefers_ascii(environ: Mapping[str, str], encoding: str) -> bool:
-    """Whether the terminal is better given no Unicode.
+def prefers_ascii(environ: Mapping[str, str]) -> bool:
+    """Whether the terminal is better given no Unicode: the locale isn't UTF-8, or it is Linux's own console.
 
     Args:
-        environ: the process's.
-        encoding: the locale's.
+        environ: the process's; where no locale is set, Python has made it C.UTF-8 (PEP 538).
     """
-    return "utf" not in encoding.lower() or environ.get("TERM") == "linux"
+    locale = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or "C.UTF-8"
+    return "utf" not in locale.lower() or environ.get("TERM") == "linux"

@@ -47,6 +47,12 @@ class CursorLines(LiveLines, can_focus=True):
         super().__init__(id=id, classes=classes)
         self.keys: Sequence[str] = ()
         self._cursor = 0
+        self._moved = False
+
+    @property
+    def follows_top(self) -> bool:
+        """Whether the cursor stays on the first item, whichever that is: until the operator moves it."""
+        return not self._moved
 
     @property
     def line_count(self) -> int:
@@ -64,32 +70,32 @@ class CursorLines(LiveLines, can_focus=True):
 
     def show_keys(self, keys: Sequence[str]) -> None:
         """List `keys`; the cursor stays on its item, or where it stood if that is gone."""
-        before = self.cursor_key
-        stays = before is not None and self._cursor < len(keys) and keys[self._cursor] == before
+        before, follows = self.cursor_key, self.follows_top
         self.keys = keys
-        if not stays:
-            at = keys.index(before) if before in keys else min(self._cursor, max(0, len(keys) - 1))
-            self._place(at, scroll=before is not None)
+        if follows:
+            self._place(0)
+        elif self.cursor_key != before:
+            self._place(keys.index(before) if before in keys else min(self._cursor, max(0, len(keys) - 1)))
         self.sync()
         if self.cursor_key != before:
             self.post_message(self.CursorMoved(self))
 
     def move_to(self, position: int) -> None:
         """Put the cursor on item number `position`, or the nearest there is."""
+        self._moved = True
         position = max(0, min(len(self.keys) - 1, position))
         if position != self._cursor:
             self._place(position)
             self.sync()
             self.post_message(self.CursorMoved(self))
 
-    def _place(self, position: int, *, scroll: bool = True) -> None:
+    def _place(self, position: int) -> None:
         self._cursor = position
-        if scroll:
-            top, page = round(self.scroll_offset.y), self.page
-            if position < top:
-                self.scroll_to(y=position, animate=False)
-            elif position >= top + page:
-                self.scroll_to(y=position - page + 1, animate=False)
+        top, page = round(self.scroll_offset.y), self.page
+        if position < top:
+            self.scroll_to(y=position, animate=False)
+        elif position >= top + page:
+            self.scroll_to(y=position - page + 1, animate=False)
 
     @property
     def position(self) -> int:

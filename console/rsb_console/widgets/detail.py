@@ -40,7 +40,7 @@ class DetailPane(LiveLines, can_focus=True):
     def show(self, route: RouteSnapshot | None) -> None:
         """Show `route`; None: there is nothing to show."""
         self._route = route
-        self.entitle("" if route is None else route.topic)
+        self.entitle("" if route is None else f"{route.topic} ")
         width = self.size.width
         if route is None:
             self._lines = [(), ((" no topic selected", "dim"),)]
@@ -58,7 +58,7 @@ def detail_lines(route: RouteSnapshot, width: int) -> Iterator[Line]:
     """The pane's lines about `route`, for `width` cells."""
     yield from _heading(route, width)
     yield ()
-    yield from _stages(route.stages, width)
+    yield from _stages(route, width)
     yield ()
     yield from _plot(route, width)
     yield ()
@@ -71,7 +71,7 @@ def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
     look = route.state.value
     yield (
         (f" {STATE_SIGN[route.state]} {STATE_WORD[route.state]} ", look),
-        ("" if route.age is None else f" last {formats.age(route.age)} ago", "dim"),
+        ("" if route.age is None or route.age < 1 else f" last message {formats.age(route.age)} ago", "dim"),
     )
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
     if route.state is not State.OK and route.reason != failed:
@@ -84,15 +84,15 @@ def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
         yield ((f"   there: {route.remote_topic}", "dim"),)
 
 
-def _stages(stages: Sequence[Stage], width: int) -> Iterator[Line]:
+def _stages(route: RouteSnapshot, width: int) -> Iterator[Line]:
     """Why it isn't flowing: what is passed in short, what isn't on a line of its own, what comes after it in short."""
+    stages = route.stages
     at = next((index for index, stage in enumerate(stages) if not stage.done), None)
+    yield ((" Stages" if at is None or route.state is State.OK else " Why it isn't flowing", "head"),)
     if at is None:
-        yield ((" Stages", "head"),)
         yield ((f" {DONE} ", "ok"), (f"all {len(stages)} passed", ""))
         return
     failed = stages[at]
-    yield ((" Why it isn't flowing", "head"),)
     yield from _listed(DONE, "ok", stages[:at], width)
     sign, look = (UNKNOWN, "waiting") if failed.done is None else (FAILED, "down")
     yield ((f" {sign} ", look), (failed.name, "strong"))

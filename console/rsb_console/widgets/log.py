@@ -28,7 +28,7 @@ class LogPane(CursorLines):
     def __init__(self) -> None:
         super().__init__(id="log")
         self.events: deque[Event] = deque(maxlen=KEPT)
-        self.level = Level.DEBUG
+        self.level = Level.INFO
         self.pattern: Pattern | None = None
         self._shown: dict[str, Event] = {}
 
@@ -36,11 +36,13 @@ class LogPane(CursorLines):
         """Append `events`, oldest first."""
         events = list(events)
         if events:
-            following = self.position == 0
             self.events.extend(events)
             self.relist()
-            if following:
-                self.move_to(0)
+
+    @property
+    def follows_top(self) -> bool:
+        """At the top it follows."""
+        return self.position == 0
 
     def clear(self) -> None:
         """Forget everything: another session begins."""
@@ -60,8 +62,8 @@ class LogPane(CursorLines):
 
     def _heading(self) -> str:
         parts = ["Log"]
-        if self.level is not Level.DEBUG:
-            parts.append(f"{WORD[self.level]}+")
+        if self.level is not Level.INFO:
+            parts.append("all" if self.level is Level.DEBUG else f"{WORD[self.level]}+")
         if self.pattern is not None:
             parts.append(f"/{self.pattern.text}")
         return f" {' ▸ '.join(parts)} "
