@@ -24,7 +24,7 @@ from rsb_bridge.ros.typesupport import HASH_PREFIX
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-_NO_ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
+_ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
 """ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
@@ -94,7 +94,7 @@ class Participant:
             raise RosError(f"ROS domain {domain_id} cannot be joined: domains are 0 to {_LAST_DOMAIN}")
         self._context = Context()
         try:
-            self._context.init(_NO_ARGUMENTS, domain_id=domain_id)
+            self._context.init(_ARGUMENTS, domain_id=domain_id)
             self._node = _rclpy.Node(node_name, "/", self._context.handle, [], False, False)
         except RuntimeError as error:
             self._context.try_shutdown()

@@ -1,0 +1,81 @@
+"""What goes wrong is said in an operator's words, once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge.qos import Qos
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.rcl import Participant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+STRING = "std_msgs/msg/String"
+
+
+def test_errors_say_what_and_what_to_do(open_node: Callable[..., RosNode], capfd: pytest.CaptureFixture[str]) -> None:
+    """And rcl itself says nothing: there may be a terminal user interface where it would."""
+    node = open_node()
+    node.advertise("/taken", STRING, "", Qos(), "link")
+    publisher = node.advertise("/chat", STRING, "", Qos(), "link")
+    with pytest.raises(RosError, match=r"/chat: a serialized message has at least 4 bytes, not 2"):
+        publisher.publish(b"hi")
+    publisher.close()
+    publisher.close()
+    assert publisher.subscriber_count == 0
+    with pytest.raises(RosError, match=r"^/chat: the publisher is closed$"):
+        publisher.publish(bytes(8))
+    with pytest.raises(RosError, match="'/no spaces' is not a topic name: "):
+        node.advertise("/no spaces", STRING, "", Qos(), "link")
+    with pytest.raises(RosError, match=r"'/7' is not a topic name: .*none beginning with a digit"):
+        node.subscribe("/7", STRING, "", Qos(), print, "link")
+    with pytest.raises(RosError, match=r"^/taken: .*incompatible type std_msgs::msg::dds_::Int8_$"):
+        node.advertise("/taken", "std_msgs/msg/Int8", "", Qos(), "link")
+    assert capfd.readouterr() == ("", "")
+    with pytest.raises(RosError, match=r"'String' is not a message type: write it as package/msg/Name"):
+        node.subscribe("/chat", "String", "", Qos(), print, "link")
+    assert node.installed_hash("String") is None
+    assert node.installed_hash("no_such_msgs/msg/Name") is None
+    with pytest.raises(RosError, match="a ROS node is started once"):
+        node.start()
+    node.stop()
+    with pytest.raises(RosError, match="the ROS node is not running"):
+        node.topics()
+
+
+@pytest.mark.parametrize("domain_id", [-1, 233])
+def test_a_domain_that_cannot_be_joined(domain_id: int) -> None:
+    with pytest.raises(RosError, match=f"ROS domain {domain_id} cannot be joined: domains are 0 to 232"):
+        RosNode(domain_id, "robot1").start()
+
+
+def test_what_rcl_refuses_is_said() -> None:
+    """A null address stands for a subscription that rcl finds broken."""
+    participant = Participant(22, "reader")
+    reader = participant.create_reader("/chat", STRING, "", Qos())
+    reader.address = 0
+    with pytest.raises(RosError, match=r"/chat: a message could not be taken \(rcl error \d+\)"):
+        reader.take(1, ())
+    reader.close()
+    participant.leave()
+    with pytest.raises(RosError, match="the ROS graph cannot be read: "):
+        participant.topics()
+
+
+def test_without_rclpy_it_says_how_to_get_it() -> None:
+    program = (
+        "import sys; sys.modules['rclpy'] = None\n"
+        "from rsb_bridge.ros.api import RosError\n"
+        "from rsb_bridge.ros.node import RosNode\n"
+        "try: RosNode(20, 'robot1').start()\n"
+        "except RosError as error: print(error)"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
+    assert "pip install 'rsb-console[ros]'" in run.stdout
+    assert "source /opt/ros/jazzy/setup.bash" in run.stdout
