@@ -322,6 +322,7 @@ def test_a_client_hears_nonsense(frame, words):
 def test_a_refusal_s_words_are_bounded_and_printable():
     client, _ = ready_to_accept()
     words = "\x1b[2J" + "ü" * 400
+    assert len(refuse_frame(RefusalCode.BUSY, words)) == 6 + 512
     (event,) = client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words)))
     assert (event.code, event.by_peer) == (RefusalCode.BUSY, True)
     assert event.words.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
@@ -462,8 +463,9 @@ def test_a_data_stream_is_turned_away():
     answer = server.refuse(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
     refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open", by_peer=True)
     assert data.receive_data(answer) == [refusal]
-    assert data.receive_data(b"more") == []
-    assert server.receive_data(b"more") == []
+    for end in (data, server):
+        assert end.receive_data(b"more") == []
+        assert end.leftover() == b""
 
 
 def test_a_data_stream_is_offered_a_retry():

@@ -108,6 +108,17 @@ def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again():
     assert (reader.pending, reader.expired, reader.received, reader.lost) == (0, 1, 1, 0)
 
 
+def test_a_message_given_up_before_an_older_one_is_not_kept_again():
+    writer, reader = ends()
+    first, second = (writer.write(bytes(20), 0, 0, OVERHEAD + 10) for _ in range(2))
+    assert reader.receive(second[0], 0.0) is None
+    assert reader.receive(first[0], 0.0) is None
+    reader.expire(5.0)
+    assert (reader.pending, reader.expired) == (0, 2)
+    assert reader.receive(second[1], 6.0) is None
+    assert reader.pending == 0
+
+
 def test_what_is_kept_is_bounded_and_the_oldest_gives_way():
     writer, reader = ends(max_bytes=3 * 1200)
     messages = [writer.write(bytes(2000), 0, 0, OVERHEAD + 1000) for _ in range(4)]
