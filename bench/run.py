@@ -1,0 +1,109 @@
+"""Prints the bridge's figures next to those of no bridge and of the thesis's pipeline, in one run: ``make bench``.
+
+Machines differ and are noisy; the ratios of one run hold.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+
+import bed
+
+SIZES = (2_500, 5_000, 10_000)
+RATES = (
+    1_000,
+    2_000,
+    3_000,
+    4_000,
+    5_000,
+    6_000,
+    7_000,
+    8_500,
+    10_000,
+    12_500,
+    15_000,
+    20_000,
+    25_000,
+    30_000,
+    35_000,
+    40_000,
+)
+SECONDS = 2.0
+
+
+def main() -> None:
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
+    beds = {
+        "none": bed.direct,
+        "tcp": lambda: bed.bridged("tcp"),
+        "udp": lambda: bed.bridged("udp"),
+        "thesis": bed.thesis,
+    }
+    lossless: dict[tuple[str, int], float] = {}
+    cpu: dict[tuple[str, int], float] = {}
+    for kind, make in beds.items():
+        with make() as between:
+            for size in SIZES:
+                lossless[kind, size] = _lossless(between, size)
+            if kind != "none":
+                for rate in (1_000, 10_000, 30_000):
+                    cpu[kind, rate] = _cpu(between, rate)
+    print("highest lossless rate, msg/s (2 s each)")
+    columns = ("no bridge", "TCP", "UDP", "thesis", "TCP/none", "UDP/none", "TCP/thesis", "UDP/thesis")
+    print(f"{'size':>8} " + " ".join(f"{column:>10}" for column in columns))
+    for size in SIZES:
+        none, tcp, udp, old = (lossless[kind, size] for kind in beds)
+        rates = " ".join(f"{rate:>10.0f}" for rate in (none, tcp, udp, old))
+        ratios = " ".join(f"{ratio:>10.2f}" for ratio in (tcp / none, udp / none, tcp / old, udp / old))
+        print(f"{size:>8} {rates} {ratios}")
+    print("\nCPU of both sides together, µs a message of 2,500 bytes (nan: not without loss)")
+    print(f"{'rate':>8} {'TCP':>8} {'UDP':>8} {'thesis':>8} {'TCP/thesis':>11}")
+    for rate in (1_000, 10_000, 30_000):
+        tcp, udp, old = (cpu[kind, rate] for kind in ("tcp", "udp", "thesis"))
+        print(f"{rate:>8} {tcp:>8.1f} {udp:>8.1f} {old:>8.1f} {tcp / old:>11.2f}")
+    print("\nlatency at 100 Hz, 2,500 bytes, ms; memory; idle")
+    for kind, make in beds.items():
+        with make() as between:
+            run = between.send(100, 15.0, 2_500)
+            line = f"{kind:>8} p50 {run.p50:.2f} p99 {run.p99:.2f}"
+            if kind == "none":
+                base = run
+            else:
+                line += f"  added p50 {run.p50 - base.p50:.2f} p99 {run.p99 - base.p99:.2f}"
+                line += f"  memory {' + '.join(f'{p.memory():.0f}' for p in between.between)} MB"
+                line += f"  idle {_idle(between):.2f} % CPU a side"
+            print(line)
+
+
+def _lossless(between: bed.Bed, size: int) -> float:
+    """The highest of the rates at which nothing was lost; a rate has two tries."""
+    best = 0.0
+    for rate in RATES:
+        for _ in range(2):
+            run = between.send(rate, SECONDS, size)
+            if run.received >= run.sent:
+                break
+        if run.received < run.sent:
+            break
+        if run.rate < 0.97 * rate:
+            return max(best, run.rate)
+        best = run.rate
+    return best
+
+
+def _cpu(between: bed.Bed, rate: int) -> float:
+    run = between.send(rate, 3.0, 2_500)
+    return run.cpu_per_message if run.received >= run.sent and run.rate > 0.95 * rate else float("nan")
+
+
+def _idle(between: bed.Bed) -> float:
+    before, began = sum(process.cpu() for process in between.between), time.monotonic()
+    time.sleep(10)
+    used = sum(process.cpu() for process in between.between) - before
+    return used / (time.monotonic() - began) / len(between.between) * 100
+
+
+if __name__ == "__main__":
+    main()
