@@ -33,7 +33,7 @@ _REASONS = {
 }
 
 
-class NoBluetoothError(Exception):
+class NoBluetoothError(OSError):
     """Bluetooth sockets can't be opened; the message says why and what to do."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ _MODULES = sorted(path.name for path in Path(__file__).parent.glob("guest/test_*
 
 @pytest.mark.parametrize("module", _MODULES)
 def test_in_the_machine(run: Run, module: str) -> None:
-    outcome = run([f"tests/bluetooth/guest/{module}"])
+    outcome = run([f"tests/bluetooth/guest/{module}", "-rP"])
+    sys.stdout.write(outcome.output)
     assert outcome.exit_code == 0, outcome.output
     assert re.search(r"= \d+ passed in .* =", outcome.output), "some were skipped, though the machine has all they need"

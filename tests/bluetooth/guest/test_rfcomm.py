@@ -1,0 +1,238 @@
+"""The RFCOMM transport over the machine's virtual radio."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import time
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge import hci
+from rsb_bridge.hci import ANY_ADAPTER
+from rsb_bridge.transport import rfcomm
+from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.tcp import ListenError
+
+from .conftest import holding
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import AsyncIterator, Callable
+
+_DEADLINE = 20.0
+
+
+class End(StreamHandler):
+    """One end of a connection: keeps what came.
+
+    Attributes:
+        stream: once connected.
+        data: all that was received.
+        reason: why it is over.
+    """
+
+    def __init__(self) -> None:
+        self.stream: Stream | None = None
+        self.data = bytearray()
+        self.reason = ""
+        self._changed = asyncio.Event()
+
+    def connected(self, stream: Stream) -> None:
+        self.stream = stream
+        self._changed.set()
+
+    def received(self, data: bytes) -> None:
+        self.data += data
+        self._changed.set()
+
+    def writable(self) -> None:
+        self._changed.set()
+
+    def closed(self, reason: str) -> None:
+        self.reason = reason
+        self._changed.set()
+
+    async def until(self, condition: Callable[[End], object]) -> None:
+        """Wait until something is so of this end."""
+        async with asyncio.timeout(_DEADLINE):
+            while not condition(self):
+                self._changed.clear()
+                await self._changed.wait()
+
+    async def send(self, data: bytes) -> None:
+        """Write as the engine does: not while congested."""
+        stream = self.stream
+        assert stream is not None
+        for start in range(0, len(data), 2048):
+            await self.until(lambda _: not stream.congested)
+            stream.write(data[start : start + 2048])
+
+
+class Pair:
+    """A listener's accepted ends, and what connects to it."""
+
+    def __init__(self, address: str, channel: int) -> None:
+        self.address, self.channel = address, channel
+        self.accepted: list[End] = []
+        self._newest: asyncio.Queue[End] = asyncio.Queue()
+
+    def accept(self) -> End:
+        self.accepted.append(End())
+        self._newest.put_nowait(self.accepted[-1])
+        return self.accepted[-1]
+
+    async def connect(self) -> tuple[End, End]:
+        """A new connection: the client's end and the server's."""
+        client = End()
+        await rfcomm.connect(self.address, self.channel, client)
+        async with asyncio.timeout(_DEADLINE):
+            server = await self._newest.get()
+        await server.until(lambda end: end.stream)
+        return client, server
+
+
+@asynccontextmanager
+async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator[Pair]:
+    pair = Pair(address, channel)
+    server = await rfcomm.listen(bind or address, channel, pair.accept)
+    try:
+        yield pair
+    finally:
+        server.close()
+        for end in pair.accepted:
+            if end.stream is not None:
+                end.stream.abort("test over")
+        await server.wait_closed()
+
+
+def test_both_ways_intact(addresses: tuple[str, str]) -> None:
+    async def main() -> None:
+        there, back = os.urandom(1_000_000), os.urandom(1_000_000)
+        async with listening(addresses[0], 4) as pair:
+            client, server = await pair.connect()
+            assert client.stream is not None
+            assert server.stream is not None
+            assert client.stream.peer == f"{addresses[0]} channel 4"
+            assert server.stream.host == addresses[1]
+            await asyncio.gather(client.send(there), server.send(back))
+            for end in (client, server):
+                await end.until(lambda end: len(end.data) == 1_000_000)
+            assert bytes(client.data) == back
+            assert bytes(server.data) == there
+            client.stream.close("enough")
+            await client.until(lambda end: end.reason)
+            await server.until(lambda end: end.reason)
+            assert client.reason == "enough"
+            assert server.reason == "Connection reset by peer"
+
+    asyncio.run(main())
+
+
+def test_what_was_written_arrives_before_the_end(addresses: tuple[str, str]) -> None:
+    async def main() -> None:
+        async with listening(addresses[0], 4) as pair:
+            client, server = await pair.connect()
+            assert client.stream is not None
+            client.stream.write(bytes(60_000))
+            client.stream.close("enough")
+            await server.until(lambda end: end.reason)
+            assert len(server.data) == 60_000
+
+    asyncio.run(main())
+
+
+def test_reconnecting_at_once(addresses: tuple[str, str]) -> None:
+    async def main() -> None:
+        async with listening(addresses[0], 5, bind=ANY_ADAPTER) as pair:
+            for turn in range(20):
+                client, server = await pair.connect()
+                closes_first = client if turn % 2 else server
+                assert closes_first.stream is not None
+                closes_first.stream.abort("again")
+            await client.until(lambda end: end.reason)
+            assert len(pair.accepted) == 20
+
+    asyncio.run(main())
+
+
+def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
+    async def main() -> None:
+        started = time.monotonic()
+        with pytest.raises(OSError, match="nobody listens on channel 9 there: is the server running"):
+            await rfcomm.connect(addresses[0], 9, End())
+        assert 1.0 < time.monotonic() - started < 5.0
+        async with listening(addresses[0], 7) as pair:
+            await pair.connect()
+            with pytest.raises(OSError, match="channel 7 there is in use by another program of this machine"):
+                await rfcomm.connect(addresses[0], 7, End())
+
+    asyncio.run(main())
+
+
+def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rfcomm, "CONNECT_TIMEOUT", 2.0)
+
+    async def main() -> None:
+        started = time.monotonic()
+        with pytest.raises(OSError, match="no answer: is it on, near, and is the MAC right"):
+            await rfcomm.connect("00:11:22:33:44:55", 5, End())
+        assert time.monotonic() - started < 4.0
+        async with listening(addresses[0], 5) as pair:  # and it leaves nothing behind that would be in the way
+            await pair.connect()
+
+    asyncio.run(main())
+
+
+def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
+    async def main() -> None:
+        with pytest.raises(ListenError, match=f"00:11:22:33:44:55 is no .* this machine's are {', '.join(addresses)}"):
+            await rfcomm.listen("00:11:22:33:44:55", 3, End)
+        with holding((addresses[0], 3, "listen")), pytest.raises(ListenError, match="channel 3 is taken: choose one"):
+            await rfcomm.listen(addresses[0].lower(), 3, End)
+
+    asyncio.run(main())
+
+
+def test_throughput_beside_a_bare_socket(addresses: tuple[str, str]) -> None:
+    """The transport's cost over blocking sockets that do nothing else, in one process as well."""
+    size = 2_000_000
+
+    async def ours() -> float:
+        async with listening(addresses[0], 4) as pair:
+            client, server = await pair.connect()
+            started = time.monotonic()
+            await client.send(bytes(size))
+            await server.until(lambda end: len(end.data) == size)
+            return size / (time.monotonic() - started)
+
+    async def bare() -> float:
+        loop = asyncio.get_running_loop()
+        with hci.rfcomm_socket() as listener, hci.rfcomm_socket() as client:
+            listener.bind((addresses[0], 8))
+            listener.listen(1)
+            client.connect((addresses[0], 8))
+            server, _ = listener.accept()
+            with server:
+                started = time.monotonic()
+                reading = loop.run_in_executor(None, _read, server, size)
+                await loop.run_in_executor(None, _write, client, size)
+                await reading
+                return size / (time.monotonic() - started)
+
+    by_transport, by_socket = asyncio.run(ours()), asyncio.run(bare())
+    sys.stdout.write(f"RFCOMM: {by_transport / 1e3:.0f} kB/s, a bare socket {by_socket / 1e3:.0f} kB/s\n")
+    assert by_transport > 0.25 * by_socket
+
+
+def _read(sock: socket.socket, size: int) -> None:
+    while size:
+        size -= len(sock.recv(min(size, 65536)))
+
+
+def _write(sock: socket.socket, size: int) -> None:
+    while size:
+        size -= sock.send(bytes(min(size, 2048)))
