@@ -1,61 +1,31 @@
+"""The control connection: the handshake, who is let in, what is sent."""
+
 import itertools
-import struct
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.wire.links import (
+    CONTROL_HEADER,
+    HELLO,
+    KEY,
+    OTHER_KEY,
+    SUITES,
+    WELCOME,
+    established,
+    make_client,
+    make_server,
+    ready_to_accept,
+    shake_hands,
+)
 
-from rsb_bridge.wire.connection import ClientConnection, Credential, DataConnection, ServerConnection
-from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Established, Failed, Received, Refused
-from rsb_bridge.wire.framing import CONTROL_LIMIT, DataReader, DataWriter, pack_frame
+from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
+from rsb_bridge.wire.events import Established, Failed, Received, Refused
+from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
-from rsb_bridge.wire.messages import Close, Hello, Ping, Pong, Ready, Welcome, encode
-from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, control_header, opening, refuse_frame
-from rsb_bridge.wire.sealing import Sealer, SealError, SessionKeys, Suite
-
-KEY = bytes(range(32))
-OTHER_KEY = bytes(32)
-HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
-WELCOME = Welcome(version="0.1.0", name="pc", link_id=b"linklink", instance="def", domain_id=0)
-SUITES = pytest.mark.parametrize("suite", list(Suite))
-CONTROL_HEADER = bytes(14)
-
-
-def key_for(suite):
-    return None if suite is Suite.PLAIN else KEY
-
-
-def make_client(suite=Suite.AESGCM, *, key=KEY, **options):
-    return ClientConnection(HELLO, None if suite is Suite.PLAIN else key, suite, **options)
-
-
-def make_server(suite=Suite.AESGCM, *, key=KEY, aes=True, **options):
-    credential = Credential(None if suite is Suite.PLAIN else key)
-    return ServerConnection(lambda name: credential, lambda hello: WELCOME, aes, **options)
-
-
-def shake_hands(client, server):
-    """Carry bytes both ways until neither has more to say."""
-    client_events, server_events = [], server.receive_data(client.start())
-    while to_client := server.data_to_send():
-        client_events += client.receive_data(to_client)
-        server_events += server.receive_data(client.data_to_send())
-    return client_events, server_events
-
-
-def established(suite=Suite.AESGCM, **options):
-    client, server = make_client(suite, **options), make_server(suite, **options)
-    (client_event,), (server_event,) = shake_hands(client, server)
-    return client, server, client_event.keys, server_event.keys
-
-
-def ready_to_accept(suite=Suite.AESGCM):
-    client, server = make_client(suite), make_server(suite)
-    server.receive_data(client.start())
-    return client, server
-
-
-# --- the handshake
+from rsb_bridge.wire.messages import Close, Hello, Ping, Pong, Ready, encode
+from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, opening, refuse_frame
+from rsb_bridge.wire.sealing import Sealer, Suite
 
 
 @SUITES
@@ -258,137 +228,6 @@ def test_data_before_the_confirmation_have_no_place():
     assert "has no place on this control connection" in event.reason
 
 
-# --- what breaks the format
-
-
-def control(body):
-    return pack_frame(opening(Kind.CONTROL, body))
-
-
-@pytest.mark.parametrize(
-    ("stream", "words"),
-    [
-        (b"GET / HTTP/1.1\r\n\r\n", "not an rsb-console"),
-        (b"\x00\x00\x10\x01", "not an rsb-console"),
-        (pack_frame(b""), "not an rsb-console"),
-        (pack_frame(b"rsb\x01"), "not an rsb-console"),
-        (pack_frame(b"RSB\x01\x01"), "not an rsb-console"),
-        (pack_frame(opening(Kind.ACCEPT)), "kind ACCEPT has no place"),
-        (pack_frame(b"rsb\x01\x63"), "no opening frame of kind 99"),
-        (control(b""), "ends before its name does"),
-        (control(b"\x01\x05robo"), "ends before its name does"),
-        (control(b"\x01\x02\xff\xfe"), "not UTF-8"),
-        (control(b"\x07\x01a"), "cipher suite that does not exist"),
-        (control(b"\x01\x06robot1short"), "too short"),
-        (pack_frame(opening(Kind.DATA, bytes(11))), "ends before its route does"),
-    ],
-)
-def test_what_is_no_opening_frame_is_refused_in_words(stream, words):
-    server = make_server()
-    (event,) = server.receive_data(stream)
-    assert isinstance(event, Failed)
-    assert words in event.reason
-    assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.BAD_FORMAT, event.reason))
-
-
-@pytest.mark.parametrize("hello", [b"", b"\xc1", encode(Ping(1, 1)), encode(WELCOME)])
-def test_a_first_message_that_holds_no_hello(hello):
-    (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello))
-    assert "does not read" in event.reason
-
-
-def test_a_client_with_two_names():
-    (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot2"), encode(HELLO)))
-    assert event == Failed("the client calls itself 'robot2' first and 'robot1' then")
-
-
-@pytest.mark.parametrize(
-    ("frame", "words"),
-    [
-        (opening(Kind.DATA), "kind DATA has no place"),
-        (opening(Kind.REFUSE), "a reason that does not exist"),
-        (opening(Kind.REFUSE, b"\x63words"), "a reason that does not exist"),
-        (opening(Kind.ACCEPT, b"short"), "too short"),
-        (b"SSH-2.0-OpenSSH", "not an rsb-console"),
-    ],
-)
-def test_a_client_hears_nonsense(frame, words):
-    client, _ = ready_to_accept()
-    (event,) = client.receive_data(pack_frame(frame))
-    assert words in event.reason
-    assert client.data_to_send() == b""
-
-
-def test_a_refusal_s_words_are_bounded_and_printable():
-    client, _ = ready_to_accept()
-    words = "\x1b[2J" + "ü" * 400
-    assert len(refuse_frame(RefusalCode.BUSY, words)) == 6 + 512
-    (event,) = client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words)))
-    assert (event.code, event.by_peer) == (RefusalCode.BUSY, True)
-    assert event.words.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
-    assert len(event.words.encode()) <= 512 + 4
-
-
-@SUITES
-def test_damage_to_a_sealed_frame_ends_the_connection(suite):
-    client, server, _, _ = established(suite)
-    frame = bytearray(client.send(Ping(1, 1)))
-    frame[-1] ^= 1
-    (event,) = server.receive_data(frame)
-    assert "damaged or forged" in event.reason
-    assert server.data_to_send() == b""
-    assert server.receive_data(client.send(Ping(2, 2))) == []
-
-
-@SUITES
-def test_a_sealed_frame_played_again_ends_the_connection(suite):
-    client, server, _, _ = established(suite)
-    frame = client.send(Ping(1, 1))
-    events = server.receive_data(frame + frame)
-    assert [type(event) for event in events] == [Received, Failed]
-
-
-@pytest.mark.parametrize("frame", [b"", b"\x00", bytes(13), b"\x02" + bytes(30), bytes((0, 1)) + bytes(30)])
-@pytest.mark.parametrize("multiplexed", [True, False])
-def test_a_sealed_frame_that_is_neither_control_nor_data(frame, multiplexed):
-    _, server, _, _ = established(multiplexed=multiplexed)
-    (event,) = server.receive_data(pack_frame(frame))
-    assert "has no place on this control connection" in event.reason
-
-
-def test_a_control_frame_too_long_is_refused_before_it_comes():
-    _, server, _, _ = established()
-    (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
-    assert event == Failed(f"a frame of {CONTROL_LIMIT + 1} bytes, where {CONTROL_LIMIT} are the most")
-
-
-def test_an_empty_control_frame_later_is_no_message():
-    _, server, _, _ = established(Suite.PLAIN)
-    sealer = Sealer(Suite.PLAIN, None)
-    sealer.sequence = 1
-    (event,) = server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER)))
-    assert "does not read" in event.reason
-
-
-@st.composite
-def any_end(draw):
-    """Either end of any stream, in any state it may be met in."""
-    suite = draw(st.sampled_from(Suite))
-    client, server = ready_to_accept(suite)
-    data = DataConnection(SessionKeys(suite, key_for(suite) and KEY, b"linklink"), 1)
-    live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
-    return draw(st.sampled_from([make_server(suite), client, server, data, live_client, live_server]))
-
-
-@given(end=any_end(), garbage=st.lists(st.binary(max_size=200), max_size=5), framed=st.booleans())
-def test_garbage_gives_events_not_exceptions(end, garbage, framed):
-    events = []
-    for piece in garbage:
-        events += end.receive_data(pack_frame(piece) if framed else piece)
-    assert all(isinstance(event, Failed | Refused | DataFrame) for event in events)
-    assert sum(isinstance(event, Failed | Refused) for event in events) <= 1
-
-
 # --- sending
 
 
@@ -412,87 +251,3 @@ def test_a_message_may_fill_a_control_frame_and_no_more(suite):
     with pytest.raises(ValueError, match="a Close of"):
         client.send(Close(route=1, reason="x" * (room + 1)))
     assert server.receive_data(client.send(Ping(1, 1))) == [Received(Ping(1, 1))]
-
-
-# --- data streams
-
-
-@SUITES
-def test_a_data_stream_is_attached(suite):
-    _, _, client_keys, server_keys = established(suite)
-    data, server = DataConnection(client_keys, 5), make_server(suite)
-    start = data.start()
-    (attach,) = server.receive_data(start)
-    assert isinstance(attach, Attach)
-    assert (attach.link_id, attach.route) == (WELCOME.link_id, 5)
-    server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
-
-    # The server may send at once: what comes with the ACCEPT is the route's.
-    first = DataWriter(server_keys.route_sealer(5, "server"), 5).write(b"x" * 10_000, 7)
-    stream = server.accept_attach() + first
-    assert data.receive_data(stream[:20]) == [Accepted()]
-    assert data.receive_data(stream[20:30]) == []
-    reader = DataReader(client_keys.stream_opener(5, "server"), 5)
-    assert reader.receive_data(data.leftover()) == []
-    assert reader.receive_data(stream[30:]) == [(b"x" * 10_000, 7, 0)]
-    assert data.leftover() == b""
-
-
-def test_what_a_client_sends_behind_its_data_opening_is_left_over():
-    _, _, keys, _ = established()
-    server = make_server()
-    (attach,) = server.receive_data(DataConnection(keys, 5).start() + b"beyond")
-    assert isinstance(attach, Attach)
-    assert server.leftover() == b"beyond"
-
-
-@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
-def test_a_data_stream_of_another_link_has_no_proof(suite):
-    _, _, _, server_keys = established(suite)
-    stranger = SessionKeys(suite, OTHER_KEY, server_keys.link_id)
-    server = make_server(suite)
-    (attach,) = server.receive_data(DataConnection(stranger, 5).start())
-    with pytest.raises(SealError):
-        server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
-
-
-def test_a_data_stream_is_turned_away():
-    _, _, keys, _ = established()
-    data, server = DataConnection(keys, 5), make_server()
-    server.receive_data(data.start())
-    answer = server.refuse(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
-    refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open", by_peer=True)
-    assert data.receive_data(answer) == [refusal]
-    for end in (data, server):
-        assert end.receive_data(b"more") == []
-        assert end.leftover() == b""
-
-
-def test_a_data_stream_is_offered_a_retry():
-    _, _, keys, _ = established()
-    data = DataConnection(keys, 5)
-    data.start()
-    assert data.receive_data(pack_frame(opening(Kind.RETRY, b"\x02"))) == [
-        Failed("an opening frame of kind RETRY has no place here")
-    ]
-
-
-# --- data frames on the control stream
-
-
-@SUITES
-def test_a_multiplexed_stream_carries_control_and_data(suite):
-    client, server, client_keys, server_keys = established(suite, multiplexed=True)
-    writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
-    reader = DataReader(server_keys.stream_opener(3, "client"), 3)
-    first, second = writer.write_chunks(b"payload", 9, 0, 4)
-    events = server.receive_data(first + client.send(Ping(1, 1)) + second)
-    assert [type(event) for event in events] == [DataFrame, Received, DataFrame]
-    assert [event.route for event in events[::2]] == [3, 3]
-    assert [reader.open_frame(event.frame) for event in events[::2]] == [None, (b"payload", 9, 0)]
-
-
-def test_elsewhere_data_frames_have_no_place_on_the_control_stream():
-    _, server, keys, _ = established()
-    (event,) = server.receive_data(DataWriter(keys.route_sealer(3, "client"), 3).write(b"x", 0))
-    assert "has no place on this control connection" in event.reason

@@ -1,0 +1,152 @@
+"""What breaks the format of a stream gives words, on either side."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.wire.links import (
+    CONTROL_HEADER,
+    HELLO,
+    SUITES,
+    WELCOME,
+    established,
+    key_for,
+    make_server,
+    ready_to_accept,
+)
+
+from rsb_bridge.wire.connection import DataConnection
+from rsb_bridge.wire.events import DataFrame, Failed, Received, Refused
+from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
+from rsb_bridge.wire.messages import Ping, encode
+from rsb_bridge.wire.opening import Kind, RefusalCode, control_header, opening, refuse_frame
+from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
+
+
+def control(body):
+    return pack_frame(opening(Kind.CONTROL, body))
+
+
+@pytest.mark.parametrize(
+    ("stream", "words"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "not an rsb-console"),
+        (b"\x00\x00\x10\x01", "not an rsb-console"),
+        (pack_frame(b""), "not an rsb-console"),
+        (pack_frame(b"rsb\x01"), "not an rsb-console"),
+        (pack_frame(b"RSB\x01\x01"), "not an rsb-console"),
+        (pack_frame(opening(Kind.ACCEPT)), "kind ACCEPT has no place"),
+        (pack_frame(b"rsb\x01\x63"), "no opening frame of kind 99"),
+        (control(b""), "ends before its name does"),
+        (control(b"\x01\x05robo"), "ends before its name does"),
+        (control(b"\x01\x02\xff\xfe"), "not UTF-8"),
+        (control(b"\x07\x01a"), "cipher suite that does not exist"),
+        (control(b"\x01\x06robot1short"), "too short"),
+        (pack_frame(opening(Kind.DATA, bytes(11))), "ends before its route does"),
+    ],
+)
+def test_what_is_no_opening_frame_is_refused_in_words(stream, words):
+    server = make_server()
+    (event,) = server.receive_data(stream)
+    assert isinstance(event, Failed)
+    assert words in event.reason
+    assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.BAD_FORMAT, event.reason))
+
+
+@pytest.mark.parametrize("hello", [b"", b"\xc1", encode(Ping(1, 1)), encode(WELCOME)])
+def test_a_first_message_that_holds_no_hello(hello):
+    (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello))
+    assert "does not read" in event.reason
+
+
+def test_a_client_with_two_names():
+    (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot2"), encode(HELLO)))
+    assert event == Failed("the client calls itself 'robot2' first and 'robot1' then")
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (opening(Kind.DATA), "kind DATA has no place"),
+        (opening(Kind.REFUSE), "a reason that does not exist"),
+        (opening(Kind.REFUSE, b"\x63words"), "a reason that does not exist"),
+        (opening(Kind.ACCEPT, b"short"), "too short"),
+        (b"SSH-2.0-OpenSSH", "not an rsb-console"),
+    ],
+)
+def test_a_client_hears_nonsense(frame, words):
+    client, _ = ready_to_accept()
+    (event,) = client.receive_data(pack_frame(frame))
+    assert words in event.reason
+    assert client.data_to_send() == b""
+
+
+def test_a_refusal_s_words_are_bounded_and_printable():
+    client, _ = ready_to_accept()
+    words = "\x1b[2J" + "ü" * 400
+    assert len(refuse_frame(RefusalCode.BUSY, words)) == 6 + 512
+    (event,) = client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words)))
+    assert (event.code, event.by_peer) == (RefusalCode.BUSY, True)
+    assert event.words.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
+    assert len(event.words.encode()) <= 512 + 4
+
+
+@SUITES
+def test_damage_to_a_sealed_frame_ends_the_connection(suite):
+    client, server, _, _ = established(suite)
+    frame = bytearray(client.send(Ping(1, 1)))
+    frame[-1] ^= 1
+    (event,) = server.receive_data(frame)
+    assert "damaged or forged" in event.reason
+    assert server.data_to_send() == b""
+    assert server.receive_data(client.send(Ping(2, 2))) == []
+
+
+@SUITES
+def test_a_sealed_frame_played_again_ends_the_connection(suite):
+    client, server, _, _ = established(suite)
+    frame = client.send(Ping(1, 1))
+    events = server.receive_data(frame + frame)
+    assert [type(event) for event in events] == [Received, Failed]
+
+
+@pytest.mark.parametrize("frame", [b"", b"\x00", bytes(13), b"\x02" + bytes(30), bytes((0, 1)) + bytes(30)])
+@pytest.mark.parametrize("multiplexed", [True, False])
+def test_a_sealed_frame_that_is_neither_control_nor_data(frame, multiplexed):
+    _, server, _, _ = established(multiplexed=multiplexed)
+    (event,) = server.receive_data(pack_frame(frame))
+    assert "has no place on this control connection" in event.reason
+
+
+def test_a_control_frame_too_long_is_refused_before_it_comes():
+    _, server, _, _ = established()
+    (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
+    assert event == Failed(f"a frame of {CONTROL_LIMIT + 1} bytes, where {CONTROL_LIMIT} are the most")
+
+
+def test_an_empty_control_frame_later_is_no_message():
+    _, server, _, _ = established(Suite.PLAIN)
+    sealer = Sealer(Suite.PLAIN, None)
+    sealer.sequence = 1
+    (event,) = server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER)))
+    assert "does not read" in event.reason
+
+
+@st.composite
+def any_end(draw):
+    """Either end of any stream, in any state it may be met in."""
+    suite = draw(st.sampled_from(Suite))
+    client, server = ready_to_accept(suite)
+    data = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), 1)
+    live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
+    return draw(st.sampled_from([make_server(suite), client, server, data, live_client, live_server]))
+
+
+@given(end=any_end(), garbage=st.lists(st.binary(max_size=200), max_size=5), framed=st.booleans())
+def test_garbage_gives_events_not_exceptions(end, garbage, framed):
+    events = []
+    for piece in garbage:
+        events += end.receive_data(pack_frame(piece) if framed else piece)
+    assert all(isinstance(event, Failed | Refused | DataFrame) for event in events)
+    assert sum(isinstance(event, Failed | Refused) for event in events) <= 1

@@ -1,0 +1,92 @@
+"""Streams of a route's own, and data frames that share the control stream."""
+
+import pytest
+from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_server
+
+from rsb_bridge.wire.connection import DataConnection
+from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, Refused
+from rsb_bridge.wire.framing import DataReader, DataWriter, pack_frame
+from rsb_bridge.wire.messages import Ping
+from rsb_bridge.wire.opening import Kind, RefusalCode, opening
+from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
+
+
+@SUITES
+def test_a_data_stream_is_attached(suite):
+    _, _, client_keys, server_keys = established(suite)
+    data, server = DataConnection(client_keys, 5), make_server(suite)
+    start = data.start()
+    (attach,) = server.receive_data(start)
+    assert isinstance(attach, Attach)
+    assert (attach.link_id, attach.route) == (WELCOME.link_id, 5)
+    server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
+
+    # The server may send at once: what comes with the ACCEPT is the route's.
+    first = DataWriter(server_keys.route_sealer(5, "server"), 5).write(b"x" * 10_000, 7)
+    stream = server.accept_attach() + first
+    assert data.receive_data(stream[:20]) == [Accepted()]
+    assert data.receive_data(stream[20:30]) == []
+    reader = DataReader(client_keys.stream_opener(5, "server"), 5)
+    assert reader.receive_data(data.leftover()) == []
+    assert reader.receive_data(stream[30:]) == [(b"x" * 10_000, 7, 0)]
+    assert data.leftover() == b""
+
+
+def test_what_a_client_sends_behind_its_data_opening_is_left_over():
+    _, _, keys, _ = established()
+    server = make_server()
+    (attach,) = server.receive_data(DataConnection(keys, 5).start() + b"beyond")
+    assert isinstance(attach, Attach)
+    assert server.leftover() == b"beyond"
+
+
+@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
+def test_a_data_stream_of_another_link_has_no_proof(suite):
+    _, _, _, server_keys = established(suite)
+    stranger = SessionKeys(suite, OTHER_KEY, server_keys.link_id)
+    server = make_server(suite)
+    (attach,) = server.receive_data(DataConnection(stranger, 5).start())
+    with pytest.raises(SealError):
+        server_keys.check_attach_proof(attach.header, attach.route, attach.proof)
+
+
+def test_a_data_stream_is_turned_away():
+    _, _, keys, _ = established()
+    data, server = DataConnection(keys, 5), make_server()
+    server.receive_data(data.start())
+    answer = server.refuse(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
+    refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open", by_peer=True)
+    assert data.receive_data(answer) == [refusal]
+    for end in (data, server):
+        assert end.receive_data(b"more") == []
+        assert end.leftover() == b""
+
+
+def test_a_data_stream_is_offered_a_retry():
+    _, _, keys, _ = established()
+    data = DataConnection(keys, 5)
+    data.start()
+    assert data.receive_data(pack_frame(opening(Kind.RETRY, b"\x02"))) == [
+        Failed("an opening frame of kind RETRY has no place here")
+    ]
+
+
+# --- data frames on the control stream
+
+
+@SUITES
+def test_a_multiplexed_stream_carries_control_and_data(suite):
+    client, server, client_keys, server_keys = established(suite, multiplexed=True)
+    writer = DataWriter(client_keys.route_sealer(3, "client"), 3)
+    reader = DataReader(server_keys.stream_opener(3, "client"), 3)
+    first, second = writer.write_chunks(b"payload", 9, 0, 4)
+    events = server.receive_data(first + client.send(Ping(1, 1)) + second)
+    assert [type(event) for event in events] == [DataFrame, Received, DataFrame]
+    assert [event.route for event in events[::2]] == [3, 3]
+    assert [reader.open_frame(event.frame) for event in events[::2]] == [None, (b"payload", 9, 0)]
+
+
+def test_elsewhere_data_frames_have_no_place_on_the_control_stream():
+    _, server, keys, _ = established()
+    (event,) = server.receive_data(DataWriter(keys.route_sealer(3, "client"), 3).write(b"x", 0))
+    assert "has no place on this control connection" in event.reason
