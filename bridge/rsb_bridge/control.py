@@ -55,7 +55,7 @@ class Control(StreamHandler):
                 return  # an earlier event ended it
             match event:
                 case Received(message):
-                    self.link.handle(message)
+                    self.link.dialogue.handle(message)
                 case Failed(reason):
                     self.abort(f"the peer broke the format: {reason}")
                 case Refused(_, words, _):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge import __version__
 from rsb_bridge.client import ClientLink
+from rsb_bridge.dialogue import LinkError
 from rsb_bridge.keys import Key
-from rsb_bridge.link import Link, LinkError
 from rsb_bridge.machine import fastest_suite
 from rsb_bridge.proposals import proposal_of
 from rsb_bridge.server import Entry, Server, ServerLink
@@ -20,6 +20,7 @@ from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
+    from rsb_bridge.link import Link
     from rsb_bridge.route import Route
 
 _RESTART_WITHIN = 5.0

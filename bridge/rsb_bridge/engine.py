@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 
 from rsb_bridge.context import Context, Handoff
+from rsb_bridge.dialogue import LinkError
 from rsb_bridge.ends import ClientEnd, End, Keys, ServerEnd, clients_of
 from rsb_bridge.event_log import EventLog
 from rsb_bridge.graph import topics_of
 from rsb_bridge.keys import KeyFileError, read_key
-from rsb_bridge.link import Link, LinkError
 from rsb_bridge.ros.api import RosError, RosSide, Subscription
 from rsb_bridge.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.snapshot import Event, Level, Snapshot, TopicInfo
@@ -28,6 +28,7 @@ from rsb_bridge.transport.tcp import ListenError
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from rsb_bridge.link import Link
     from rsb_bridge.route import Route
     from rsb_bridge.session import Session, Topic
 
@@ -213,7 +214,7 @@ class Engine:
                 return await asyncio.to_thread(topics_of, self._context.ros)
             for candidate in end.links():
                 if candidate.name == link:
-                    return await candidate.remote_topics()
+                    return await candidate.dialogue.remote_topics()
             raise LinkError(f"there is no link {link!r}")
 
         return self._command(work)

@@ -2,46 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.graph import topics_of, type_hint
+from rsb_bridge.dialogue import Dialogue, LinkError
 from rsb_bridge.incoming import IncomingRoute
 from rsb_bridge.keepalive import Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
-from rsb_bridge.proposals import same_route, topic_of
 from rsb_bridge.route import Route, route_key
-from rsb_bridge.snapshot import Level, LinkSnapshot, State, TopicInfo
+from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter, parse_header
 from rsb_bridge.wire.framing import DataReader, DataWriter
-from rsb_bridge.wire.messages import (
-    Accept,
-    Close,
-    ControlMessage,
-    Describe,
-    Hello,
-    ListTopics,
-    Pause,
-    Ping,
-    Pong,
-    Propose,
-    Ready,
-    Refuse,
-    RefuseCode,
-    Report,
-    Shutdown,
-    TopicEntry,
-    TopicList,
-    Welcome,
-)
+from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Coroutine
 
     from rsb_bridge.context import Context
@@ -49,14 +29,10 @@ if TYPE_CHECKING:
     from rsb_bridge.session import Topic
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.transport.udp import Address
+    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Shutdown, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _REPROPOSED_WITHIN = 3.0
-_ANSWER_WITHIN = 5.0
-
-
-class LinkError(Exception):
-    """The link can't do what was asked; the message says why."""
 
 
 class Link:
@@ -91,8 +67,8 @@ class Link:
         self._next_id = 0
         self._since = time.time()
         self._linked_at = 0.0
-        self._keepalive = Keepalive(context.now())
-        self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
+        self.keepalive = Keepalive(context.now())
+        self.dialogue = Dialogue(self)
         self._tasks: set[asyncio.Task[None]] = set()
 
     # --- what client and server do differently
@@ -146,19 +122,19 @@ class Link:
     @property
     def clock_offset(self) -> float | None:
         """s, the peer's clock minus ours."""
-        return self._keepalive.clock.offset
+        return self.keepalive.clock.offset
 
     @property
     def clock_uncertainty(self) -> float | None:
         """Seconds by which `clock_offset` may be wrong."""
-        return self._keepalive.clock.uncertainty
+        return self.keepalive.clock.uncertainty
 
     def up(self, control: Control, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """The peer is connected and authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
         self.prober = Prober(keys, self.side, self.other_side)
         self._linked_at = self.context.now()
-        self._keepalive = Keepalive(self._linked_at)
+        self.keepalive = Keepalive(self._linked_at)
         self._since = time.time()
         self._next_id = 1 if self.is_client else 2
         self.attempts = 0
@@ -182,9 +158,7 @@ class Link:
         for lane in self.lanes.values():
             lane.close()
         self.lanes.clear()
-        for future in self._requests.values():
-            future.cancel()
-        self._requests.clear()
+        self.dialogue.end()
         self.log(Level.INFO if on_purpose else Level.WARNING, f"link {'closed' if on_purpose else 'lost'}: {reason}")
 
     def destroy(self) -> None:
@@ -254,13 +228,18 @@ class Link:
             if self.linked and route.proposed_here and not route.id:
                 self.propose(route)
 
+    def end_opening(self, route: Route, reason: str) -> None:
+        """There is no such route for now, as one of the sides says; it is tried again if it was proposed here."""
+        self._by_id.pop(route.id, None)
+        route.refuse(reason)
+
     def open_route(self, route_id: int) -> Route | None:
         """The open route of that id."""
         return self._by_id.get(route_id)
 
     def propose(self, route: Route) -> None:
         """Ask the peer to open a route, anew if it was open."""
-        self._reopen(route, self._next_id)
+        self.reopen(route, self._next_id)
         self._next_id += 2
         self.spawn(self._propose(route, route.id))
 
@@ -272,36 +251,12 @@ class Link:
         if route.id == route_id:
             self.send(msgspec.structs.replace(route.proposal, route=route_id, paused=route.paused))
 
-    def _reopen(self, route: Route, route_id: int) -> None:
+    def reopen(self, route: Route, route_id: int) -> None:
+        """Begin a route's opening of that id."""
         self._by_id.pop(route.id, None)
         route.close("opened anew")
         route.open(route_id)
         self._by_id[route_id] = route
-
-    async def _consider(self, proposal: Propose) -> None:
-        """Answer the peer's proposal."""
-        try:
-            admitted = self.admit(proposal)
-            known = self.routes.get(route_key(self.name, admitted))
-            if known is not None and known.proposed_here:
-                raise LinkError(f"{admitted.topic} is bridged in that direction already")
-            if known is not None and not same_route(known.proposal, admitted):
-                self.forget(known, "replaced")
-                known = None
-            route = known or self.add(topic_of(admitted), admitted, proposed_here=False)
-            self._reopen(route, proposal.route)
-            await self.prepare_port(route)
-        except (LinkError, ListenError, ValueError) as error:
-            code: RefuseCode = "port_taken" if isinstance(error, ListenError) else "denied"
-            self.log(Level.WARNING, f"refused {proposal.topic}: {error}", source="route", topic=proposal.topic)
-            self.send(Refuse(route=proposal.route, code=code, reason=str(error)))
-            return
-        if route.id != proposal.route:
-            return
-        type_name, type_hash = type_hint(self.context.ros, route.local_topic)
-        self.send(Accept(route=route.id, topic=route.local_topic, type=type_name, type_hash=type_hash))
-        route.paused = proposal.paused
-        route.agreed()
 
     def make_path(self, route: Route) -> None:
         """Set a route's path going."""
@@ -342,90 +297,6 @@ class Link:
             for route in tuple(self._by_id.values()):
                 route.advance()
 
-    # --- the peer's words
-
-    def handle(self, message: ControlMessage) -> None:
-        """Do what a control message says."""
-        match message:
-            case Propose():
-                self.spawn(self._consider(message))
-            case Ping():
-                self.send(Keepalive.answer(message))
-            case Pong():
-                self._keepalive.answered(message)
-            case Report():
-                self._take_report(message)
-            case ListTopics():
-                self.spawn(self._list_topics(message.request))
-            case TopicList():
-                future = self._requests.pop(message.request, None)
-                if future is not None and not future.done():
-                    future.set_result(message.topics)
-            case Shutdown():
-                self.told_to_stop(message)
-            case Accept() | Refuse() | Describe() | Ready() | Close() | Pause():
-                route = self._by_id.get(message.route)
-                if route is not None:  # else it was closed here while the message was under way
-                    self._about_route(route, message)
-
-    def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
-        match message:
-            case Accept():
-                route.named(message.topic)
-                route.agreed(message.type, message.type_hash)
-            case Refuse():
-                self._by_id.pop(route.id, None)
-                route.refuse(f"refused by the other side: {message.reason}")
-            case Describe() if isinstance(route, IncomingRoute):
-                route.described(message)
-            case Ready() if isinstance(route, OutgoingRoute):
-                route.peer_ready()
-            case Close() if message.removed:
-                self.forget(route, f"removed by the other side: {message.reason}")
-            case Close():
-                self._by_id.pop(route.id, None)
-                route.refuse(f"closed by the other side: {message.reason}")
-            case Pause():
-                route.set_paused(message.paused)
-
-    def _take_report(self, report: Report) -> None:
-        for sent in report.sent:
-            route = self._by_id.get(sent.route)
-            if isinstance(route, IncomingRoute):
-                route.reported(sent)
-        for received in report.received:
-            route = self._by_id.get(received.route)
-            if isinstance(route, OutgoingRoute):
-                route.reported(received)
-
-    async def _list_topics(self, request: int) -> None:
-        topics = await asyncio.to_thread(topics_of, self.context.ros)
-        entries = tuple(
-            TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions) for t in topics
-        )
-        self.send(TopicList(request=request, topics=entries))
-
-    async def remote_topics(self) -> list[TopicInfo]:
-        """The peer's graph.
-
-        Raises:
-            LinkError: there is no peer now, or it doesn't answer.
-        """
-        if self.control is None:
-            raise LinkError(f"{self.name} is not linked: {self.reason}")
-        request = self._next_id  # any number that is not in use
-        while request in self._requests:
-            request += 1
-        future = self._requests[request] = self.context.loop.create_future()
-        self.send(ListTopics(request=request))
-        try:
-            async with asyncio.timeout(_ANSWER_WITHIN):
-                entries = await future
-        except (TimeoutError, asyncio.CancelledError):
-            self._requests.pop(request, None)
-            raise LinkError(f"{self.name} did not answer") from None
-        return [TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions) for e in entries]
-
     # --- time
 
     def poll(self) -> None:
@@ -449,13 +320,13 @@ class Link:
         stream = self.control.stream
         lanes = set(self.lanes.values())
         self.send(
-            self._keepalive.tick(
+            self.keepalive.tick(
                 stream.received_bytes + sum(lane.received_bytes for lane in lanes),
                 stream.sent_bytes + sum(lane.sent_bytes for lane in lanes),
                 now,
             )
         )
-        if self._keepalive.dead(now):
+        if self.keepalive.dead(now):
             self.control.abort("the peer is silent")
             return
         for lane in lanes:
@@ -479,7 +350,7 @@ class Link:
     def snapshot(self) -> LinkSnapshot:
         """The link as it is now."""
         now = self.context.now()
-        keepalive, keys, peer = self._keepalive, self.keys, self.peer
+        keepalive, keys, peer = self.keepalive, self.keys, self.peer
         return LinkSnapshot(
             name=self.name,
             peer=self.address,

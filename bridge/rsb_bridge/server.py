@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.control import Control
+from rsb_bridge.dialogue import LinkError
 from rsb_bridge.guests import Guests
 from rsb_bridge.keys import Key, fingerprint
 from rsb_bridge.lanes import Lane
-from rsb_bridge.link import Link, LinkError
+from rsb_bridge.link import Link
 from rsb_bridge.ports import Ports
 from rsb_bridge.snapshot import Level
 from rsb_bridge.wire.connection import Credential, ServerConnection

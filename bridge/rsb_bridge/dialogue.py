@@ -1,0 +1,163 @@
+"""What the two sides of a link say to each other about routes and topics."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from typing import TYPE_CHECKING
+
+from rsb_bridge.graph import topics_of, type_hint
+from rsb_bridge.incoming import IncomingRoute
+from rsb_bridge.keepalive import Keepalive
+from rsb_bridge.outgoing import OutgoingRoute
+from rsb_bridge.proposals import same_route, topic_of
+from rsb_bridge.route import Route, route_key
+from rsb_bridge.snapshot import Level, TopicInfo
+from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.wire.messages import (
+    Accept,
+    Close,
+    ControlMessage,
+    Describe,
+    ListTopics,
+    Pause,
+    Ping,
+    Pong,
+    Propose,
+    Ready,
+    Refuse,
+    RefuseCode,
+    Report,
+    Shutdown,
+    TopicEntry,
+    TopicList,
+)
+
+if TYPE_CHECKING:
+    from rsb_bridge.link import Link
+
+_ANSWER_WITHIN = 5.0
+
+
+class LinkError(Exception):
+    """A link can't do what was asked; the message says why."""
+
+
+class Dialogue:
+    """Acts on the peer's control messages, and asks it for its topics."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._numbers = itertools.count(1)
+        self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
+
+    def end(self) -> None:
+        """The connection is over: nobody will answer."""
+        for future in self._requests.values():
+            if not future.done():
+                future.set_exception(LinkError(f"{self._link.name}: the link was lost"))
+        self._requests.clear()
+
+    def handle(self, message: ControlMessage) -> None:
+        """Do what a control message says."""
+        match message:
+            case Propose():
+                self._link.spawn(self._consider(message))
+            case Ping():
+                self._link.send(Keepalive.answer(message))
+            case Pong():
+                self._link.keepalive.answered(message)
+            case Report():
+                self._take_report(message)
+            case ListTopics():
+                self._link.spawn(self._list_topics(message.request))
+            case TopicList():
+                future = self._requests.get(message.request)
+                if future is not None and not future.done():
+                    future.set_result(message.topics)
+            case Shutdown():
+                self._link.told_to_stop(message)
+            case Accept() | Refuse() | Describe() | Ready() | Close() | Pause():
+                route = self._link.open_route(message.route)
+                if route is not None:  # else it was closed here while the message was under way
+                    self._about_route(route, message)
+
+    async def _consider(self, proposal: Propose) -> None:
+        """Answer the peer's proposal."""
+        try:
+            admitted = self._link.admit(proposal)
+            known = self._link.routes.get(route_key(self._link.name, admitted))
+            if known is not None and known.proposed_here:
+                raise LinkError(f"{admitted.topic} is bridged in that direction already")
+            if known is not None and not same_route(known.proposal, admitted):
+                self._link.forget(known, "replaced")
+                known = None
+            route = known or self._link.add(topic_of(admitted), admitted, proposed_here=False)
+            self._link.reopen(route, proposal.route)
+            await self._link.prepare_port(route)
+        except (LinkError, ListenError, ValueError) as error:
+            code: RefuseCode = "port_taken" if isinstance(error, ListenError) else "denied"
+            self._link.log(Level.WARNING, f"refused {proposal.topic}: {error}", source="route", topic=proposal.topic)
+            self._link.send(Refuse(route=proposal.route, code=code, reason=str(error)))
+            return
+        if route.id != proposal.route:
+            return
+        type_name, type_hash = type_hint(self._link.context.ros, route.local_topic)
+        self._link.send(Accept(route=route.id, topic=route.local_topic, type=type_name, type_hash=type_hash))
+        route.paused = proposal.paused
+        route.agreed()
+
+    def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
+        match message:
+            case Accept():
+                route.named(message.topic)
+                route.agreed(message.type, message.type_hash)
+            case Refuse():
+                self._link.end_opening(route, f"refused by the other side: {message.reason}")
+            case Describe() if isinstance(route, IncomingRoute):
+                route.described(message)
+            case Ready() if isinstance(route, OutgoingRoute):
+                route.peer_ready()
+            case Close() if message.removed:
+                self._link.forget(route, f"removed by the other side: {message.reason}")
+            case Close():
+                self._link.end_opening(route, f"closed by the other side: {message.reason}")
+            case Pause():
+                route.set_paused(message.paused)
+
+    def _take_report(self, report: Report) -> None:
+        for sent in report.sent:
+            route = self._link.open_route(sent.route)
+            if isinstance(route, IncomingRoute):
+                route.reported(sent)
+        for received in report.received:
+            route = self._link.open_route(received.route)
+            if isinstance(route, OutgoingRoute):
+                route.reported(received)
+
+    async def _list_topics(self, request: int) -> None:
+        topics = await asyncio.to_thread(topics_of, self._link.context.ros)
+        entries = tuple(
+            TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions) for t in topics
+        )
+        self._link.send(TopicList(request=request, topics=entries))
+
+    async def remote_topics(self) -> list[TopicInfo]:
+        """The peer's graph.
+
+        Raises:
+            LinkError: there is no peer now, or it doesn't answer.
+        """
+        if self._link.control is None:
+            raise LinkError(f"{self._link.name} is not linked: {self._link.reason}")
+        request = next(self._numbers)
+        future = self._requests[request] = self._link.context.loop.create_future()
+        self._link.send(ListTopics(request=request))
+        try:
+            async with asyncio.timeout(_ANSWER_WITHIN):
+                entries = await future
+        except TimeoutError:
+            raise LinkError(f"{self._link.name} did not answer") from None
+        finally:
+            self._requests.pop(request, None)
+        return [TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions) for e in entries]
