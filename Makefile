@@ -16,7 +16,8 @@ demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
 test: $(STAMP) system lint
-	timeout -k 5 900 $(BIN)/python -m pytest
+	timeout -k 5 300 $(BIN)/python -m pytest tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
+	timeout -k 5 900 $(BIN)/python -m pytest --ignore=tests/wire
 
 # Those of the tests that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md); `test` has them too.
 test-bluetooth: $(STAMP) system

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from rsb_bridge.link import Link
 
 _ANSWER_WITHIN = 5.0
+_MOST_TOPICS = 2000
+"""In one list: a control frame holds about three times as many of usual names (PROTOCOL.md section 1)."""
 
 
 class LinkError(Exception):
@@ -138,7 +140,8 @@ class Dialogue:
     async def _list_topics(self, request: int) -> None:
         topics = await asyncio.to_thread(topics_of, self._link.context.ros)
         entries = tuple(
-            TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions) for t in topics
+            TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions)
+            for t in topics[:_MOST_TOPICS]
         )
         self._link.send(TopicList(request=request, topics=entries))
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.paths import Counts
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, DatagramWriter, Probe
+from rsb_bridge.wire.framing import ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,10 +32,15 @@ class Prober:
         return self._writer.write(probe.pack(), 0, 0, size)
 
     def read(self, datagram: bytes, now: float) -> Probe | None:
-        """The probe in a datagram; None: forged, replayed, or older than one that came before it."""
+        """The probe in a datagram; None: forged, replayed, older than one that came before it, or none at all."""
         newest = self._reader.newest
         message = self._reader.receive(datagram, now)
-        return Probe.unpack(message[0]) if message is not None and self._reader.newest > newest else None
+        if message is None or self._reader.newest == newest:
+            return None
+        try:
+            return Probe.unpack(message[0])
+        except ProtocolError:
+            return None
 
 
 class Lane:
