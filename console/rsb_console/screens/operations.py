@@ -66,3 +66,52 @@ class OperationsScreen(Screen[None]):
         """Connect again now."""
         if self.app.engine is not None:
             await self.command(self.app.engine.retry(), "trying again")
+
+    @work
+    async def action_add_topic(self) -> None:
+        """Bridge one more topic."""
+        from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine = self.app.engine
+        if engine is None:
+            return
+        draft = await self.app.push_screen_wait(TopicScreen(engine))
+        if draft is not None:
+            await self.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added")
+
+    @work
+    async def action_edit_topic(self) -> None:
+        """Put something else in the place of the topic under the cursor."""
+        from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
+
+        route, engine = self.selected, self.app.engine
+        if route is None or engine is None:
+            return
+        draft = await self.app.push_screen_wait(TopicScreen(engine, route))
+        if draft is not None and draft.topic != route.spec:
+            await self.command(engine.edit_topic(route.key, draft.topic), f"{draft.topic.topic}: changed")
+
+    @work
+    async def action_remove_topic(self) -> None:
+        """Bridge the topic under the cursor no longer; ask first."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        route, engine = self.selected, self.app.engine
+        if route is None or engine is None:
+            return
+        words = f"It stops crossing at once, on both sides of the link with {route.link}."
+        if await self.app.push_screen_wait(ConfirmScreen(f"Remove {route.topic}?", words, "Remove")):
+            await self.command(engine.remove_topic(route.key), f"{route.topic}: removed")
+
+    @work
+    async def action_restart(self) -> None:
+        """Close the links on both sides and begin anew; ask first."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.restart import RestartScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine = self.app.engine
+        if engine is None:
+            return
+        words = "Every link is closed on both sides and made anew. No topic crosses meanwhile: some seconds."
+        if await self.app.push_screen_wait(ConfirmScreen("Restart the bridge?", words, "Restart")):
+            await self.app.push_screen_wait(RestartScreen(engine))

@@ -1,0 +1,85 @@
+"""A dialog that is a form: checked while it is typed, given away only when nothing is wrong."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, TypeVar
+
+from textual import on
+from textual.binding import Binding
+from textual.containers import Horizontal, Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Button
+
+from rsb_console.widgets.form import Field, Form
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from textual.app import ComposeResult
+
+    from rsb_console.app import ConsoleApp
+
+T = TypeVar("T")
+
+
+class FormScreen(ModalScreen[T | None]):
+    """Fields and two buttons; escape gives None.
+
+    A subclass says what is wrong with the values (`problems`) and what they make (`result`).
+
+    Args:
+        title: of the dialog.
+        fields: from the top.
+        yes: the label of the button that accepts.
+    """
+
+    app: ConsoleApp
+    BINDINGS: ClassVar = [Binding("escape", "dismiss", show=False)]
+    AUTO_FOCUS = ".field Input, .field Choice"
+
+    def __init__(self, title: str, fields: Sequence[Field], yes: str) -> None:
+        super().__init__()
+        self.form = Form(fields)
+        self._title, self._yes = title, yes
+
+    def compose(self) -> ComposeResult:
+        """The form, what is wrong with it as a whole, help, and the buttons."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = self._title
+            yield self.form
+            yield self.form.problem
+            with Horizontal(classes="foot"):
+                yield self.form.help
+                yield Button(self._yes, id="yes", variant="primary", compact=True)
+                yield Button("Cancel", id="no", compact=True)
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """What is wrong, by the key of the field; another key is about the form as a whole."""
+        raise NotImplementedError
+
+    def result(self, values: Mapping[str, str]) -> T:
+        """What values without problems make."""
+        raise NotImplementedError
+
+    def on_mount(self) -> None:
+        """The first look."""
+        self.check()
+
+    @on(Field.Changed)
+    def check(self) -> None:
+        """Say what is wrong with what stands there now."""
+        self.form.show_problems(self.problems(self.form.values))
+
+    @on(Field.Submitted)
+    def submit(self) -> None:
+        """Give the result away, or go to what is wrong."""
+        self.check()
+        if self.form.settle():
+            self.dismiss(self.result(self.form.values))
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Accept or leave."""
+        if event.button.id == "yes":
+            self.submit()
+        else:
+            self.dismiss(None)

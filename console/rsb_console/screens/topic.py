@@ -1,0 +1,185 @@
+"""Add a topic, or edit one: picked from what either side's graph offers, checked as it is typed."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from textual import on, work
+
+from rsb_bridge.engine import EngineError
+from rsb_bridge.qos import PROFILES
+from rsb_console.screens.form import FormScreen
+from rsb_console.topic_draft import Ends, offers_of, problems_of, topic_of, values_of
+from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.picker import PickField
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.session import Session, Topic
+    from rsb_bridge.snapshot import RouteSnapshot, TopicInfo
+
+LOOK_EVERY = 2.0  # s between two looks at the graphs
+
+
+class Draft(NamedTuple):
+    """What the form gives.
+
+    Attributes:
+        topic: as the client sees it.
+        link: the client's name.
+    """
+
+    topic: Topic
+    link: str
+
+
+class TopicScreen(FormScreen[Draft]):
+    """The form of a topic.
+
+    Args:
+        engine: whose graphs and links it is about.
+        route: the topic to edit; None: a new one.
+    """
+
+    def __init__(self, engine: Engine, route: RouteSnapshot | None = None) -> None:
+        self._engine, self._route = engine, route
+        self._links = [route.link] if route is not None else [link.name for link in engine.snapshot().links]
+        fields = [self._field(spec) for spec in _specs(engine.session, self._links, route)]
+        title, yes = ("Add a topic", "Add") if route is None else (f"Edit {route.topic}", "Change")
+        super().__init__(title, fields, yes)
+
+    def _field(self, spec: Spec) -> Field:
+        if spec.key == "topic" and self._route is None:
+            return PickField(spec, is_literal=lambda text: text.startswith("/"))
+        return Field(spec)
+
+    @property
+    def _link(self) -> str:
+        return self.form.values.get("link") or self._links[0]
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """The session file's own rules."""
+        replaced = None if self._route is None else self._route.spec
+        return problems_of(self.result(values).topic, self._engine.session, replaced)
+
+    def result(self, values: Mapping[str, str]) -> Draft:
+        """The topic."""
+        return Draft(topic_of({key: value for key, value in values.items() if key != "link"}), self._link)
+
+    # -- picking ------------------------------------------------------------------------------------------------------
+
+    def on_mount(self) -> None:
+        """Look at the graphs, and go on looking."""
+        super().on_mount()
+        if self._route is None:
+            self._look()
+            self.set_interval(LOOK_EVERY, self._look)
+
+    @work(exclusive=True)
+    async def _look(self) -> None:
+        """Ask both sides what they have."""
+        found: list[list[TopicInfo]] = []
+        missing = ""
+        for link in (None, self._link):
+            try:
+                found.append(await asyncio.wrap_future(self._engine.topics(link)))
+            except EngineError as error:
+                found.append([])
+                missing = str(error)
+        ends = Ends.of(self._engine.session, self._link)
+        bridged = [route.spec for route in self._engine.snapshot().routes if route.link == self._link]
+        field = self.form.fields["topic"]
+        assert isinstance(field, PickField)
+        field.offer(
+            offers_of(ends, found[0], found[1], bridged),
+            missing or "neither side has such a topic; type its whole name",
+        )
+
+    @on(Field.Changed)
+    def _another_client(self, event: Field.Changed) -> None:
+        if event.field.spec.key == "link":
+            self._look()
+
+    @on(PickField.Picked)
+    def _picked(self, event: PickField.Picked) -> None:
+        if event.offer is not None:
+            for key, value in {"topic": event.offer.value, **event.offer.fills}.items():
+                self.form.fields[key].value = value
+        event.field.touched = True
+        self.check()
+        self.form.fields["direction"].control.focus()
+
+
+def _specs(session: Session, links: list[str], route: RouteSnapshot | None) -> Iterator[Spec]:
+    """The fields, in the order in which an operator thinks of them."""
+    values = {} if route is None else values_of(route.spec)
+    if len(links) > 1:
+        yield Spec("link", "Client", "The client whose topic it is.", options=tuple((name, name) for name in links))
+    for spec in (*_what(session, Ends.of(session, links[0]), new=route is None), *_how(session)):
+        value = values.get(spec.key, "")
+        if spec.key == "paused":
+            value = "yes" if value else ""
+        yield replace(spec, value=value)
+
+
+def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
+    """What crosses, and which way."""
+    out, back = ("←", "→") if ends.is_server else ("→", "←")
+    name = "Its name on the client."
+    return (
+        Spec(
+            "topic",
+            "Topic",
+            f"{name} Type to look for it, ↑ ↓ and ⏎ to pick; or the whole of it: /scan." if new else name,
+            blank="type to look for a topic of either side",
+        ),
+        Spec(
+            "direction",
+            "Direction",
+            "transmit: from the client to the server; receive: from the server to the client.",
+            options=(("transmit", f"transmit {out}"), ("receive", f"receive {back}")),
+        ),
+        Spec(
+            "type",
+            "Type",
+            "package/msg/Name, or a common one's short name (LaserScan). Empty: what either graph says.",
+            blank="auto",
+        ),
+        Spec(
+            "qos",
+            "QoS",
+            f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}",
+            blank="auto",
+        ),
+        Spec(
+            "remote_topic",
+            "On the server",
+            f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
+            blank="same name",
+        ),
+    )
+
+
+def _how(session: Session) -> tuple[Spec, ...]:
+    """How it crosses."""
+    bluetooth = session.is_bluetooth
+    carriers = (("", "the link's (tcp)"), ("tcp", "tcp"), ("udp", "udp"))
+    protocol = Spec(
+        "protocol", "Protocol", "tcp delivers all, in order; udp never waits for what was lost.", options=carriers
+    )
+    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
+    port = "Channel" if bluetooth else "Port"
+    after = f"{session.stale_after:g} s"
+    return (
+        *(() if bluetooth else (protocol,)),
+        Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.", blank="shared"),
+        Spec("max_rate", "Max rate", "Hz; what is more is left out. Empty: everything crosses.", blank="all"),
+        Spec("expected_rate", "Expected rate", "Hz, to judge the real one by. Empty: learned.", blank="learned"),
+        Spec("stale_after", "Stale after", "Seconds without a message until a warning; 0: never.", blank=after),
+        Spec("compression", "Compression", "zstd is worth it for maps and clouds, and on slow links.", options=packing),
+        Spec("paused", "Paused", "Set up, but carrying nothing until resumed.", options=(("", "no"), ("yes", "yes"))),
+    )

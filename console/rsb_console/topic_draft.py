@@ -1,0 +1,187 @@
+"""A topic while an operator writes it: the form's texts, what they make, and what both graphs offer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rsb_bridge.qos import AUTO, PROFILES, Qos
+from rsb_bridge.session import Client, Session, Topic
+from rsb_bridge.session_file import SessionError, read_yaml, validate, validate_topic
+from rsb_console.glyphs import IN, OUT
+from rsb_console.widgets.lines import Line, fit, width_of
+from rsb_console.widgets.picker import Offer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from rsb_bridge.snapshot import TopicInfo
+
+NUMBERS = ("port", "max_rate", "expected_rate", "stale_after")
+_NAME_WIDTH, _WHERE_WIDTH = 32, 21
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Who is who on the link that a topic is for.
+
+    Attributes:
+        is_server: whether this side is the server.
+        client: the client's name.
+        use_name: whether the server's names of its topics have the client's before them.
+    """
+
+    is_server: bool
+    client: str
+    use_name: bool
+
+    @classmethod
+    def of(cls, session: Session, client: str) -> Ends:
+        """Those of a session and one of its clients."""
+        entry = next((each for each in session.clients if each.name == client), Client(name=client))
+        use_name = session.use_name if entry.use_name is None else entry.use_name
+        return cls(session.role == "server", client, use_name)
+
+    def client_topic(self, topic: str, *, on_server: bool) -> str | None:
+        """A topic's name on the client; None: a topic of the server's that this client's names cannot mean."""
+        prefix = f"/{self.client}"
+        if not (on_server and self.use_name):
+            return topic
+        return topic.removeprefix(prefix) if topic.startswith(f"{prefix}/") else None
+
+
+def plain(key: str, text: str) -> Any:
+    """What a field's text would be in a session file. A text that is no number stays one, for the rules to refuse."""
+    if key == "qos":
+        return _plain_qos(text)
+    if key not in NUMBERS:
+        return text
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _plain_qos(text: str) -> Any:
+    if text.isdecimal():
+        return int(text)
+    if text.startswith("{"):
+        try:
+            return read_yaml(text, Path("qos")).data
+        except SessionError:
+            return text
+    return text
+
+
+def topic_of(values: Mapping[str, str]) -> Topic:
+    """The topic that a form's texts make. It may be wrong in every way that `problems_of` knows."""
+    given = {key: plain(key, text) for key, text in values.items() if text}
+    if "paused" in given:
+        given["paused"] = True
+    return Topic(**({"topic": "", "direction": "transmit"} | given))
+
+
+def values_of(topic: Topic) -> dict[str, str]:
+    """A topic as a form's texts; what is at its default is empty."""
+    return {key: _text(value) for key, value in msgspec.to_builtins(topic).items()}
+
+
+def _text(value: object) -> str:
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {_text(each)}' for key, each in value.items())}}}"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def qos_text(qos: Qos | None) -> str:
+    """The shortest that a session file may say for a QoS; nobody knows the depth of another's endpoint."""
+    if qos is None:
+        return AUTO
+    for name, profile in PROFILES.items():
+        if profile.durability == "volatile" and qos == msgspec.structs.replace(profile, depth=qos.depth):
+            return name
+    return _text(msgspec.to_builtins(msgspec.structs.replace(qos, depth=Qos().depth)))
+
+
+def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[str, str]:
+    """What is wrong with a topic, and with having it beside the session's others.
+
+    Args:
+        topic: as the client sees it.
+        session: what it is for. A server's has no topics to get in its way: the client answers for those.
+        replaced: one of the session's that it takes the place of.
+
+    Returns:
+        Words by the key of the field.
+    """
+    if session.role == "server":
+        found = validate_topic(topic, bluetooth=session.is_bluetooth)
+    else:
+        others = tuple(each for each in session.topics if each != replaced)
+        here = f"topics[{len(others)}]"
+        problems = validate(msgspec.structs.replace(session, topics=(*others, topic)))
+        found = [
+            replace(problem, place=problem.place.removeprefix(here).lstrip("."))
+            for problem in problems
+            if problem.place.startswith(here)
+        ]
+    words: dict[str, str] = {}
+    for problem in found:
+        words.setdefault(problem.place.partition(".")[0] or "topic", problem.words)
+    return words
+
+
+def offers_of(
+    ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Iterable[Topic]
+) -> list[Offer]:
+    """What both graphs have that is not bridged yet, by name.
+
+    A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
+
+    Args:
+        ends: of the link.
+        here: this side's graph.
+        there: the other side's.
+        bridged: what crosses already, as the client sees it.
+    """
+    taken = {(topic.topic, topic.direction) for topic in bridged}
+    offers: dict[str, Offer] = {}
+    for infos, is_here in ((here, True), (there, False)):
+        for offer in _one_side(ends, infos, is_here):
+            if (offer.value, offer.fills["direction"]) not in taken:
+                offers.setdefault(offer.key, offer)
+    return sorted(offers.values(), key=lambda offer: offer.value)
+
+
+def _one_side(ends: Ends, infos: Iterable[TopicInfo], is_here: bool) -> Iterator[Offer]:
+    on_server = is_here == ends.is_server
+    for info in infos:
+        name = ends.client_topic(info.topic, on_server=on_server)
+        if name is None:
+            continue
+        from_client = on_server != bool(info.publishers)
+        fills = {
+            "direction": "transmit" if from_client else "receive",
+            "type": info.type_name or AUTO,
+            "qos": qos_text(info.qos),
+        }
+        yield Offer(f"{fills['direction']} {name}", name, _line(info, is_here), fills)
+
+
+def _line(info: TopicInfo, is_here: bool) -> Line:
+    count, what = (info.publishers, "publisher") if info.publishers else (info.subscriptions, "subscriber")
+    return (
+        (f"{OUT if is_here == bool(info.publishers) else IN} ", ""),
+        *_column(info.topic, _NAME_WIDTH, "strong"),
+        *_column(f"{count} {what}{'s' if count > 1 else ''} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
+        (info.type_name.replace("/msg/", "/") or "several types", ""),
+    )
+
+
+def _column(text: str, width: int, look: str) -> Line:
+    cut = fit(((text, look),), width - 1)
+    return (*cut, (" " * (width - width_of(cut)), ""))

@@ -1,0 +1,84 @@
+"""One of a few options, on one line, chosen with the arrow keys."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.cells import cell_len
+from textual.binding import Binding
+from textual.content import Content
+from textual.message import Message
+from textual.reactive import reactive
+from textual.widget import Widget
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from textual import events
+
+
+class Choice(Widget, can_focus=True):
+    """``● transmit   ○ receive``; where the options have no room beside each other, the chosen one only.
+
+    Args:
+        options: value and words of each; at least one.
+        value: the one that is chosen at first; empty: the first.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("left,h", "choose(-1)", show=False),
+        Binding("right,l,space", "choose(1)", show=False),
+        Binding("enter", "submit", show=False),
+    ]
+    COMPONENT_CLASSES: ClassVar[set[str]] = {"choice--chosen", "choice--other"}
+
+    value = reactive("")
+
+    class Changed(Message):
+        """Another option was chosen."""
+
+    class Submitted(Message):
+        """Enter was pressed."""
+
+    def __init__(self, options: Sequence[tuple[str, str]], value: str = "") -> None:
+        super().__init__()
+        self._options = tuple(options)
+        self.set_reactive(Choice.value, value or self._options[0][0])
+
+    def watch_value(self) -> None:
+        """Tell the form."""
+        self.post_message(self.Changed())
+
+    @property
+    def _at(self) -> int:
+        return [value for value, _ in self._options].index(self.value)
+
+    def action_choose(self, step: int) -> None:
+        """Choose the option `step` places on, round the end."""
+        self.value = self._options[(self._at + step) % len(self._options)][0]
+
+    def action_submit(self) -> None:
+        """As enter in any other field."""
+        self.post_message(self.Submitted())
+
+    def _pieces(self) -> list[str]:
+        return [f"{'●' if value == self.value else '○'} {words}   " for value, words in self._options]
+
+    def render(self) -> Content:
+        """The options."""
+        pieces, at = self._pieces(), self._at
+        if cell_len("".join(pieces)) > self.size.width:
+            return Content(f"◀ {self._options[at][1]} ▶  {at + 1} of {len(pieces)}")
+        looks = ["choice--chosen" if index == at else "choice--other" for index in range(len(pieces))]
+        return Content.assemble(
+            *((piece, self.get_visual_style(look, partial=True)) for piece, look in zip(pieces, looks, strict=True))
+        )
+
+    def on_click(self, event: events.Click) -> None:
+        """The option under the mouse."""
+        edge = 0
+        for (value, _), piece in zip(self._options, self._pieces(), strict=True):
+            edge += cell_len(piece)
+            if event.x < edge:
+                self.value = value
+                return

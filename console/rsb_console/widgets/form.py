@@ -1,0 +1,179 @@
+"""Forms: labelled fields of one line each, what is wrong with a field right beneath it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from textual import on
+from textual.binding import Binding
+from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.message import Message
+from textual.widgets import Input, Static
+
+from rsb_console.widgets.choice import Choice
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from textual.app import ComposeResult
+    from textual.events import DescendantFocus
+
+
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """One field of a form.
+
+    Attributes:
+        key: names its value.
+        label: stands before it.
+        help: one or two lines, shown while the field has the focus.
+        value: at first.
+        blank: what an empty field means, shown in it.
+        options: value and words of each, for a choice; empty: text.
+    """
+
+    key: str
+    label: str
+    help: str
+    value: str = ""
+    blank: str = ""
+    options: tuple[tuple[str, str], ...] = ()
+
+
+class Words(Static):
+    """A line or more of text from anywhere, which takes no room while there is none."""
+
+    def __init__(self, classes: str, *, id: str | None = None) -> None:  # noqa: A002 -- Textual's name
+        super().__init__(markup=False, classes=classes, id=id)
+        self.display = False
+
+    def say(self, words: str) -> None:
+        """Show `words`."""
+        self.update(words)
+        self.display = bool(words)
+
+
+class Field(Vertical):
+    """A label, an input or a choice, and what is wrong with it.
+
+    Attributes:
+        spec: what it is.
+        touched: the operator has typed or chosen here: only then its mistakes are theirs.
+    """
+
+    class Changed(Message):
+        """Another value stands in a field.
+
+        Attributes:
+            field: which.
+        """
+
+        def __init__(self, field: Field) -> None:
+            super().__init__()
+            self.field = field
+
+    class Submitted(Changed):
+        """Enter was pressed in a field."""
+
+    def __init__(self, spec: Spec) -> None:
+        super().__init__(classes="field", id=f"field-{spec.key}")
+        self.spec = spec
+        self.touched = False
+        self.control: Input | Choice = (
+            Choice(spec.options, spec.value)
+            if spec.options
+            else Input(spec.value, placeholder=spec.blank, compact=True, select_on_focus=False)
+        )
+        self.problem = Words("problem")
+
+    def compose(self) -> ComposeResult:
+        """Label and control beside each other, the problem beneath."""
+        with Horizontal():
+            yield Static(self.spec.label, classes="label", markup=False)
+            yield self.control
+        yield self.problem
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it is time to say what is wrong: not before the operator has been here."""
+        return self.touched
+
+    @property
+    def value(self) -> str:
+        """What stands there, without the blanks around it."""
+        return self.control.value.strip()
+
+    @value.setter
+    def value(self, value: str) -> None:
+        self.control.value = value
+
+    @on(Input.Changed)
+    @on(Choice.Changed)
+    def _changed(self, event: Message) -> None:
+        event.stop()
+        self.touched = self.touched or self.control.has_focus
+        self.post_message(self.Changed(self))
+
+    @on(Input.Submitted)
+    @on(Choice.Submitted)
+    def _submitted(self, event: Message) -> None:
+        event.stop()
+        self.post_message(self.Submitted(self))
+
+
+class Form(VerticalScroll, can_focus=False):
+    """Fields, one below the other. Arrows and tab move between them, enter submits.
+
+    Args:
+        fields: from the top.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("up", "app.focus_previous", show=False),
+        Binding("down", "app.focus_next", show=False),
+    ]
+
+    def __init__(self, fields: Sequence[Field]) -> None:
+        super().__init__(classes="form")
+        self.fields = {field.spec.key: field for field in fields}
+        self.help = Words("hint help")
+        self.problem = Words("problem", id="form-problem")
+        self._problems: Mapping[str, str] = {}
+
+    def compose(self) -> ComposeResult:
+        """The fields."""
+        yield from self.fields.values()
+
+    @property
+    def values(self) -> dict[str, str]:
+        """What stands in the fields that are shown, by their keys."""
+        return {key: field.value for key, field in self.fields.items() if field.display}
+
+    def show_problems(self, problems: Mapping[str, str]) -> None:
+        """Show what is wrong now: with a field beneath it, else beneath the form.
+
+        Args:
+            problems: words by the field's key; another key is about the form as a whole.
+        """
+        self._problems = problems
+        for key, field in self.fields.items():
+            field.problem.say(problems.get(key, "") if field.is_ready else "")
+        elsewhere = [words for key, words in problems.items() if key not in self.values]
+        self.problem.say("\n".join(elsewhere))
+
+    def settle(self) -> bool:
+        """Whether nothing is wrong; else every problem is shown, and the focus is on the first."""
+        for field in self.fields.values():
+            field.touched = True
+        self.show_problems(self._problems)
+        wrong = [field for key, field in self.fields.items() if key in self._problems and field.display]
+        if wrong:
+            wrong[0].control.focus()
+        return not self._problems
+
+    def on_descendant_focus(self, event: DescendantFocus) -> None:
+        """Say what the focused field is for."""
+        for field in self.fields.values():
+            if field.control is event.widget:
+                self.help.say(field.spec.help)

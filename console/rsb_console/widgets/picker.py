@@ -1,0 +1,178 @@
+"""A field whose value is picked from a list while it is typed."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from textual import on
+from textual.binding import Binding
+from textual.widgets import Input
+
+from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.lines import Line, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from textual.app import ComposeResult
+
+CURSOR = "▌"
+
+
+class Offer(NamedTuple):
+    """One thing to pick.
+
+    Attributes:
+        key: unlike all others.
+        value: what stands in the field once it is picked.
+        line: as it is listed.
+        fills: values for other fields of the form, by their keys.
+    """
+
+    key: str
+    value: str
+    line: Line
+    fills: Mapping[str, str] = MappingProxyType({})
+
+
+class Offers(CursorLines, can_focus=False):
+    """The offers that match what is typed."""
+
+    def __init__(self) -> None:
+        super().__init__(classes="offers")
+        self._offers: dict[str, Offer] = {}
+        self._empty = ""
+        self.marks_cursor = True
+
+    def show(self, offers: Sequence[Offer], words: Sequence[str], empty: str) -> None:
+        """List those of `offers` that hold all of `words`; if there are none, say `empty`."""
+        self._empty = empty
+        self._offers = {offer.key: offer for offer in offers if _holds(offer, words)}
+        self.show_keys(list(self._offers))
+
+    @property
+    def current(self) -> Offer | None:
+        """The one under the cursor; None: there is none."""
+        return None if self.cursor_key is None else self._offers[self.cursor_key]
+
+    @property
+    def line_count(self) -> int:
+        """One an offer, or why there is none."""
+        return max(1, len(self.keys))
+
+    def line(self, index: int) -> Line:
+        """One of them."""
+        if not self.keys:
+            return ((f" {self._empty}", "dim"),)
+        sign = CURSOR if self.is_cursor(index) else " "
+        return fit(((sign, "key"), *self._offers[self.keys[index]].line), self.size.width)
+
+    def is_cursor(self, index: int) -> bool:
+        """Whether enter would pick line `index`."""
+        return self.marks_cursor and bool(self.keys) and super().is_cursor(index)
+
+
+def _holds(offer: Offer, words: Sequence[str]) -> bool:
+    text = f"{offer.value} {''.join(piece for piece, _ in offer.line)}".casefold()
+    return all(word in text for word in words)
+
+
+class PickField(Field):
+    """A text field over a list. Arrows move in the list, enter picks from it.
+
+    What is typed narrows the list down. A text that `is_literal` is meant as it stands, and enter takes it, unless the
+    operator has gone into the list.
+
+    Args:
+        spec: what it is.
+        is_literal: whether a text is a value rather than something to look for.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("up", "move(-1)", show=False),
+        Binding("down", "move(1)", show=False),
+        Binding("pageup", "page(-1)", show=False),
+        Binding("pagedown", "page(1)", show=False),
+    ]
+
+    class Picked(Field.Changed):
+        """An offer was picked, or a text was kept as it stands.
+
+        Attributes:
+            offer: what was picked; None: the text in the field.
+        """
+
+        def __init__(self, field: Field, offer: Offer | None) -> None:
+            super().__init__(field)
+            self.offer = offer
+
+    def __init__(self, spec: Spec, is_literal: Callable[[str], bool]) -> None:
+        super().__init__(spec)
+        self.add_class("-picker")
+        self.list = Offers()
+        self._offers: Sequence[Offer] = ()
+        self._is_literal = is_literal
+        self._entered = False
+        self._empty = ""
+
+    def compose(self) -> ComposeResult:
+        """The list comes last."""
+        yield from super().compose()
+        yield self.list
+
+    def offer(self, offers: Sequence[Offer], empty: str) -> None:
+        """Set what can be picked.
+
+        Args:
+            offers: in the order of the list.
+            empty: what to say where nothing matches.
+        """
+        self._offers, self._empty = offers, empty
+        self._relist()
+
+    def _relist(self) -> None:
+        literal = self._is_literal(self.value)
+        self.list.marks_cursor = self._entered or not literal
+        self.list.show(self._offers, self.value.casefold().split(), self._empty)
+
+    @property
+    def is_ready(self) -> bool:
+        """A text that is still looked for is no mistake."""
+        return super().is_ready and not (self.control.has_focus and self.list.marks_cursor)
+
+    @property
+    def picked(self) -> Offer | None:
+        """What enter would pick; None: the text as it stands."""
+        return self.list.current if self.list.marks_cursor else None
+
+    @on(Input.Changed)
+    def _narrow(self) -> None:
+        self._entered = False
+        self._relist()
+
+    @on(Input.Submitted)
+    def _pick(self, event: Input.Submitted) -> None:
+        event.stop()
+        event.prevent_default()
+        self.post_message(self.Picked(self, self.picked))
+
+    def on_cursor_lines_chosen(self) -> None:
+        """A second click picks too."""
+        self.post_message(self.Picked(self, self.list.current))
+
+    def action_move(self, step: int) -> None:
+        """Move in the list; from nowhere to its first line."""
+        if self.list.marks_cursor:
+            self.list.move_to(self.list.position + step)
+        self._enter()
+
+    def action_page(self, step: int) -> None:
+        """Move by a page of the list."""
+        self.list.move_to(self.list.position + step * self.list.page)
+        self._enter()
+
+    def _enter(self) -> None:
+        self._entered = self.list.marks_cursor = True
+        self.list.sync()
