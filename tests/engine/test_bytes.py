@@ -1,0 +1,226 @@
+"""What comes out is what went in, byte by byte: every type, every size, every way to connect."""
+
+from __future__ import annotations
+
+import random
+import zlib
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.serialization import serialize_message
+from tests.support.bridge import carries, eventually, heard, link, linked, route, said, settled
+from tests.support.domain import text
+from tests.support.filled import filled
+
+from rsb_bridge import ends
+from rsb_bridge.qos import Qos
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.ros.types import SHORT_NAMES
+from rsb_bridge.ros.typesupport import installed_class
+from rsb_bridge.session import Topic
+from rsb_bridge.wire.sealing import Suite
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
+MADE_UP_HASH = "RIHS01_" + "5a" * 32
+CDR = b"\x00\x01\x00\x00"
+MEGABYTE = 1 << 20
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_every_common_type(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    topics = {f"/{name.replace('/', '_').lower()}": kind for name, kind in INSTALLED.items()}
+    assert len(topics) > 100
+    listeners = {topic: pc.listener(topic, kind) for topic, kind in topics.items()}
+    publishers = {topic: robot.publisher(topic, kind) for topic, kind in topics.items()}
+    server = bridge.server()
+    bridge.client(*(Topic(topic, "transmit", protocol=protocol) for topic in topics))
+    carries(publishers.values(), server, topics)
+    sent = {
+        topic: [serialize_message(message) for message in (kind(), filled(kind))] for topic, kind in topics.items()
+    }
+    for topic, payloads in sent.items():
+        for payload in payloads:
+            publishers[topic].publish(payload)
+    eventually(lambda: all(len(each.payloads) == 2 for each in listeners.values()))
+    assert {topic: each.payloads for topic, each in listeners.items()} == sent
+
+
+@pytest.fixture
+def unknown(bridge: Bridge) -> Iterator[tuple[RosNode, RosNode]]:
+    """Nodes for types that rclpy does not know, one in the robot's domain and one in the PC's."""
+    nodes = RosNode(bridge.robot.id, "sends"), RosNode(bridge.pc.id, "hears")
+    for node in nodes:
+        node.start()
+    yield nodes
+    for node in nodes:
+        node.stop()
+
+
+def sizes(limit: int) -> list[int]:
+    """Bytes behind the CDR header: none, around the borders of datagrams and buffers, up to the limit."""
+    borders = (0, 1, 3, 1_400, 65_400, 65_507, 65_536, 262_144, 1_000_003, 3 * MEGABYTE, 8 * MEGABYTE)
+    return [size for size in borders if size <= limit]
+
+
+@pytest.mark.parametrize(
+    ("type_name", "protocol", "limit"),
+    [
+        ("tf2_msgs/msg/TFMessage", "tcp", 8 * MEGABYTE),
+        ("made_up_msgs/msg/Blob", "tcp", 8 * MEGABYTE),
+        ("tf2_msgs/msg/TFMessage", "udp", MEGABYTE),
+        ("made_up_msgs/msg/Blob", "udp", MEGABYTE),
+    ],
+)
+def test_a_type_that_neither_side_has_in_every_size(
+    type_name: str, protocol: Any, limit: int, bridge: Bridge, unknown: tuple[RosNode, RosNode]
+) -> None:
+    robot, pc = unknown
+    received: list[bytes] = []
+    publisher = robot.advertise("/blob", type_name, MADE_UP_HASH, Qos(depth=20), "robot")
+    pc.subscribe(
+        "/blob", type_name, MADE_UP_HASH, Qos(depth=20), lambda batch: received.extend(t.payload for t in batch), "pc"
+    )
+    server, client = bridge.both(Topic("/blob", "transmit", protocol=protocol))
+    eventually(lambda: publisher.subscriber_count)
+    eventually(lambda: [s for s in route(server, "/blob").stages if s.name == "subscriber seen" and s.done])
+    assert route(server, "/blob").type_hash == MADE_UP_HASH
+    source = random.Random(1)
+    for count, size in enumerate(sizes(limit), 1):
+        payload = CDR + source.randbytes(size)
+        publisher.publish(payload)
+        eventually(lambda count=count: len(received) >= count, what=f"{size} bytes")
+        assert zlib.crc32(received[-1]) == zlib.crc32(payload)
+        assert received[-1] == payload
+    ledger = settled(client, "/blob", len(sizes(limit)))
+    assert ledger.delivered == len(sizes(limit))
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize(
+    ("address", "changes"),
+    [
+        ("::1", {}),
+        ("localhost", {}),
+        ("127.0.0.1", {"use_encryption": False, "key_file": None}),
+        ("127.0.0.1", {"use_name": True}),
+    ],
+    ids=["IPv6", "host name", "unencrypted", "prefixed"],
+)
+def test_both_ways_over(
+    address: str, changes: dict[str, Any], protocol: Any, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    prefix = "/robot1" if changes.get("use_name") else ""
+    there, back = pc.listener(prefix + "/out"), robot.listener("/back")
+    out, home = robot.publisher("/out"), pc.publisher(prefix + "/back")
+    topics = Topic("/out", "transmit", protocol=protocol), Topic("/back", "receive", protocol=protocol)
+    server, client = bridge.both(*topics, server_ip=address, **changes)
+    carries([out], server, [prefix + "/out"])
+    carries([home], client, ["/back"])
+    out.publish(text("there"))
+    home.publish(text("and back" * 40_000))
+    assert heard(there, 1) == [text("there")]
+    assert heard(back, 1) == [text("and back" * 40_000)]
+    encrypted = changes.get("use_encryption", True)
+    for engine in (server, client):
+        assert link(engine).encrypted is encrypted
+        assert bool(link(engine).cipher) is encrypted
+        assert (said(engine, "NOT ENCRYPTED") is None) is encrypted
+
+
+@pytest.mark.parametrize("slow_side", ["server", "client"])
+def test_chacha_where_one_side_has_no_aes(
+    slow_side: str, bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A processor without AES instructions cannot be had here: what it would say of itself is put in its place."""
+    there, out = pc.listener("/out"), robot.publisher("/out")
+    suites = {"server": Suite.AESGCM, "client": Suite.AESGCM, slow_side: Suite.CHACHAPOLY}
+    monkeypatch.setattr(ends, "fastest_suite", lambda: suites["server"])
+    server = bridge.server()
+    monkeypatch.setattr(ends, "fastest_suite", lambda: suites["client"])
+    client = bridge.client(Topic("/out", "transmit"), Topic("/udp", "transmit", protocol="udp"))
+    carries([out], server, ["/out"])
+    out.publish(text("there"))
+    assert heard(there, 1) == [text("there")]
+    assert link(server).cipher == link(client).cipher == "CHACHAPOLY"
+
+
+def test_ports_of_their_own(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Both transports, both ways; an edit that keeps the port finds it free again."""
+    from tests.support.bridge import free_port
+
+    tcp, udp = free_port(), free_port()
+    names = ("/t", "/u", "/tb", "/ub")
+    topics = (
+        Topic("/t", "transmit", protocol="tcp", port=tcp),
+        Topic("/u", "transmit", protocol="udp", port=udp),
+        Topic("/tb", "receive", protocol="tcp", port=tcp),
+        Topic("/ub", "receive", protocol="udp", port=udp),
+    )
+    listeners = {name: (pc if len(name) == 2 else robot).listener(name) for name in names}
+    publishers = {name: (robot if len(name) == 2 else pc).publisher(name) for name in names}
+    server, client = bridge.both(*topics)
+    assert [route(client, name).port for name in names] == [tcp, udp, tcp, udp]
+
+    def all_cross(count: int) -> None:
+        carries([publishers["/t"], publishers["/u"]], server, ["/t", "/u"])
+        carries([publishers["/tb"], publishers["/ub"]], client, ["/tb", "/ub"])
+        for name, publisher in publishers.items():
+            publisher.publish(text(name))
+        for listener in listeners.values():
+            heard(listener, count)
+
+    all_cross(1)
+    for topic in topics:
+        edited = Topic(topic.topic, topic.direction, protocol=topic.protocol, port=topic.port, max_rate=1000.0)
+        client.edit_topic(route(client, topic.topic).key, edited).result(5)
+    all_cross(2)
+    for name in names:
+        client.remove_topic(route(client, name).key).result(5)
+    import socket
+
+    def both_free() -> bool:
+        try:
+            with socket.socket() as one, socket.socket(type=socket.SOCK_DGRAM) as other:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                one.bind(("127.0.0.1", tcp))
+                other.bind(("127.0.0.1", udp))
+        except OSError:
+            return False
+        return True
+
+    eventually(both_free)
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_compressed(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """What shrinks is sent shrunk; noise as it is."""
+    there, out = pc.listener("/map"), robot.publisher("/map")
+    server, client = bridge.both(Topic("/map", "transmit", protocol=protocol, compression="zstd"))
+    carries([out], server, ["/map"])
+    noise = "".join(random.Random(1).choices("0123456789abcdefghijklmnopqrstuvwxyz", k=20_000))
+    sent = [text("free space " * 40_000), text(noise), text("")]
+    for payload in sent:
+        out.publish(payload)
+    assert heard(there, 3) == sent
+    settled(client, "/map", 3)
+    assert route(client, "/map").bytes_total < 30_000
+    assert linked(server)
+
+
+def test_a_message_that_udp_does_not_carry_is_counted_and_said(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    out, there = robot.publisher("/big"), pc.listener("/big")
+    server, client = bridge.both(Topic("/big", "transmit", protocol="udp", qos="default"))
+    carries([out], server, ["/big"])
+    out.publish(text("x" * (8 * MEGABYTE)))
+    out.publish(text("small"))
+    assert heard(there, 1) == [text("small")]
+    ledger = settled(client, "/big", 2)
+    assert ledger.dropped == {"too large": 1}
+    assert said(client, "use tcp")
+    assert "use tcp" in route(client, "/big").last_error

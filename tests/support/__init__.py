@@ -1,0 +1,1 @@
+"""What tests of the whole bridge share: two ROS domains, engines between them, relays that harm what crosses."""

@@ -1,0 +1,176 @@
+"""Engines on both sides of a bridge between two domains, and what one may ask of them."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.engine import Engine
+from rsb_bridge.keys import write_key
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.snapshot import State
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from rclpy.publisher import Publisher
+
+    from rsb_bridge.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot
+    from tests.support.domain import Domain, Listener
+
+STOPS_WITHIN = 5.0
+
+
+class Bridge:
+    """Makes engines: clients in the robot's domain, servers in the PC's. One key, one port, one name unless told.
+
+    Attributes:
+        folder: where key files are.
+        port: of the server.
+        key_file: of both sides.
+    """
+
+    def __init__(self, folder: Path, robot: Domain, pc: Domain) -> None:
+        self.folder = folder
+        self.robot = robot
+        self.pc = pc
+        self.port = free_port()
+        self.key_file = self.make_key("robot1")
+        self._engines: list[Engine] = []
+
+    def make_key(self, name: str) -> str:
+        """A new key file."""
+        path = self.folder / f"{name}.key"
+        write_key(path)
+        return path.name
+
+    def server_session(self, **changes: Any) -> Session:
+        """A server's session."""
+        return self._session("server", self.pc.id, changes)
+
+    def client_session(self, *topics: Topic, **changes: Any) -> Session:
+        """A client's session."""
+        return self._session("client", self.robot.id, {"topics": topics, **changes})
+
+    def _session(self, role: str, domain_id: int, changes: dict[str, Any]) -> Session:
+        common = {
+            "name": "robot1",
+            "role": role,
+            "server_ip": "127.0.0.1",
+            "server_port": self.port,
+            "domain_id": domain_id,
+            "key_file": self.key_file,
+        }
+        return Session(**{**common, **changes})
+
+    def server(self, **changes: Any) -> Engine:
+        """A server that runs."""
+        return self.start(self.server_session(**changes))
+
+    def client(self, *topics: Topic, **changes: Any) -> Engine:
+        """A client that runs."""
+        return self.start(self.client_session(*topics, **changes))
+
+    def both(self, *topics: Topic, **changes: Any) -> tuple[Engine, Engine]:
+        """A server and a client with these topics, linked; the changes are both sessions'."""
+        server, client = self.server(**changes), self.client(*topics, **changes)
+        eventually(lambda: linked(client) and linked(server), what="linked")
+        return server, client
+
+    def start(self, session: Session) -> Engine:
+        """An engine that runs."""
+        engine = Engine(session, base=self.folder)
+        self._engines.append(engine)
+        engine.start()
+        return engine
+
+    def close(self) -> None:
+        """Stop all engines: in time, without a thread left, and without ever having failed inside."""
+        for engine in self._engines:
+            began = time.monotonic()
+            engine.stop()
+            assert time.monotonic() - began < STOPS_WITHIN
+        assert [] == [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")]
+        assert [] == [event.text for engine in self._engines for event in engine.events() if "internal" in event.text]
+
+
+def free_port(host: str = "127.0.0.1") -> int:
+    """A port that neither TCP nor UDP has in use."""
+    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+        tcp.bind((host, 0))
+        udp.bind(tcp.getsockname())
+        port: int = tcp.getsockname()[1]
+        return port
+
+
+def link(engine: Engine, name: str = "robot1") -> LinkSnapshot:
+    """An engine's link by its client's name."""
+    return next(each for each in engine.snapshot().links if each.name == name)
+
+
+def linked(engine: Engine, name: str = "robot1") -> bool:
+    """Whether that link is up."""
+    return link(engine, name).state is State.OK
+
+
+def route(engine: Engine, topic: str) -> RouteSnapshot:
+    """An engine's route by the topic's name on its side."""
+    found = find(engine, topic)
+    assert found is not None, f"no route of {topic}: {[each.key for each in engine.snapshot().routes]}"
+    return found
+
+
+def find(engine: Engine, topic: str) -> RouteSnapshot | None:
+    """As `route`; None where there is none."""
+    return next((each for each in engine.snapshot().routes if each.topic == topic), None)
+
+
+def stage(engine: Engine, topic: str, name: str) -> bool | None:
+    """Whether a message's way is known to lead past a stage."""
+    return next((each.done for each in found.stages if each.name == name), None) if (found := find(engine, topic)) else None
+
+
+def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[str]) -> None:
+    """Wait until nothing that is published would miss the listeners.
+
+    Args:
+        publishers: in the sending domain, one a topic.
+        receiver: the receiving engine.
+        topics: their names on its side; somebody listens to each.
+    """
+    publishers, topics = tuple(publishers), tuple(topics)
+    eventually(lambda: all(each.get_subscription_count() for each in publishers), 20, "subscribed")
+    eventually(lambda: all(stage(receiver, each, "subscriber seen") for each in topics), 20, "subscriber seen")
+
+
+def settled(engine: Engine, topic: str, offered: int, within: float = 10.0) -> Ledger:
+    """Wait until the ledger of a topic has so many messages offered and none in flight."""
+
+    def done() -> Ledger | None:
+        ledger = route(engine, topic).ledger
+        return ledger if ledger.offered == offered and not ledger.in_flight else None
+
+    try:
+        return eventually(done, within)
+    except AssertionError:
+        raise AssertionError(f"not settled: {route(engine, topic).ledger}, {offered} were offered") from None
+
+
+def balance(ledger: Ledger) -> int:
+    """What the parts of a ledger add up to."""
+    return ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired + ledger.in_flight
+
+
+def said(engine: Engine, words: str) -> Event | None:
+    """The newest event with these words in it."""
+    return next((event for event in reversed(engine.events()) if words in event.text), None)
+
+
+def heard(listener: Listener, count: int, within: float = 10.0) -> list[bytes]:
+    """Wait until a listener has heard so many messages."""
+    eventually(lambda: len(listener.payloads) >= count, within, f"{count} messages")
+    return listener.payloads

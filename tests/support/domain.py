@@ -1,0 +1,105 @@
+"""A ROS domain as a robot's own programs see it: a stock rclpy node, its publishers and subscriptions."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
+
+RELIABLE = QoSProfile(depth=5000)
+BEST_EFFORT = QoSProfile(depth=5000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Domain:
+    """One domain.
+
+    Attributes:
+        id: its number.
+        node: in it.
+    """
+
+    def __init__(self, domain_id: int) -> None:
+        self.id = domain_id
+        self._context = Context()
+        self._context.init([], domain_id=domain_id)
+        self.node = Node(
+            "stock",
+            context=self._context,
+            enable_rosout=False,
+            use_global_arguments=False,
+            start_parameter_services=False,
+        )
+
+    def publisher(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Publisher:
+        """A publisher; its `publish` takes messages and bytes."""
+        return self.node.create_publisher(kind, topic, qos)
+
+    def listener(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Listener:
+        """A subscription that keeps what it hears."""
+        return Listener(self.node, topic, kind, qos)
+
+    def clear(self) -> None:
+        """Destroy all publishers and subscriptions."""
+        for publisher in tuple(self.node.publishers):
+            self.node.destroy_publisher(publisher)
+        for subscription in tuple(self.node.subscriptions):
+            self.node.destroy_subscription(subscription)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self.clear()
+        self.node.destroy_node()
+        self._context.shutdown()
+        self._context.destroy()
+
+
+class Listener:
+    """A subscription, taken from whenever somebody looks: no executor, so no thread takes the engine's time."""
+
+    def __init__(self, node: Node, topic: str, kind: Any, qos: QoSProfile) -> None:
+        self._kind = kind
+        self._payloads: list[bytes] = []
+        self._received: list[int] = []
+        self.subscription = node.create_subscription(kind, topic, lambda _: None, qos, raw=True)
+
+    @property
+    def matched(self) -> int:
+        """How many publishers it hears."""
+        count: int = self.subscription.handle.get_publisher_count()
+        return count
+
+    @property
+    def payloads(self) -> list[bytes]:
+        """Every serialized message heard so far, oldest first."""
+        self._take()
+        return self._payloads
+
+    @property
+    def received(self) -> list[int]:
+        """When DDS received each of them: ns since the epoch."""
+        self._take()
+        return self._received
+
+    def _take(self) -> None:
+        handle = self.subscription.handle
+        while (taken := handle.take_message(self._kind, True)) is not None:
+            payload, info = taken
+            self._payloads.append(payload)
+            self._received.append(info["received_timestamp"])
+
+
+def text(words: str) -> bytes:
+    """A serialized std_msgs/String."""
+    payload: bytes = serialize_message(String(data=words))
+    return payload

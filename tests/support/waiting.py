@@ -1,0 +1,36 @@
+"""Waiting for what threads and other processes do: a condition with a deadline, never a sleep for a guess."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
+
+
+def eventually(condition: Callable[[], T], within: float = 10.0, what: str = "") -> T:
+    """Wait until a condition gives something true, and return that.
+
+    Raises:
+        AssertionError: it did not within `within` s.
+    """
+    deadline = time.monotonic() + within
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"not within {within:g} s: {what or 'the condition'}"
+        time.sleep(0.01)
+    return found
+
+
+def holds(condition: Callable[[], object], seconds: float) -> None:
+    """Watch that a condition stays true for so long.
+
+    Raises:
+        AssertionError: it did not.
+    """
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        assert condition(), "it no longer holds"
+        time.sleep(0.01)
