@@ -113,9 +113,9 @@ class Run:
 
 
 @contextlib.contextmanager
-def direct() -> Iterator[Bed]:
+def direct(listener: str = "listen") -> Iterator[Bed]:
     """Nothing between them: one domain."""
-    with _ends(NEAR, NEAR) as bed:
+    with _ends(NEAR, NEAR, listener) as bed:
         yield _ready(bed)
 
 
@@ -158,9 +158,9 @@ def thesis() -> Iterator[Bed]:
 
 
 @contextlib.contextmanager
-def _ends(near: int, far: int) -> Iterator[Bed]:
+def _ends(near: int, far: int, listener: str = "listen") -> Iterator[Bed]:
     traffic = str(HERE / "traffic.py")
-    bed = Bed(Process(traffic, "talk", str(near), TOPIC), Process(traffic, "listen", str(far), TOPIC))
+    bed = Bed(Process(traffic, "talk", str(near), TOPIC), Process(traffic, listener, str(far), TOPIC))
     try:
         yield bed
     finally:

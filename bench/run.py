@@ -47,16 +47,19 @@ def main() -> None:
         with make() as between:
             for size in SIZES:
                 lossless[kind, size] = _lossless(between, size)
-            if kind != "none":
+            if between.between:
                 for rate in (1_000, 10_000, 30_000):
                     cpu[kind, rate] = _cpu(between, rate)
     print("highest lossless rate, msg/s (2 s each)")
-    columns = ("no bridge", "TCP", "UDP", "thesis", "TCP/none", "UDP/none", "TCP/thesis", "UDP/thesis")
+    columns = ("rclpy", "drained", "TCP", "UDP", "thesis", "TCP/rclpy", "UDP/rclpy", "TCP/thesis", "UDP/thesis")
+    print(
+        "rclpy: no bridge, a raw subscription on rclpy's executor; drained: no bridge, on a drain loop like the bridge's"
+    )
     print(f"{'size':>8} " + " ".join(f"{column:>10}" for column in columns))
     for size in SIZES:
-        none, tcp, udp, old = (lossless[kind, size] for kind in beds)
-        rates = " ".join(f"{rate:>10.0f}" for rate in (none, tcp, udp, old))
-        ratios = " ".join(f"{ratio:>10.2f}" for ratio in (tcp / none, udp / none, tcp / old, udp / old))
+        spin, none, tcp, udp, old = (lossless[kind, size] for kind in beds)
+        rates = " ".join(f"{rate:>10.0f}" for rate in (spin, none, tcp, udp, old))
+        ratios = " ".join(f"{ratio:>10.2f}" for ratio in (tcp / spin, udp / spin, tcp / old, udp / old))
         print(f"{size:>8} {rates} {ratios}")
     print("\nCPU of both sides together, µs a message of 2,500 bytes (nan: not without loss)")
     print(f"{'rate':>8} {'TCP':>8} {'UDP':>8} {'thesis':>8} {'TCP/thesis':>11}")
@@ -64,6 +67,7 @@ def main() -> None:
         tcp, udp, old = (cpu[kind, rate] for kind in ("tcp", "udp", "thesis"))
         print(f"{rate:>8} {tcp:>8.1f} {udp:>8.1f} {old:>8.1f} {tcp / old:>11.2f}")
     print("\nlatency at 100 Hz, 2,500 bytes, ms; memory; idle")
+    del beds["spin"]
     for kind, make in beds.items():
         with make() as between:
             run = between.send(100, 15.0, 2_500)

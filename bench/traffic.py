@@ -1,27 +1,34 @@
-"""One end of a measured stream of std_msgs/String: ``python traffic.py talk|listen DOMAIN TOPIC``, commanded by lines.
+"""One end of a measured stream of std_msgs/String: ``python traffic.py PART DOMAIN TOPIC``, commanded by lines.
 
 ``talk``: ``send RATE COUNT SIZE`` publishes COUNT messages of SIZE bytes at RATE Hz and answers with the rate reached.
 ``listen``: ``reset`` forgets; ``report`` answers with the count and the latencies' percentiles. Both drain and publish
-raw, so that they cost as little as they can beside what is measured.
+raw, so that they cost as little as they can beside what is measured. ``spin`` listens on rclpy's own executor.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
 import time
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 QOS = QoSProfile(depth=2000)
 _STAMP = 20  # digits
+_SAMPLES = 100_000
 
 
 def message(size: int) -> bytes:
@@ -38,7 +45,7 @@ def main() -> None:
     if part == "talk":
         _talk(node, topic)
     else:
-        _listen(context, node, topic)
+        _listen(context, node, topic, stock=part == "spin")
 
 
 def _answer(**fields: object) -> None:
@@ -65,10 +72,15 @@ def _talk(node: Node, topic: str) -> None:
         _answer(rate=count / (time.perf_counter() - began))
 
 
-def _listen(context: Context, node: Node, topic: str) -> None:
-    subscription = node.create_subscription(String, topic, lambda _: None, QOS, raw=True)
+def _listen(context: Context, node: Node, topic: str, *, stock: bool) -> None:
     latencies: list[int] = []
     count = 0
+
+    def take(payload: bytes) -> None:
+        nonlocal count
+        count += 1
+        if len(latencies) < _SAMPLES:
+            latencies.append(time.monotonic_ns() - int(payload[8 : 8 + _STAMP]))
 
     def commands() -> None:
         nonlocal count
@@ -82,18 +94,26 @@ def _listen(context: Context, node: Node, topic: str) -> None:
                 _answer(count=count, p50=ordered[len(ordered) // 2], p99=ordered[len(ordered) * 99 // 100])
         context.try_shutdown()
 
+    subscription = node.create_subscription(String, topic, take, QOS, raw=True)
     threading.Thread(target=commands, daemon=True).start()
-    handle = subscription.handle
-    with node.context.handle, handle:
-        waits = _rclpy.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
+    if stock:
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+    else:
+        _drain(context, subscription.handle, take)
+
+
+def _drain(context: Context, handle: Any, take: Callable[[bytes], None]) -> None:
+    with context.handle, handle:
+        waits = _rclpy.WaitSet(1, 0, 0, 0, 0, 0, context.handle)
         while context.ok():
             waits.clear_entities()
             waits.add_subscription(handle)
             waits.wait(100_000_000)
             while (taken := handle.take_message(String, True)) is not None:
-                count += 1
-                if len(latencies) < 100_000:
-                    latencies.append(time.monotonic_ns() - int(taken[0][8 : 8 + _STAMP]))
+                take(taken[0])
 
 
 if __name__ == "__main__":
