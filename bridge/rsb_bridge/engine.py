@@ -23,6 +23,7 @@ from rsb_bridge.keys import KeyFileError, read_key
 from rsb_bridge.ros.api import RosError, RosSide, Subscription
 from rsb_bridge.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.snapshot import Event, Level, Snapshot, TopicInfo
+from rsb_bridge.transport.streams import address_words
 from rsb_bridge.transport.tcp import ListenError
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class Engine:
         self._context: Context | None = None
         self._end: End | None = None
         self._looked_at = 0.0
-        address = f"{session.server_ip}:{session.server_port}"
+        address = address_words((session.server_ip, session.server_port))
         self._snapshot = Snapshot(
             time.time(), session.name, session.role, address, session.domain_id or 0, running=False
         )
@@ -101,13 +102,14 @@ class Engine:
             raise EngineError(str(error)) from None
         started: Future[None] = Future()
         self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._main(ros, domain, keys, started)), name="rsb-io", daemon=True
+            target=self._run_thread, args=(ros, domain, keys, started), name="rsb-io", daemon=True
         )
         self._thread.start()
         try:
             started.result()
         except EngineError:
-            self.stop()
+            self._thread.join()
+            self._thread = None
             ros.stop()
             raise
 
@@ -244,6 +246,13 @@ class Engine:
 
     # --- on the I/O thread
 
+    def _run_thread(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
+        try:
+            asyncio.run(self._main(ros, domain, keys, started))
+        finally:
+            if not started.done():
+                started.set_exception(EngineError("the engine failed inside; please report the traceback"))
+
     async def _main(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(self._internal_error)
@@ -255,8 +264,7 @@ class Engine:
             await end.start()
         except (ListenError, RosError, LinkError, ValueError) as error:
             started.set_exception(EngineError(str(error)))
-            return
-        try:
+        else:
             self._take_snapshot()
             started.set_result(None)
             await self._run(context, end)
