@@ -11,7 +11,7 @@ from rsb_bridge.keys import Key, fingerprint
 from rsb_bridge.lanes import Lane
 from rsb_bridge.link import Link
 from rsb_bridge.snapshot import Level
-from rsb_bridge.transport import tcp, udp
+from rsb_bridge.transport import rfcomm, tcp, udp
 from rsb_bridge.transport.streams import Stream, StreamHandler, address_words, os_words
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Failed, Refused
@@ -43,6 +43,7 @@ class ClientLink(Link):
         self._hello = hello
         self._key = key
         self._suite = suite
+        self._connect = rfcomm.connect if session.is_bluetooth else tcp.connect
         self._ended = asyncio.Event()
         self._retry = asyncio.Event()
         self._retry_after: float | None = 0.0
@@ -76,9 +77,11 @@ class ClientLink(Link):
         """One attempt; returns when it failed or when the link it made is over."""
         if not self.attempts:
             self.log(Level.INFO, f"connecting to {self.address}")
-        opening = _Opening(self, ClientConnection(self._hello, self._key.secret if self._key else None, self._suite))
+        secret = self._key.secret if self._key else None
+        connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
+        opening = _Opening(self, connection)
         try:
-            await tcp.connect(self.host, self.port, opening)
+            await self._connect(self.host, self.port, opening)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
                 failure = await opening.outcome
         except (OSError, asyncio.CancelledError) as error:
@@ -162,7 +165,7 @@ class ClientLink(Link):
         assert self.keys is not None
         opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
         try:
-            await tcp.connect(self.host, route.proposal.port or self.port, opening)
+            await self._connect(self.host, route.proposal.port or self.port, opening)
         except OSError as error:
             if route.id == route_id:
                 route.path_lost(os_words(error))

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.shared import SharedPath, SharedStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.events import Event, Failed, Received, Refused
+from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
+from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import ControlMessage, Shutdown
+from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from rsb_bridge.link import Link
@@ -19,11 +22,13 @@ class Control(StreamHandler):
     Attributes:
         stream: what carries it.
         link: whose it is.
+        shared: the room that it leaves to routes' messages (Bluetooth).
     """
 
     def __init__(self, stream: Stream, connection: ClientConnection | ServerConnection, link: Link) -> None:
         self.stream = stream
         self.link = link
+        self.shared = SharedStream(stream)
         self._connection = connection
         self._goodbye = ""
         stream.handler = self
@@ -56,10 +61,25 @@ class Control(StreamHandler):
             match event:
                 case Received(message):
                     self.link.dialogue.handle(message)
+                case DataFrame(route_id, frame):
+                    self._take_data(route_id, frame)
                 case Failed(reason):
                     self.abort(f"the peer broke the format: {reason}")
                 case Refused(_, words, _):
                     self.abort(words)
+
+    def _take_data(self, route_id: int, frame: memoryview) -> None:
+        route = self.link.open_route(route_id)
+        if route is None or not isinstance(route.path, SharedPath):
+            return  # it was closed here while the frame was under way
+        try:
+            route.path.received(frame)
+        except (ProtocolError, SealError) as error:
+            self.abort(f"the peer broke the format: {error}")
+
+    def writable(self) -> None:
+        """The stream takes more again."""
+        self.shared.pump()
 
     def closed(self, reason: str) -> None:
         """The stream is over."""

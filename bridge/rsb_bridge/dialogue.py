@@ -87,6 +87,9 @@ class Dialogue:
     async def _consider(self, proposal: Propose) -> None:
         """Answer the peer's proposal."""
         try:
+            if (proposal.transport == "bluetooth") != self._link.is_bluetooth:
+                carries = "bluetooth" if self._link.is_bluetooth else "tcp or udp"
+                raise LinkError(f"this link carries {carries}, not {proposal.transport}")
             admitted = self._link.admit(proposal)
             known = self._link.routes.get(route_key(self._link.name, admitted))
             if known is not None and known.proposed_here:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.paths import Counts
+from rsb_bridge.transport.streams import BATCH_BYTES
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, DatagramWriter, Probe
 from rsb_bridge.wire.framing import ProtocolError
 
@@ -146,6 +147,10 @@ class DatagramPath:
     @property
     def congested(self) -> bool:
         return self._lane.socket.congested
+
+    @property
+    def batch_bytes(self) -> int:
+        return BATCH_BYTES
 
     def send(self, batch: Sequence[Message]) -> None:
         assert isinstance(self._end, DatagramWriter)

@@ -14,6 +14,7 @@ from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
 from rsb_bridge.route import Route, route_key
+from rsb_bridge.shared import SharedPath
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter, parse_header
@@ -85,7 +86,7 @@ class Link:
     @property
     def is_bluetooth(self) -> bool:
         """Whether the link is RFCOMM."""
-        return False
+        return self.context.session.is_bluetooth
 
     def open_stream(self, route: Route) -> None:
         """Get a stream of the route's own going; a server waits for the client's."""
@@ -260,11 +261,14 @@ class Link:
 
     def make_path(self, route: Route) -> None:
         """Set a route's path going."""
+        port = route.proposal.port or self.shared_port()
+        if route.transport == "bluetooth" and port == self.shared_port():
+            self._share_stream(route)
+            return
         if route.transport != "udp":
             self.open_stream(route)
             return
         assert self.keys is not None
-        port = route.proposal.port or self.shared_port()
         lane = self.lanes.get(port) or self.open_lane(port)
         if lane is None:
             return
@@ -276,15 +280,19 @@ class Link:
             reader = DatagramReader(self.keys.datagram_opener(route.id, self.other_side), route.id)
             route.path = DatagramPath(lane, route, reader)
 
+    def _share_stream(self, route: Route) -> None:
+        assert self.control is not None
+        route.path = SharedPath(self.control.shared, route, self._stream_end(route))
+
+    def _stream_end(self, route: Route) -> DataWriter | DataReader:
+        assert self.keys is not None
+        if route.outgoing:
+            return DataWriter(self.keys.route_sealer(route.id, self.side), route.id)
+        return DataReader(self.keys.stream_opener(route.id, self.other_side), route.id)
+
     def attach_stream(self, route: Route, stream: Stream, beginning: bytes) -> None:
         """A stream of the route's own is let in; `beginning` came behind its opening."""
-        assert self.keys is not None
-        end = (
-            DataWriter(self.keys.route_sealer(route.id, self.side), route.id)
-            if route.outgoing
-            else DataReader(self.keys.stream_opener(route.id, self.other_side), route.id)
-        )
-        path = StreamPath(stream, route, end)
+        path = StreamPath(stream, route, self._stream_end(route))
         route.path = path
         if beginning:
             path.received(beginning)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from rsb_bridge.session import Topic
 
 _QUEUE_BYTES = 32 * 1024 * 1024
+_RADIO_QUEUE_BYTES = 64 * 1024  # on Bluetooth, a second or two, of what needn't arrive: later it would be stale
 _BATCH = 16
-_BATCH_BYTES = 256 * 1024
 _SETTLE = 2.0
 _ZSTD_LEVEL = 3
 
@@ -216,7 +216,7 @@ class OutgoingRoute(Route):
         while queue and path is not None and not path.congested:
             batch: list[Message] = []
             size = 0
-            while queue and len(batch) < _BATCH and size < _BATCH_BYTES:
+            while queue and len(batch) < _BATCH and size < path.batch_bytes:
                 message = queue.popleft()
                 size += len(message[0])
                 batch.append(message)
@@ -235,7 +235,9 @@ class OutgoingRoute(Route):
             self._queue_bytes += size
         congested = path is not None and path.congested
         depth = self.qos.depth if congested and self.qos is not None and self.qos.history == "keep_last" else 0
-        while queue and ((depth and len(queue) > depth) or self._queue_bytes > _QUEUE_BYTES + self._largest):
+        stale = self.transport == "bluetooth" and self.qos is not None and self.qos.reliability == "best_effort"
+        limit = _RADIO_QUEUE_BYTES if stale else _QUEUE_BYTES + self._largest
+        while len(queue) > 1 and ((depth and len(queue) > depth) or self._queue_bytes > limit):
             self._queue_bytes -= len(queue.popleft()[0])
             self._drop("queue full", 1)
 

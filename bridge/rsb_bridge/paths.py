@@ -41,6 +41,11 @@ class Path(Protocol):
         """Whether it is better not to send now."""
         ...
 
+    @property
+    def batch_bytes(self) -> int:
+        """How much to send at once, where a single message is not more."""
+        ...
+
     def send(self, batch: Sequence[Message]) -> None:
         """Send messages, oldest first."""
         ...
@@ -72,6 +77,10 @@ class StreamPath(StreamHandler):
     @property
     def congested(self) -> bool:
         return self._stream.congested
+
+    @property
+    def batch_bytes(self) -> int:
+        return self._stream.batch_bytes
 
     def send(self, batch: Sequence[Message]) -> None:
         assert isinstance(self._end, DataWriter)

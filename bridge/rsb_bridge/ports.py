@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from rsb_bridge.transport import tcp, udp
+from rsb_bridge.transport import rfcomm, tcp, udp
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 @dataclass(slots=True)
 class _Port:
     users: int = 0
-    tcp: asyncio.Server | None = None
+    streams: asyncio.Server | None = None
     udp: list[UdpSocket] = field(default_factory=list)
 
     def close(self) -> None:
-        if self.tcp is not None:
-            self.tcp.close()
+        if self.streams is not None:
+            self.streams.close()
         for socket in self.udp:
             socket.close()
 
@@ -64,7 +64,8 @@ class Ports:
     async def _bind(self, transport: str, number: int) -> _Port:
         if transport == "udp":
             return _Port(udp=await udp.bind(self._host, number, self._received))
-        return _Port(tcp=await tcp.listen(self._host, number, self._make_handler))
+        listen = rfcomm.listen if transport == "bluetooth" else tcp.listen
+        return _Port(streams=await listen(self._host, number, self._make_handler))
 
     def _release(self, key: tuple[str, int], port: _Port) -> None:
         port.users -= 1

@@ -17,6 +17,7 @@ from rsb_bridge.lanes import Lane
 from rsb_bridge.link import Link
 from rsb_bridge.ports import Ports
 from rsb_bridge.snapshot import Level
+from rsb_bridge.transport.streams import address_words
 from rsb_bridge.wire.connection import Credential, ServerConnection
 from rsb_bridge.wire.datagram import parse_header
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
@@ -128,12 +129,12 @@ class Server:
         Raises:
             ListenError: it is taken, or not ours.
         """
-        port = self.context.session.server_port
-        await self._ports.open("tcp", port)
-        await self._ports.open("udp", port)
-        self.context.log(
-            Level.INFO, "engine", f"listening on {self.context.session.server_ip} port {port} (TCP and UDP)"
-        )
+        session = self.context.session
+        transports = ("bluetooth",) if session.is_bluetooth else ("tcp", "udp")
+        for transport in transports:
+            await self._ports.open(transport, session.server_port)
+        address = address_words((session.server_ip, session.server_port))
+        self.context.log(Level.INFO, "engine", f"listening on {address} ({' and '.join(transports)})")
 
     def stop(self) -> None:
         """Take nobody in any more."""
@@ -148,7 +149,8 @@ class Server:
 
     def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
         """The state machine for a stream that comes in."""
-        return ServerConnection(identify, self._welcome, self._aes)
+        bluetooth = self.context.session.is_bluetooth
+        return ServerConnection(identify, self._welcome, self._aes, multiplexed=bluetooth)
 
     def credential(self, name: str) -> Credential:
         """What a client of that name has to prove; raises Refusal where there is none."""

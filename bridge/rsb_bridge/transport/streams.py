@@ -10,6 +10,9 @@ from typing import Any, cast
 
 from rsb_bridge.session import is_mac
 
+BATCH_BYTES = 256 * 1024
+"""As much as is worth one call, where the link is not slow."""
+
 _HIGH_WATER = 256 * 1024
 _NOT_SENT_LOW_WATER = 128 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
@@ -43,6 +46,7 @@ class Stream(asyncio.Protocol):
         received_bytes: so far.
         sent_bytes: so far, those still waiting included.
         address: of the other end, as the socket module has it.
+        batch_bytes: how much to write at once, for good.
     """
 
     def __init__(self, handler: StreamHandler) -> None:
@@ -51,6 +55,7 @@ class Stream(asyncio.Protocol):
         self.received_bytes = 0
         self.sent_bytes = 0
         self.address: tuple[Any, ...] = ("?", 0)
+        self.batch_bytes = BATCH_BYTES
         self._transport: asyncio.Transport | None = None
         self._reason = ""
 
@@ -90,6 +95,7 @@ class Stream(asyncio.Protocol):
             self._transport.set_write_buffer_limits(high=_HIGH_WATER)
             sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
         else:
+            self.batch_bytes = _RFCOMM_HIGH_WATER
             self._transport.set_write_buffer_limits(high=_RFCOMM_HIGH_WATER)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _RFCOMM_SEND_BUFFER)
         self.address = transport.get_extra_info("peername") or self.address
