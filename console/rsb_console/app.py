@@ -106,6 +106,7 @@ class ConsoleApp(App[None]):
         self._theme_wanted = theme
         self._keys_of_user: dict[str, str] = {}
         self._last_event = 0
+        self._problems: list[tuple[str, str]] = []
 
     # -- start --------------------------------------------------------------------------------------------------------
 
@@ -123,9 +124,14 @@ class ConsoleApp(App[None]):
         return [*filters, self._filters_ascii] if self.ascii_only else filters
 
     def on_mount(self) -> None:
-        """Themes and keys, and the session."""
+        """Before the first picture: themes and keys."""
         self._load_themes()
         self._load_keys()
+
+    def on_ready(self) -> None:
+        """After the first picture: what was wrong so far, and the session."""
+        for title, words in self._problems:
+            self.notify(words, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
             self.run_session(self._session, self.path)
@@ -140,7 +146,7 @@ class ConsoleApp(App[None]):
         if self._theme_wanted and self._theme_wanted not in themes.found:
             problems.append(f"no theme is called {self._theme_wanted!r}; there are {', '.join(themes.found)}")
         if problems:
-            self.notify("\n".join(problems), title="Themes left out", severity="warning", markup=False, timeout=15)
+            self._problems.append(("Themes left out", "\n".join(problems)))
         known = self._theme_wanted in themes.found
         self.theme = self._theme_wanted if self._theme_wanted and known else theming.default_theme()
 
@@ -148,7 +154,7 @@ class ConsoleApp(App[None]):
         try:
             self._keys_of_user = load_keymap(self.config / "keys.yaml")
         except KeymapError as error:
-            self.notify(str(error), title="Keys are the default ones", severity="warning", markup=False, timeout=15)
+            self._problems.append(("Keys are the default ones", str(error)))
         self.set_keymap(self._keys_of_user)
 
     def key_labels(self, action: Action) -> list[str]:

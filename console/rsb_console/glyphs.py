@@ -60,7 +60,8 @@ def braille_plot(values: Sequence[float], width: int, height: int, top: float) -
     """
     cells = [[0] * width for _ in range(height)]
     shown = values[-2 * width :]
-    levels = [min(4 * height - 1, int(value / top * (4 * height - 1) + 0.5)) if top > 0 else 0 for value in shown]
+    highest = 4 * height - 1
+    levels = [round(highest * min(1.0, value / top)) if top > 0 else 0 for value in shown]
     first = 2 * width - len(levels)
     for index, level in enumerate(levels):
         before = levels[index - 1] if index else level

@@ -132,13 +132,21 @@ class CursorLines(LiveLines, can_focus=True):
         self.move_to(self._cursor - self.page)
 
     def on_click(self, event: events.Click) -> None:
-        """The item under the mouse gets the cursor."""
-        index = self.index_at(event.y) - self.sticky
-        if 0 <= index < len(self.keys) and event.y >= self.sticky:
-            again = index == self._cursor
-            self.move_to(index)
-            if again:
-                self.post_message(self.Chosen(self))
+        """The item under the mouse gets the cursor; where it has it already, it is chosen."""
+        at = event.get_content_offset(self)
+        if at is None:
+            return
+        if at.y < self.sticky:
+            self.heading_clicked(at.x)
+            return
+        position = self.index_at(at.y) - self.sticky
+        if position == self._cursor:
+            self.post_message(self.Chosen(self))
+        elif position < len(self.keys):
+            self.move_to(position)
+
+    def heading_clicked(self, x: int) -> None:
+        """The heading was clicked, `x` cells from its left edge."""
 
     def on_focus(self) -> None:
         """The cursor's line looks different in the focused pane."""

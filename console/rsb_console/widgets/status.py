@@ -70,7 +70,7 @@ class StatusBar(LiveLines):
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the totals of `snapshot`."""
-        if snapshot.time - self._sampled >= 1.0:
+        if snapshot.running and snapshot.time - self._sampled >= 1.0:
             self._sampled = snapshot.time
             self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))
             self._sent.append(sum(link.tx_bytes_per_second for link in snapshot.links))

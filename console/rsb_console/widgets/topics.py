@@ -14,8 +14,6 @@ from rsb_console.widgets.lines import clip
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from textual import events
-
     from rsb_bridge.snapshot import RouteSnapshot, Snapshot
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.pattern import Pattern
@@ -150,6 +148,11 @@ class TopicsTable(CursorLines):
         hidden = {SIGN if width >= WIDE else STATE} | (set() if self._peers else {PEER})
         return tuple(column for column in COLUMNS if width >= column.from_width and column not in hidden)
 
+    @property
+    def _room(self) -> int:
+        """Cells for the column that takes what the others leave."""
+        return max(8, self.size.width - 1 - sum(column.width + 1 for column in self.columns))
+
     def sort_by(self, step: int) -> None:
         """Sort by the column `step` places to the right."""
         columns = self.columns
@@ -173,8 +176,7 @@ class TopicsTable(CursorLines):
 
     def line(self, index: int) -> Line:
         """The heading, or one route."""
-        columns = self.columns
-        room = max(8, self.size.width - 1 - sum(column.width + 1 for column in columns))
+        columns, room = self.columns, self._room
         if index == 0:
             return ((" ", ""), *(self._heading(column, column.width or room) for column in columns))
         route = self.routes[self.keys[index - 1]]
@@ -186,16 +188,12 @@ class TopicsTable(CursorLines):
         title = clip(column.title + arrow, width)
         return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
 
-    def on_click(self, event: events.Click) -> None:
-        """A click on a heading sorts by it, a second one turns the order round."""
-        if event.y >= self.sticky:
-            super().on_click(event)
-            return
+    def heading_clicked(self, x: int) -> None:
+        """Sort by the column; by the same one again, turn the order round."""
         edge = 1
-        room = max(8, self.size.width - 1 - sum(column.width + 1 for column in self.columns))
         for column in self.columns:
-            edge += (column.width or room) + 1
-            if event.x < edge:
+            edge += (column.width or self._room) + 1
+            if x < edge:
                 self.reversed = column is self.sort_column and not self.reversed
                 self.sort_column = column
                 self.relist()

@@ -1,0 +1,54 @@
+"""Driving the app in a test: keys in, the screen's text out, conditions with deadlines."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from scripted import SESSION, ScriptedEngine
+from textual.pilot import Pilot
+
+from rsb_console.app import ConsoleApp
+
+NOWHERE = Path("/nonexistent")
+WIDE, NARROW = (120, 36), (80, 24)
+
+
+def scripted_app(**options) -> ConsoleApp:
+    """The app on an engine that plays a script, with nothing of the user's."""
+    options = {"config": NOWHERE, "theme": "dark", "make_engine": ScriptedEngine} | options
+    return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
+
+
+def text(app: ConsoleApp) -> str:
+    """What stands on the screen."""
+    strips = app.screen._compositor.render_strips()
+    return "\n".join("".join(segment.text for segment in strip) for strip in strips)
+
+
+async def until(pilot: Pilot, condition: Callable[[], object], what: str, seconds: float = 10.0) -> None:
+    """Wait until `condition`."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"not within {seconds} s: {what}\n{text(pilot.app)}"
+        await pilot.pause(0.02)
+
+
+async def shown(pilot: Pilot, words: str, seconds: float = 10.0) -> None:
+    """Wait until `words` stand on the screen."""
+    await until(pilot, lambda: words in text(pilot.app), f"{words!r} on the screen", seconds)
+
+
+async def gone(pilot: Pilot, words: str, seconds: float = 10.0) -> None:
+    """Wait until `words` stand on the screen no more."""
+    await until(pilot, lambda: words not in text(pilot.app), f"{words!r} gone", seconds)
+
+
+def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tuple[int, int] = WIDE) -> None:
+    """Run `app` without a terminal, and `steps` on it."""
+
+    async def run() -> None:
+        async with app.run_test(size=size, notifications=True) as pilot:
+            await steps(pilot)
+
+    asyncio.run(run())

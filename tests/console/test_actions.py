@@ -1,0 +1,134 @@
+"""One registry: keys, footer, help and palette agree, and nothing is beyond reach."""
+
+from pathlib import Path
+
+import pytest
+from driving import drive, gone, scripted_app, shown, text, until
+from textual.pilot import Pilot
+
+from rsb_console.actions import ACTIONS, BY_ID, Group, KeymapError, load_keymap, split_keys
+from rsb_console.app import ConsoleApp
+from rsb_console.screens.main import MainScreen
+from rsb_console.widgets.cursor_lines import CursorLines
+
+EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
+OWNER = {Group.MOVE: CursorLines, Group.VIEW: MainScreen, Group.OPERATE: MainScreen, Group.CONSOLE: ConsoleApp}
+
+
+@pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
+def test_every_action_has_its_handler(action) -> None:
+    assert hasattr(OWNER[action.group], f"action_{action.id}")
+
+
+def test_no_id_and_no_key_twice() -> None:
+    keys = [key for action in ACTIONS for key in split_keys(action.keys)]
+    assert len(set(keys)) == len(keys)
+    assert len(BY_ID) == len(ACTIONS)
+
+
+@pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
+def test_no_action_hangs_on_a_key_that_terminals_eat(action) -> None:
+    assert any(key not in EATEN and not key.startswith("alt+") for key in split_keys(action.keys))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("- pause", "must map action ids to keys"),
+        ("pawse: P", "no action is called pawse"),
+        ("pause: r", "'r' is for both pause and retry"),
+        ("pause: [", "line 1"),
+    ],
+)
+def test_a_mistake_in_the_users_keys_is_said(tmp_path: Path, content: str, words: str) -> None:
+    path = tmp_path / "keys.yaml"
+    path.write_text(content)
+    with pytest.raises(KeymapError, match=r"keys\.yaml") as caught:
+        load_keymap(path)
+    assert words in str(caught.value)
+
+
+def test_no_file_and_an_empty_one_change_nothing(tmp_path: Path) -> None:
+    assert load_keymap(tmp_path / "keys.yaml") == {}
+    (tmp_path / "keys.yaml").write_text("# nothing yet\n")
+    assert load_keymap(tmp_path / "keys.yaml") == {}
+
+
+def test_a_remapped_key_works_and_is_shown(tmp_path: Path) -> None:
+    (tmp_path / "keys.yaml").write_text("pause: P\nmove_down: ctrl+n\n")
+    app = scripted_app(config=tmp_path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "P pause")
+        await pilot.press("p")
+        await pilot.press("ctrl+n", "P")
+        await until(pilot, lambda: app.engine.commands, "a command")
+        assert app.engine.commands == [("pause", "/robot1/map", True)]
+
+    drive(app, steps)
+
+
+def test_bad_keys_leave_the_default_ones(tmp_path: Path) -> None:
+    (tmp_path / "keys.yaml").write_text("pawse: P")
+    app = scripted_app(config=tmp_path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "pawse")  # the toast breaks its lines
+        await shown(pilot, "p pause")
+        await pilot.press("p")
+        await until(pilot, lambda: app.engine.commands, "a command")
+
+    drive(app, steps)
+
+
+def test_help_lists_every_action_and_its_keys() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await pilot.press("question_mark")
+        await shown(pilot, "Next line")
+        for action in ACTIONS:
+            assert action.help in text(app)
+            assert app.key_labels(action)[0] in text(app)
+        await pilot.press("escape")
+        await gone(pilot, "Next line")
+
+    drive(app, steps, size=(120, 80))
+
+
+def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("colon", *"faults only")
+        await shown(pilot, "Show faults only")
+        await pilot.press("enter", "enter")
+        await until(pilot, lambda: app.main.topics.faults_only, "faults only")
+
+    drive(app, steps)
+
+
+def test_readonly_takes_away_whatever_changes_something() -> None:
+    app = scripted_app(readonly=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "read-only")
+        assert "p pause" not in text(app)
+        await pilot.press("p", "r")
+        await pilot.press("question_mark")
+        await shown(pilot, "Next line")
+        assert not any(action.help in text(app) for action in ACTIONS if action.changes)
+        assert app.engine.commands == []
+
+    drive(app, steps, size=(120, 80))
+
+
+@pytest.mark.parametrize("size", [(120, 36), (40, 15)])
+def test_the_footer_always_ends_with_help_and_quit(size: tuple[int, int]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "? help  q quit")
+
+    drive(app, steps, size=size)

@@ -1,0 +1,38 @@
+"""A live pane redraws no more than it must, and never less."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from rsb_console.widgets.lines import LOOKS, changed_width, clip, fit, width_of
+
+PIECES = st.tuples(st.text(st.sampled_from("ab ●日"), max_size=4), st.sampled_from(LOOKS))
+LINES = st.lists(PIECES, max_size=6).map(tuple)
+
+
+def cells(line: tuple[tuple[str, str], ...]) -> list[tuple[str, str]]:
+    """A line cell by cell; a wide character fills two."""
+    return [(char, look) for text, look in line for char in text for _ in range(cell_len(char))]
+
+
+@given(LINES, LINES)
+def test_all_beyond_the_changed_width_is_the_same(old: tuple, new: tuple) -> None:
+    width = 60
+    start = changed_width(old, new, width)
+    padded = [(line + [(" ", "")] * width)[:width] for line in (cells(old), cells(new))]
+    assert padded[0][start:] == padded[1][start:]
+
+
+def test_a_change_at_the_start_costs_only_the_start() -> None:
+    assert changed_width((("ab", ""), ("c" * 50, "")), (("xy", ""), ("c" * 50, "")), 80) == 2
+
+
+@given(LINES, st.integers(2, 20))
+def test_a_fitted_line_fits(line: tuple, width: int) -> None:
+    fitted = fit(line, width)
+    assert width_of(fitted) <= width
+    assert fitted == line or fitted[-1][0] == "…"
+
+
+def test_clip_never_cuts_a_wide_character_in_two() -> None:
+    assert clip("日本", 3) == "日"

@@ -1,0 +1,418 @@
+"""The main screen, key by key, on an engine that plays a script."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from driving import NARROW, drive, gone, scripted_app, shown, text, until
+from scripted import LINK, NOW, ROUTES, ScriptedEngine, route
+from textual.pilot import Pilot
+from textual.widgets import Button
+
+from rsb_bridge.snapshot import Event, Level, State
+from rsb_console.widgets.prompt import Prompt
+
+FAULTY = ["/robot2/scan", "/robot1/map"]
+
+
+def listed(app) -> list[str]:
+    """The topics on screen, in their order."""
+    return [shown_route.topic for shown_route in app.main.topics.listed]
+
+
+def put(app, *routes, **changes) -> None:
+    """The engine's next snapshot has `routes`."""
+    app.engine.now = replace(app.engine.now, routes=routes or app.engine.now.routes, **changes)
+    app.pull()
+
+
+def on_main(size=(120, 36), **options):
+    """A test's steps run once the topics are there."""
+
+    def decorate(steps):
+        def test() -> None:
+            app = scripted_app(**options)
+
+            async def run(pilot: Pilot) -> None:
+                await shown(pilot, "/robot2/scan")
+                await steps(app, pilot)
+
+            drive(app, run, size)
+
+        return test
+
+    return decorate
+
+
+@on_main()
+async def test_faults_stand_first_and_totals_above(app, pilot) -> None:
+    assert listed(app)[:2] == FAULTY
+    assert "✗ 1 down  ▲ 1 stale  ‖ 1 paused  ● 5 ok" in text(app)
+    assert "● LINKED 00:12:04  encrypted ✓" in text(app)
+
+
+@on_main()
+async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(app, pilot) -> None:
+    put(app, route("/worse", State.DOWN), *ROUTES)
+    assert app.main.selected.topic == "/robot2/scan"  # /worse sorts behind it
+    put(app, route("/a/worse", State.DOWN), *ROUTES)
+    assert app.main.selected.topic == "/a/worse"
+    await pilot.press("j")
+    put(app, route("/a/a/worse", State.DOWN), *ROUTES)
+    assert app.main.selected.topic == "/robot2/scan"
+    put(app, *(r for r in ROUTES if r.topic != "/robot2/scan"))
+    assert app.main.selected is not None
+
+
+@on_main()
+async def test_moving(app, pilot) -> None:
+    table = app.main.topics
+    for key, position in (
+        ("j", 1),
+        ("down", 2),
+        ("k", 1),
+        ("G", 7),
+        ("g", 0),
+        ("pagedown", 7),
+        ("pageup", 0),
+        ("up", 0),
+    ):
+        await pilot.press(key)
+        assert table.position == position, key
+
+
+@on_main()
+async def test_five_hundred_topics_scroll_and_the_heading_stays(app, pilot) -> None:
+    put(app, *(route(f"/t{i:03d}") for i in range(500)))
+    await pilot.press("G")
+    await shown(pilot, "/t499")
+    assert "STATE▼" in text(app)
+    assert "/t000" not in text(app)
+    assert app.main.topics.scroll_offset.y == 500 - app.main.topics.page
+    await pilot.press("g")
+    await shown(pilot, "/t000")
+
+
+@on_main()
+async def test_sorting(app, pilot) -> None:
+    await pilot.press("greater_than_sign")
+    assert listed(app) == sorted(listed(app))
+    await pilot.press("s")
+    assert listed(app) == sorted(listed(app), reverse=True)
+    await pilot.press("s", "greater_than_sign", "greater_than_sign")
+    rates = [app.main.topics.routes[key].rate for key in app.main.topics.keys]
+    assert rates == sorted(rates, reverse=True)
+    await pilot.press("less_than_sign", "less_than_sign", "less_than_sign")
+    assert listed(app)[:2] == FAULTY
+
+
+@on_main()
+async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app, pilot) -> None:
+    await pilot.click("#topics", offset=(12, 1))
+    assert listed(app) == sorted(listed(app))
+    await pilot.click("#topics", offset=(12, 1))
+    assert listed(app) == sorted(listed(app), reverse=True)
+
+
+@on_main()
+async def test_a_click_moves_the_cursor_and_another_one_opens(app, pilot) -> None:
+    await pilot.click("#topics", offset=(12, 3))
+    assert app.main.selected.topic == "/robot1/map"
+    await pilot.click("#topics", offset=(12, 3))
+    assert app.main.detail.has_focus
+
+
+@on_main()
+async def test_filtering_as_it_is_typed(app, pilot) -> None:
+    await pilot.press("slash", *"scan$")
+    await until(pilot, lambda: listed(app) == ["/robot2/scan", "/robot1/scan"], "both scans")
+    await pilot.press("enter")
+    await shown(pilot, "Topics ▸ /scan$ ▸ 2 of 8")
+    await pilot.press("n")
+    assert app.main.selected.topic == "/robot1/scan"
+    await pilot.press("escape")
+    assert len(listed(app)) == 8
+
+
+@on_main()
+async def test_an_inverted_filter(app, pilot) -> None:
+    await pilot.press("slash", *"!robot", "enter")
+    await until(pilot, lambda: len(listed(app)) == 4, "four topics")
+    assert not any("robot" in topic for topic in listed(app))
+
+
+@on_main()
+async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app, pilot) -> None:
+    await pilot.press("slash", *"scan(")
+    await shown(pilot, "not a regular expression")
+    assert listed(app) == ["/robot2/scan", "/robot1/scan"]
+    await pilot.press("escape")
+    await until(pilot, lambda: not app.main.query(Prompt), "the prompt closed")
+    assert len(listed(app)) == 8
+
+
+@on_main()
+async def test_faults_only_and_from_fault_to_fault(app, pilot) -> None:
+    await pilot.press("n")
+    assert app.main.selected.topic == "/robot1/map"
+    await pilot.press("n")
+    assert app.main.selected.topic == "/robot2/scan"
+    await pilot.press("f")
+    assert listed(app) == FAULTY
+    await shown(pilot, "faults only ▸ 2 of 8")
+    await pilot.press("f")
+    assert len(listed(app)) == 8
+
+
+@on_main()
+async def test_freezing_holds_the_view_only_and_says_so(app, pilot) -> None:
+    await pilot.press("space")
+    await shown(pilot, "VIEW FROZEN")
+    app.engine.happened.append(Event(5, NOW, Level.ERROR, "route", "meanwhile"))
+    put(app, route("/new"), links=(replace(LINK, state=State.DOWN, reason="gone"),))
+    await shown(pilot, "✗ DOWN")  # the status line goes on
+    assert "/robot1/scan" in text(app)
+    assert "meanwhile" not in text(app)
+    assert app.engine.commands == []
+    await pilot.press("space")
+    await shown(pilot, "/new")
+    await shown(pilot, "meanwhile")
+
+
+@on_main()
+async def test_refresh_rate(app, pilot) -> None:
+    await pilot.press("minus")
+    await shown(pilot, "LIVE 2 Hz")
+    await pilot.press("plus", "plus", "plus")
+    await shown(pilot, "LIVE 10 Hz")
+
+
+def test_over_ssh_it_begins_at_two_hertz(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SSH_CONNECTION", "10.0.0.1 50000 10.0.0.2 22")
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "LIVE 2 Hz")
+
+    drive(app, steps)
+
+
+@on_main()
+async def test_detail_says_why(app, pilot) -> None:
+    await shown(pilot, "Why it isn't flowing")
+    assert "✗ publisher seen" in text(app)
+    assert "no publisher of /scan in domain 4" in text(app)
+    await pilot.press("G")
+    await shown(pilot, "all 10 passed")
+    assert "Why it isn't flowing" not in text(app)
+    await pilot.press("z")
+
+
+@on_main(size=NARROW)
+async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app, pilot) -> None:
+    assert "Ledger" not in text(app)
+    await pilot.press("enter")
+    await shown(pilot, "Ledger")
+    assert "STATE▼" not in text(app)
+    await pilot.press("escape")
+    await shown(pilot, "STATE▼")
+    await pilot.press("l", "z")
+    await gone(pilot, "STATE▼")
+    assert "encrypted" in text(app)
+    await pilot.press("escape")
+    await shown(pilot, "STATE▼")
+
+
+@on_main(size=(60, 12))
+async def test_even_smaller_it_works(app, pilot) -> None:
+    assert "✗  /robot2/scan" in text(app)
+    await pilot.press("l")
+    await shown(pilot, "/robot2/scan channel 3")
+    await pilot.press("l")
+    await shown(pilot, "/tf")
+
+
+@on_main()
+async def test_zoom(app, pilot) -> None:
+    await pilot.press("z")
+    await gone(pilot, "Ledger")
+    assert "Log" not in text(app)
+    await pilot.press("z")
+    await shown(pilot, "Ledger")
+
+
+@on_main()
+async def test_log_levels_and_search(app, pilot) -> None:
+    app.engine.happened.append(Event(5, NOW, Level.DEBUG, "link", "a detail"))
+    app.pull()
+    assert "a detail" not in text(app)
+    await pilot.press("L")
+    await shown(pilot, "Log ▸ WARN+")
+    assert "flowing" not in text(app).split("Log ▸")[1]
+    await pilot.press("L")
+    await shown(pilot, "Log ▸ ERROR+")
+    await pilot.press("L")
+    await shown(pilot, "a detail")
+    await pilot.press("l", "slash", *"linked", "enter")
+    await gone(pilot, "a detail")
+    assert "linked to 10.0.0.20" in text(app)
+    assert len(listed(app)) == 8  # the filter is the log's
+
+
+@on_main()
+async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilot) -> None:
+    log = app.main.log_pane
+    await pilot.press("l", "j")
+    held = log.selected
+    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
+    app.pull()
+    assert log.selected == held
+    await pilot.press("g")
+    await shown(pilot, "more 39")
+    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
+    app.pull()
+    await shown(pilot, "newest")
+    assert log.selected.text == "newest"
+
+
+@on_main()
+async def test_pause_and_resume(app, pilot) -> None:
+    await pilot.press("p")
+    await until(pilot, lambda: app.engine.commands == [("pause", "/robot2/scan", True)], "pause")
+    await pilot.press("j", "j", "p")
+    await until(pilot, lambda: app.engine.commands[1:] == [("pause", "/initialpose", False)], "resume")
+    await shown(pilot, "/initialpose: resumed")
+
+
+@on_main()
+async def test_quitting_while_linked_asks_with_the_focus_on_no(app, pilot) -> None:
+    await pilot.press("q")
+    await shown(pilot, "Quit?")
+    assert app.focused is app.screen.query_one("#no", Button)
+    await pilot.press("enter")
+    await gone(pilot, "Quit?")
+    await pilot.press("ctrl+q")
+    await shown(pilot, "Quit?")
+    await pilot.press("escape")
+    await gone(pilot, "Quit?")
+    assert app.is_running
+    await pilot.press("q", "y")
+    await until(pilot, lambda: app._exit, "the end")
+
+
+@on_main()
+async def test_quitting_unlinked_does_not_ask(app, pilot) -> None:
+    put(app, links=(replace(LINK, state=State.DOWN),))
+    await pilot.press("q")
+    await until(pilot, lambda: app._exit, "the end")
+
+
+@on_main()
+async def test_an_unencrypted_link_is_an_alarm_however_narrow(app, pilot) -> None:
+    put(app, links=(replace(LINK, encrypted=False, cipher=""),))
+    await shown(pilot, "NOT ENCRYPTED")
+    assert "encrypted ✓" not in text(app)
+    await pilot.resize_terminal(50, 20)
+    await shown(pilot, "NOT ENCRYPTED")
+
+
+@on_main()
+async def test_a_servers_links_are_counted_and_peers_have_a_column(app, pilot) -> None:
+    await pilot.resize_terminal(150, 36)
+    other = replace(LINK, name="robot2", state=State.DOWN)
+    put(app, *ROUTES, route("/scan", key="2", link="robot2"), links=(LINK, other), role="server")
+    await shown(pilot, "✗ 1 of 2 linked")
+    await shown(pilot, "PEER")
+    await pilot.press("slash", *"robot2", "enter")
+    await until(pilot, lambda: listed(app) == ["/robot2/scan", "/scan"], "what concerns robot2")
+
+
+@on_main(ascii_only=True)
+async def test_ascii_is_what_goes_out(app, pilot) -> None:
+    assert text(app).isascii()
+    await pilot.press("question_mark")
+    await shown(pilot, "Next line")
+    assert text(app).isascii()
+    await pilot.press("escape", "q")
+    await shown(pilot, "Quit?")
+    assert text(app).isascii()
+
+
+def test_copy_and_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("y")
+        assert app.clipboard == "/robot2/scan"
+        await pilot.press("f", "x")
+        await until(pilot, lambda: list(tmp_path.glob("rsb-topics-*.csv")), "a table")
+        await pilot.press("l", "y", "x")
+        await until(pilot, lambda: list(tmp_path.glob("rsb-log-*.txt")), "a log")
+        assert "No route to host" in app.clipboard
+
+    drive(app, steps)
+    (table,) = tmp_path.glob("*.csv")
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert [row["topic"] for row in rows] == FAULTY
+    assert rows[1]["dropped_total"] == "19"
+    (log,) = tmp_path.glob("*.txt")
+    lines = log.read_text().splitlines()
+    assert len(lines) == 4
+    assert lines[-1].startswith("2027-01-15T07:59:55+0000 ERROR route /robot2/scan")
+
+
+def test_an_export_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        folder.rmdir()
+        await pilot.press("x")
+        await shown(pilot, "Not exported")
+
+    drive(app, steps)
+
+
+def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
+    from rsb_bridge.engine import EngineError
+
+    class Broken(ScriptedEngine):
+        def start(self) -> None:
+            self.now = replace(self.now, running=False, links=(), routes=())
+            raise EngineError("port 49152 is taken by another program")
+
+    app = scripted_app(make_engine=Broken)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "port 49152 is taken by another program")
+        await shown(pilot, "not started")
+        assert app.is_running
+
+    drive(app, steps)
+
+
+def test_a_refused_command_is_said_in_words() -> None:
+    from concurrent.futures import Future
+
+    from rsb_bridge.engine import EngineError
+
+    class Refusing(ScriptedEngine):
+        def pause(self, key: str, paused: bool) -> Future[None]:
+            future: Future[None] = Future()
+            future.set_exception(EngineError("there is no route any more"))
+            return future
+
+    app = scripted_app(make_engine=Refusing)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "p pause")
+        await pilot.press("p")
+        await shown(pilot, "there is no route any more")
+
+    drive(app, steps)

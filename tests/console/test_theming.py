@@ -1,0 +1,144 @@
+"""Themes: the shipped ones are readable, a user's mistake is said in words."""
+
+from pathlib import Path
+
+import pytest
+from driving import drive, scripted_app, shown
+from textual.color import Color
+from textual.pilot import Pilot
+
+from rsb_console import theming
+
+SHIPPED = theming.load_themes(theming.shipped_path())
+
+
+def luminance(color: str) -> float:
+    """Relative luminance (WCAG 2.2)."""
+    parts = [c / 255 for c in Color.parse(color).rgb]
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def contrast(one: str, other: str) -> float:
+    """Contrast ratio (WCAG 2.2)."""
+    dark, light = sorted((luminance(one), luminance(other)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_four_are_shipped_without_a_mistake() -> None:
+    assert set(SHIPPED.found) == {"dark", "light", "high-contrast", "terminal"}
+    assert SHIPPED.problems == ()
+
+
+@pytest.mark.parametrize(("name", "least"), [("dark", 4.5), ("light", 4.5), ("high-contrast", 7.0)])
+def test_what_is_read_stands_out(name: str, least: float) -> None:
+    theme = SHIPPED.found[name]
+    for look in ("foreground", "success", "warning", "error", "primary", "secondary", "accent"):
+        for ground in (theme.background, theme.panel, theme.variables["row-cursor"]):
+            assert contrast(getattr(theme, look), ground) >= least, (look, ground)
+    assert contrast(theme.variables["quiet"], theme.background) >= 4.5
+    assert contrast(theme.variables["alarm"], theme.variables["alarm-background"]) >= 4.5
+
+
+@pytest.mark.parametrize("name", ["dark", "light"])
+def test_colours_are_of_the_256(name: str) -> None:
+    """So a terminal without COLORTERM shows what was meant."""
+    levels = {0, 95, 135, 175, 215, 255}
+    theme = SHIPPED.found[name]
+    for key in ("primary", *theming.COLORS):
+        color = getattr(theme, key)
+        if color is not None:
+            rgb = Color.parse(color).rgb
+            grey = rgb[0] == rgb[1] == rgb[2] and (rgb[0] - 8) % 10 == 0
+            assert grey or set(rgb) <= levels, (key, color)
+
+
+def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
+    theme = SHIPPED.found["terminal"]
+    assert theme.ansi
+    used = [getattr(theme, key) for key in ("primary", *theming.COLORS)] + list(theme.variables.values())
+    assert all(color is None or color.startswith("ansi_") for color in used)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "must map names to colours"),
+        ("- red", "must map names to colours"),
+        ("dark: true", "primary is missing"),
+        ('primary: "#12345"', "primary: '#12345' is not a colour"),
+        ("primary: 7", "primary: 7 is not a colour"),
+        ("primary: red\ncolour: blue", "colour: not part of a theme"),
+        ("primary: red\ndark: maybe", "dark: 'maybe' is neither true nor false"),
+        ("primary: red\nvariables: [1]", "variables: must map"),
+        ("primary: red\nvariables: {row-cursor: nope}", "variables.row-cursor: 'nope' is not a colour"),
+        ("primary: [", "line 1"),
+    ],
+)
+def test_a_mistake_is_said(tmp_path: Path, content: str, words: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(content)
+    themes = theming.load_themes(tmp_path)
+    assert themes.found == {}
+    (problem,) = themes.problems
+    assert problem.startswith(str(path))
+    assert words in problem
+
+
+def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_path: Path) -> None:
+    (tmp_path / "dark.yaml").write_text('primary: "#ffffff"')
+    themes = theming.load_themes(theming.shipped_path(), tmp_path)
+    assert themes.found["dark"].primary == "#ffffff"
+    assert "light" in themes.found
+
+
+def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) -> None:
+    (tmp_path / "themes").mkdir()
+    (tmp_path / "themes" / "bad.yaml").write_text("primary: nope")
+    (tmp_path / "themes" / "mine.yaml").write_text('primary: "#ff00ff"')
+    app = scripted_app(config=tmp_path, theme="mine")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "Themes left out")
+        assert app.theme == "mine"
+        assert len(app._notifications) == 1
+
+    drive(app, steps)
+
+
+def test_an_unknown_theme_falls_back_and_is_named() -> None:
+    app = scripted_app(theme="nope")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "no theme is called 'nope'")
+        assert app.theme == "dark"
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize(
+    ("environ", "expected"),
+    [
+        ({"TERM": "xterm-256color"}, "dark"),
+        ({"TERM": "xterm", "COLORTERM": "truecolor"}, "dark"),
+        ({"TERM": "tmux"}, "dark"),
+        ({"TERM": "linux"}, "terminal"),
+        ({"TERM": "xterm"}, "terminal"),
+        ({}, "terminal"),
+    ],
+)
+def test_the_default_suits_the_terminal(environ: dict[str, str], expected: str) -> None:
+    assert theming.default_theme(environ) == expected
+
+
+def test_t_goes_through_all_themes() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        seen = {app.theme}
+        for _ in range(3):
+            await pilot.press("t")
+            seen.add(app.theme)
+        assert seen == set(SHIPPED.found)
+
+    drive(app, steps)
