@@ -51,6 +51,7 @@ class Dialogue:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._numbers = itertools.count(1)
+        self._newest_route = 0  # of those that the peer has proposed on this connection
         self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
 
     def end(self) -> None:
@@ -59,12 +60,13 @@ class Dialogue:
             if not future.done():
                 future.set_exception(LinkError(f"{self._link.name}: the link was lost"))
         self._requests.clear()
+        self._newest_route = 0
 
     def handle(self, message: ControlMessage) -> None:
         """Do what a control message says."""
         match message:
             case Propose():
-                self._link.spawn(self._consider(message))
+                self._proposed(message)
             case Ping():
                 self._link.send(Keepalive.answer(message))
             case Pong():
@@ -84,33 +86,53 @@ class Dialogue:
                 if route is not None:  # else it was closed here while the message was under way
                     self._about_route(route, message)
 
-    async def _consider(self, proposal: Propose) -> None:
-        """Answer the peer's proposal."""
+    def _proposed(self, proposal: Propose) -> None:
+        link = self._link
+        assert link.control is not None
+        if proposal.route % 2 == link.is_client or proposal.route <= self._newest_route:
+            link.control.abort(f"the peer broke the format: {proposal.route} is no new route id of its own")
+            return
+        self._newest_route = proposal.route
         try:
-            if (proposal.transport == "bluetooth") != self._link.is_bluetooth:
-                carries = "bluetooth" if self._link.is_bluetooth else "tcp or udp"
-                raise LinkError(f"this link carries {carries}, not {proposal.transport}")
-            admitted = self._link.admit(proposal)
-            known = self._link.routes.get(route_key(self._link.name, admitted))
-            if known is not None and known.proposed_here:
-                raise LinkError(f"{admitted.topic} is bridged in that direction already")
-            if known is not None and not same_route(known.proposal, admitted):
-                self._link.forget(known, "replaced")
-                known = None
-            route = known or self._link.add(topic_of(admitted), admitted, proposed_here=False)
-            self._link.reopen(route, proposal.route)
-            await self._link.prepare_port(route)
-        except (LinkError, ListenError, ValueError) as error:
-            code: RefuseCode = "port_taken" if isinstance(error, ListenError) else "denied"
-            self._link.log(Level.WARNING, f"refused {proposal.topic}: {error}", source="route", topic=proposal.topic)
-            self._link.send(Refuse(route=proposal.route, code=code, reason=str(error)))
+            route = self._taken_up(proposal)
+        except LinkError as error:
+            self._refuse(proposal, "denied", str(error))
+        else:
+            link.spawn(self._accept(route, proposal))
+
+    def _taken_up(self, proposal: Propose) -> Route:
+        """This side's half of what the peer proposes; LinkError where it may not be."""
+        link = self._link
+        admitted = link.admit(proposal)
+        known = link.routes.get(route_key(link.name, admitted))
+        if known is not None and known.proposed_here and link.is_client:
+            raise LinkError(f"{admitted.topic} is bridged in that direction already")
+        if known is not None and (known.proposed_here or not same_route(known.proposal, admitted)):
+            link.forget(known, "replaced by the other side's")  # where both propose, the client's is the one that stays
+            known = None
+        route = known or link.add(topic_of(admitted), admitted, proposed_here=False)
+        link.reopen(route, proposal.route)
+        return route
+
+    async def _accept(self, route: Route, proposal: Propose) -> None:
+        link, control = self._link, self._link.control
+        try:
+            await link.prepare_port(route)
+        except ListenError as error:
+            if link.control is control and route.id == proposal.route:
+                link.end_opening(route, str(error))
+                self._refuse(proposal, "port_taken", str(error))
             return
-        if route.id != proposal.route:
-            return
-        type_name, type_hash = type_hint(self._link.context.ros, route.local_topic)
-        self._link.send(Accept(route=route.id, topic=route.local_topic, type=type_name, type_hash=type_hash))
+        if link.control is not control or route.id != proposal.route:
+            return  # it was closed while its port was being bound
+        type_name, type_hash = type_hint(link.context.ros, route.local_topic)
+        link.send(Accept(route=route.id, topic=route.local_topic, type=type_name, type_hash=type_hash))
         route.paused = proposal.paused
         route.agreed()
+
+    def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
+        self._link.log(Level.WARNING, f"refused {proposal.topic}: {reason}", source="route", topic=proposal.topic)
+        self._link.send(Refuse(route=proposal.route, code=code, reason=reason))
 
     def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
         match message:

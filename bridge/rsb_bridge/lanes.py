@@ -51,6 +51,7 @@ class Lane:
 
     Attributes:
         socket: a client's own, connected; a server's is shared by all its links.
+        over: its last route has left, or it was closed: the next one needs another.
         trouble: the server does not answer probes: so in words; else empty.
         received_bytes: so far.
         sent_bytes: so far.
@@ -58,6 +59,7 @@ class Lane:
 
     def __init__(self, socket: UdpSocket, prober: Prober, server: Address | None) -> None:
         self.socket = socket
+        self.over = False
         self.received_bytes = 0
         self.sent_bytes = 0
         self.trouble = ""
@@ -83,6 +85,8 @@ class Lane:
         path = self._paths.pop(route_id, None)
         if path is not None:
             self.socket.when_writable.discard(path.writable)
+        if not self._paths:
+            self.close()
 
     def send(self, datagrams: list[bytes]) -> None:
         """Send one message's datagrams."""
@@ -125,9 +129,10 @@ class Lane:
             path.expire(now)
 
     def close(self) -> None:
-        """Free what is the lane's own: a client's socket."""
-        if self._is_client:
+        """Free what is the lane's own: a client's socket. May be called twice."""
+        if self._is_client and not self.over:
             self.socket.close()
+        self.over = True
 
 
 class DatagramPath:

@@ -14,6 +14,7 @@ from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
 from rsb_bridge.route import Route, route_key
+from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.shared import SharedPath
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
@@ -65,7 +66,7 @@ class Link:
         self.prober: Prober | None = None
         self.lanes: dict[int, Lane] = {}
         self._by_id: dict[int, Route] = {}
-        self._next_id = 0
+        self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = time.time()
         self._linked_at = 0.0
         self.keepalive = Keepalive(context.now())
@@ -137,7 +138,6 @@ class Link:
         self._linked_at = self.context.now()
         self.keepalive = Keepalive(self._linked_at)
         self._since = time.time()
-        self._next_id = 1 if self.is_client else 2
         self.attempts = 0
         self.retry_at = None
         words = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
@@ -187,8 +187,10 @@ class Link:
         """Make a route's half here; with `proposed_here` the peer is asked for its half at once.
 
         Raises:
-            LinkError: there is such a route.
+            LinkError: there is such a route, or the topic has a mistake.
         """
+        for problem in validate_topic(spec, bluetooth=self.is_bluetooth):
+            raise LinkError(str(problem))
         key = route_key(self.name, proposal)
         if key in self.routes:
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
@@ -248,7 +250,8 @@ class Link:
         try:
             await self.prepare_port(route)
         except ListenError as error:
-            route.refuse(str(error))
+            if route.id == route_id:
+                self.end_opening(route, str(error))
         if route.id == route_id:
             self.send(msgspec.structs.replace(route.proposal, route=route_id, paused=route.paused))
 
@@ -269,7 +272,9 @@ class Link:
             self.open_stream(route)
             return
         assert self.keys is not None
-        lane = self.lanes.get(port) or self.open_lane(port)
+        lane = self.lanes.get(port)
+        if lane is None or lane.over:
+            lane = self.open_lane(port)
         if lane is None:
             return
         self.lanes[port] = lane
@@ -311,7 +316,7 @@ class Link:
         """Four times a second: whatever waits for the graph or the peer."""
         now = self.context.now()
         for lane in self.lanes.values():
-            if not lane.ready:
+            if not lane.ready and not lane.over:
                 lane.tick(now)
         if self.linked:
             for route in tuple(self.routes.values()):
@@ -326,7 +331,8 @@ class Link:
         if self.control is None:
             return
         stream = self.control.stream
-        lanes = set(self.lanes.values())
+        self.lanes = {port: lane for port, lane in self.lanes.items() if not lane.over}
+        lanes = self.lanes.values()
         self.send(
             self.keepalive.tick(
                 stream.received_bytes + sum(lane.received_bytes for lane in lanes),

@@ -91,15 +91,26 @@ class ServerLink(Link):
         return None
 
     async def prepare_port(self, route: Route) -> None:
-        port = route.proposal.port
-        if port and port != self.shared_port():
-            route.release_port = await self._ports.open(route.transport, port)
+        port, route_id = route.proposal.port, route.id
+        if not port or port == self.shared_port():
+            return
+        release = await self._ports.open(route.transport, port)
+        if route.id == route_id and route.release_port is None:
+            route.release_port = release
+        else:  # it was closed while the port was being bound
+            release()
 
     def probed(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
-        """A datagram says it is this link's; the first one on a socket makes a lane of it."""
+        """A datagram says it is this link's; the first one on a socket makes a lane of it.
+
+        It comes the way the control connection did: a forged one by the other IP must not take the lane away.
+        """
         assert self.prober is not None
+        assert self.control is not None
+        if len(address) != len(self.control.stream.address):
+            return
         lane = self.lanes.get(socket.port)
-        if lane is None or lane.socket is not socket:
+        if lane is None or lane.over or lane.socket is not socket:
             lane = Lane(socket, self.prober, None)
             self.lanes[socket.port] = lane
         self.datagram(lane, datagram, address)
