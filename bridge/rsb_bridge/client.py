@@ -14,13 +14,14 @@ from rsb_bridge.snapshot import Level
 from rsb_bridge.transport import rfcomm, tcp, udp
 from rsb_bridge.transport.streams import Stream, StreamHandler, address_words, os_words
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
+from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.events import Accepted, Established, Failed, Refused
 from rsb_bridge.wire.opening import RefusalCode
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.route import Route
-    from rsb_bridge.transport.udp import Address, UdpSocket
+    from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
     from rsb_bridge.wire.messages import Hello, Propose, Shutdown
     from rsb_bridge.wire.sealing import Suite
 
@@ -176,7 +177,7 @@ class ClientLink(Link):
         address = self.control.stream.address
         server: Address = (address[0], port) if len(address) == 2 else (address[0], port, address[2], address[3])
         try:
-            socket = udp.connect(server, self._datagram)
+            socket = udp.connect(server, self._datagrams)
         except OSError as error:
             self.log(Level.ERROR, f"UDP to {address_words(server)}: {os_words(error)}")
             return None
@@ -184,10 +185,14 @@ class ClientLink(Link):
         lane.tick(self.context.now())
         return lane
 
-    def _datagram(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
+    def _datagrams(self, socket: UdpSocket, datagrams: Datagrams) -> None:
         lane = next((lane for lane in self.lanes.values() if lane.socket is socket), None)
-        if lane is not None:
-            self.datagram(lane, datagram, address)
+        if lane is not None and self.keys is not None:
+            ours = self.keys.link_id
+            self.datagrams(
+                lane,
+                [(to[0], data, address) for data, address in datagrams if (to := addressee(data)) and to[1] == ours],
+            )
 
 
 class _Opening(StreamHandler):

@@ -10,7 +10,7 @@ from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.route import Route
     from rsb_bridge.transport.udp import Address, UdpSocket
@@ -99,23 +99,31 @@ class Lane:
         assert self._address is not None, "a lane sends only once it is ready"
         return self.socket.datagram_size(self._address)
 
-    def received(self, datagram: bytes, route_id: int, address: Address, now: float) -> bool:
-        """Take a datagram of this connection. Returns whether the lane became ready by it."""
-        self.received_bytes += len(datagram)
-        if route_id != PROBE_ROUTE:
+    def received(self, datagrams: Iterable[tuple[int, bytes, Address]], now: float) -> bool:
+        """Take datagrams of this connection, each with its route id. Returns whether the lane became ready by them."""
+        touched: dict[DatagramPath, None] = {}
+        was_ready = self.ready
+        for route_id, datagram, address in datagrams:
+            self.received_bytes += len(datagram)
             path = self._paths.get(route_id)
-            if path is not None:  # else its route was closed while the datagram was under way
+            if path is not None:
                 path.received(datagram, now)
-            return False
+                touched[path] = None
+            elif route_id == PROBE_ROUTE:
+                self._probed(datagram, address, now)
+            # else its route was closed while the datagram was under way
+        for path in touched:
+            path.hand_over()
+        return self.ready and not was_ready
+
+    def _probed(self, datagram: bytes, address: Address, now: float) -> None:
         probe = self._prober.read(datagram, now)
         if probe is None:
-            return False
-        became_ready = self._heard is None
+            return
         self._heard = now
         if not probe.pong:
             self._address = address
             self.send(self._prober.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
-        return became_ready
 
     def tick(self, now: float) -> None:
         """As often as wanted: ask the server whether it hears us, give up messages whose fragments did not come."""
@@ -143,6 +151,7 @@ class DatagramPath:
         self._route = route
         self._route_id = route.id
         self._end = end
+        self._whole: list[Message] = []
         lane.add(route.id, self)
 
     @property
@@ -180,7 +189,13 @@ class DatagramPath:
             return  # the peer has no business here; the sender's key would not open it anyway
         message = self._end.receive(datagram, now)
         if message is not None:
-            self._route.deliver((message,))
+            self._whole.append(message)
+
+    def hand_over(self) -> None:
+        """Give the route the messages that have become whole."""
+        whole, self._whole = self._whole, []
+        if whole:
+            self._route.deliver(whole)
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come within a second."""

@@ -18,13 +18,13 @@ from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.shared import SharedPath
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
-from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter, parse_header
+from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter
 from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Coroutine
+    from collections.abc import Coroutine, Iterable
 
     from rsb_bridge.context import Context
     from rsb_bridge.control import Control
@@ -303,10 +303,9 @@ class Link:
             path.received(beginning)
         route.advance()
 
-    def datagram(self, lane: Lane, datagram: bytes, address: Address) -> None:
-        """A datagram came that says it is this link's."""
-        header = parse_header(datagram)
-        if header is not None and lane.received(datagram, header.route, address, self.context.now()):
+    def datagrams(self, lane: Lane, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
+        """Datagrams came that say they are this link's, each with its route id."""
+        if lane.received(datagrams, self.context.now()):
             for route in tuple(self._by_id.values()):
                 route.advance()
 

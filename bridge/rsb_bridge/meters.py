@@ -90,28 +90,28 @@ class LatencyMeter:
 
 
 class ClockOffset:
-    """The peer's clock minus ours, from pings (RFC 5905 section 8: offset and delay from four timestamps)."""
+    """The peer's clock minus ours, from pings (RFC 5905 section 8: offset and delay from four timestamps).
 
-    __slots__ = ("_samples", "rtt")
+    Attributes:
+        rtt: s, of the last exchange; None: no exchange yet.
+        offset: s, of the exchange with the shortest round trip among the last; None: no exchange yet.
+        uncertainty: s: half that round trip, which bounds the error whatever the asymmetry of the path.
+    """
+
+    __slots__ = ("_samples", "offset", "rtt", "uncertainty")
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, float]] = deque(maxlen=_PINGS)
         self.rtt: float | None = None
+        self.offset: float | None = None
+        self.uncertainty: float | None = None
 
     def add(self, sent: int, received: int, answered: int, back: int) -> None:
         """Take one exchange. All in ns: sent and back on our clock, received and answered on the peer's."""
         self.rtt = max(0, (back - sent) - (answered - received)) / 1e9
         self._samples.append((self.rtt, ((received - sent) + (answered - back)) / 2e9))
-
-    @property
-    def offset(self) -> float | None:
-        """s, of the exchange with the shortest round trip; None: no exchange yet."""
-        return min(self._samples)[1] if self._samples else None
-
-    @property
-    def uncertainty(self) -> float | None:
-        """s: half that round trip, which bounds the error whatever the asymmetry of the path."""
-        return min(self._samples)[0] / 2 if self._samples else None
+        shortest, self.offset = min(self._samples)
+        self.uncertainty = shortest / 2
 
 
 class StaleWatch:

@@ -19,7 +19,7 @@ from rsb_bridge.ports import Ports
 from rsb_bridge.snapshot import Level
 from rsb_bridge.transport.streams import address_words
 from rsb_bridge.wire.connection import Credential, ServerConnection
-from rsb_bridge.wire.datagram import parse_header
+from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
 from rsb_bridge.wire.opening import LINK_ID_LENGTH, Refusal, RefusalCode
 from rsb_bridge.wire.sealing import SealError
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route import Route
     from rsb_bridge.session import Client
     from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.transport.udp import Address, UdpSocket
+    from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
     from rsb_bridge.wire.events import Attach, Established
 
 _REPLACED_PAUSE = 10.0
@@ -100,20 +100,20 @@ class ServerLink(Link):
         else:  # it was closed while the port was being bound
             release()
 
-    def probed(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
-        """A datagram says it is this link's; the first one on a socket makes a lane of it.
+    def arrived(self, socket: UdpSocket, datagrams: list[tuple[int, bytes, Address]]) -> None:
+        """Datagrams say they are this link's; the first ones on a socket make a lane of it.
 
-        It comes the way the control connection did: a forged one by the other IP must not take the lane away.
+        They come the way the control connection did: a forged one by the other IP must not take the lane away.
         """
         assert self.prober is not None
         assert self.control is not None
-        if len(address) != len(self.control.stream.address):
+        if len(datagrams[0][2]) != len(self.control.stream.address):
             return
         lane = self.lanes.get(socket.port)
         if lane is None or lane.over or lane.socket is not socket:
             lane = Lane(socket, self.prober, None)
             self.lanes[socket.port] = lane
-        self.datagram(lane, datagram, address)
+        self.datagrams(lane, datagrams)
 
 
 class Server:
@@ -130,7 +130,7 @@ class Server:
         self._make_welcome = make_welcome
         self._aes = aes
         self._guests = Guests(self)
-        self._ports = Ports(context.session.server_ip, self._guests.arrive, self._datagram)
+        self._ports = Ports(context.session.server_ip, self._guests.arrive, self._datagrams)
         self._entries = {entry.client.name: entry for entry in entries}
         self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
 
@@ -210,8 +210,12 @@ class Server:
             (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
         )
 
-    def _datagram(self, socket: UdpSocket, datagram: bytes, address: Address) -> None:
-        header = parse_header(datagram)
-        link = self._link_of(header.link_id) if header is not None else None
-        if link is not None:
-            link.probed(socket, datagram, address)
+    def _datagrams(self, socket: UdpSocket, datagrams: Datagrams) -> None:
+        by_link: dict[bytes, list[tuple[int, bytes, Address]]] = {}
+        for datagram, address in datagrams:
+            if to := addressee(datagram):
+                by_link.setdefault(to[1], []).append((to[0], datagram, address))
+        for link_id, its in by_link.items():
+            link = self._link_of(link_id)
+            if link is not None:
+                link.arrived(socket, its)

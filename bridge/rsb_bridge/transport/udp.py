@@ -24,8 +24,10 @@ _HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
 _BACKLOG_LIMIT = 16 * 1024 * 1024
 
 
-Received: TypeAlias = Callable[["UdpSocket", bytes, Address], None]
-"""Called with each datagram and where it came from."""
+Datagrams: TypeAlias = list[tuple[bytes, Address]]
+"""Datagrams, each with where it came from."""
+Received: TypeAlias = Callable[["UdpSocket", Datagrams], None]
+"""Called with what one wake-up of the socket brought."""
 
 
 class UdpSocket:
@@ -95,15 +97,14 @@ class UdpSocket:
         self._sock.close()
 
     def _read(self) -> None:
-        for _ in range(_READS_PER_WAKE):
-            try:
-                datagram, address = self._sock.recvfrom(_LARGEST)
-            except (BlockingIOError, InterruptedError):
-                return
-            except OSError:
-                return  # an ICMP error of an earlier send: the control connection tells whether the peer lives
-            self.received_bytes += len(datagram)
-            self._received(self, datagram, address)
+        datagrams: Datagrams = []
+        # An OSError is an ICMP error of an earlier send: the control connection tells whether the peer lives.
+        with contextlib.suppress(OSError):
+            while len(datagrams) < _READS_PER_WAKE:
+                datagrams.append(self._sock.recvfrom(_LARGEST))
+        if datagrams:
+            self.received_bytes += sum([len(datagram) for datagram, _ in datagrams])
+            self._received(self, datagrams)
 
     def _send_one(self, datagram: bytes, address: Address | None) -> bool:
         try:

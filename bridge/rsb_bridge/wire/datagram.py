@@ -14,40 +14,22 @@ FRAGMENTS_LIMIT = 65535
 PROBE_ROUTE = 0
 
 _HEADER = struct.Struct(">BBHHI8sQIQ")
+_ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
 _FRAGMENT_COST = 200
 """What Python spends on keeping a fragment beside its bytes: many tiny ones must not cost more than is counted."""
 
 
-class Header(NamedTuple):
-    """What stands in the clear before a datagram's content; nothing in it is authenticated until it is opened.
+def addressee(datagram: Buffer) -> tuple[int, bytes] | None:
+    """Whose a datagram says it is, to find its reader by; nothing is authenticated until that opens it.
 
-    Attributes:
-        flags: `rsb_bridge.wire.framing.ZSTD` or 0.
-        fragment: its index in the message.
-        fragments: how many the message has.
-        route: its id; `PROBE_ROUTE` for probes.
-        link_id: 8 bytes.
-        sequence: that seals it.
-        number: of the message, from 1, modulo 2**32.
-        stamp: ns since the epoch.
+    Returns:
+        Route id (`PROBE_ROUTE` for probes) and link id (8 bytes); None: it is none of ours.
     """
-
-    flags: int
-    fragment: int
-    fragments: int
-    route: int
-    link_id: bytes
-    sequence: int
-    number: int
-    stamp: int
-
-
-def parse_header(datagram: Buffer) -> Header | None:
-    """A datagram's header, to find its reader by; None: it is none of ours."""
     if len(datagram) < _HEADER.size or datagram[0] != MAGIC:
         return None
-    return Header._make(_HEADER.unpack_from(datagram)[1:])
+    route, link_id = _ADDRESSEE.unpack_from(datagram, 6)
+    return route, link_id
 
 
 class Probe(NamedTuple):
