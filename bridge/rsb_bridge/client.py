@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.control import Control
 from rsb_bridge.keys import Key, fingerprint
@@ -15,7 +15,7 @@ from rsb_bridge.transport import rfcomm, tcp, udp
 from rsb_bridge.transport.streams import Stream, StreamHandler, address_words, os_words
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import addressee
-from rsb_bridge.wire.events import Accepted, Established, Failed, Refused
+from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
 from rsb_bridge.wire.opening import RefusalCode
 
 if TYPE_CHECKING:
@@ -47,9 +47,10 @@ class ClientLink(Link):
         self._connect = rfcomm.connect if session.is_bluetooth else tcp.connect
         self._ended = asyncio.Event()
         self._retry = asyncio.Event()
-        self._retry_after: float | None = 0.0
+        self._retry_after = 0.0
+        self._stays_down = False
         self._refused = False
-        self._streams_opening: set[int] = set()
+        self._streams_opening: dict[int, asyncio.Task[None]] = {}
 
     @property
     def address(self) -> str:
@@ -65,13 +66,16 @@ class ClientLink(Link):
         while True:
             self._retry.clear()
             self._ended.clear()
-            self._retry_after = 0.0
-            await self._call()
+            if not self._stays_down:
+                self._retry_after = 0.0
+                await self._call()
             await self._pause()
 
     def retry(self) -> None:
         """Call now, whatever was to be waited for, and open refused routes anew."""
-        self._retry.set()
+        self._stays_down = False
+        if not self.linked:
+            self._retry.set()
         self.retry_routes()
 
     async def _call(self) -> None:
@@ -80,39 +84,41 @@ class ClientLink(Link):
             self.log(Level.INFO, f"connecting to {self.address}")
         secret = self._key.secret if self._key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
-        opening = _Opening(self, connection)
-        try:
-            await self._connect(self.host, self.port, opening)
-            async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
-                failure = await opening.outcome
-        except (OSError, asyncio.CancelledError) as error:
-            opening.give_up()
-            if isinstance(error, asyncio.CancelledError):
-                raise
-            self._failed(f"{self.address}: {os_words(error)}", refused=False)
+        failure = await self._open(self.port, _ControlOpening(self, connection))
+        if failure is not None:
+            self._failed(failure)
             return
-        if failure is None:
-            self._refused = False
-            await self._ended.wait()
-        else:
-            self._failed(*failure)
+        self._refused = False
+        if self._stays_down and self.control is not None:  # so it was decided during the handshake
+            self.control.shut_down("shut down", retry_after=None)
+        await self._ended.wait()
 
-    def _failed(self, reason: str, refused: bool) -> None:
+    async def _open(self, port: int, opening: _Opening) -> _Failure | None:
+        """Connect, and wait for the server's answer; None: the stream is let in."""
+        try:
+            await self._connect(self.host, port, opening)
+            async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
+                return await opening.outcome
+        except OSError as error:
+            return _Failure(f"{address_words((self.host, port))}: {os_words(error)}", refused=False)
+        finally:
+            opening.end()
+
+    def _failed(self, failure: _Failure) -> None:
         self.attempts += 1
-        self._refused = refused
-        repeated = reason == self.reason
-        self.reason = reason
-        self.log(Level.DEBUG if repeated else Level.ERROR, f"{reason}; trying again")
+        self._refused = failure.refused
+        repeated = failure.reason == self.reason
+        self.reason = failure.reason
+        self.log(Level.DEBUG if repeated else Level.ERROR, f"{failure.reason}; trying again")
 
     async def _pause(self) -> None:
-        if self._retry_after is None:
-            self.retry_at = None
-            await self._retry.wait()
-            return
+        """Wait until it is time to call again, or until somebody says that it is."""
         longest = _LONGEST_DELAY_REFUSED if self._refused else _LONGEST_DELAY
-        delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * random.uniform(0.8, 1.2)  # noqa: S311 — jitter, no secret
-        delay = max(delay, self._retry_after)
-        self.retry_at = self.context.now() + delay
+        delay: float | None = None
+        if not self._stays_down:
+            delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * random.uniform(0.8, 1.2)  # noqa: S311 — jitter, no secret
+            delay = max(delay, self._retry_after)
+            self.retry_at = self.context.now() + delay
         try:
             async with asyncio.timeout(delay):
                 await self._retry.wait()
@@ -122,11 +128,14 @@ class ClientLink(Link):
 
     def down(self, reason: str, *, on_purpose: bool = False) -> None:
         super().down(reason, on_purpose=on_purpose)
+        for opening in self._streams_opening.values():
+            opening.cancel()
         self._streams_opening.clear()
         self._ended.set()
 
     def told_to_stop(self, message: Shutdown) -> None:
-        self._retry_after = message.retry_after
+        self._stays_down = message.retry_after is None
+        self._retry_after = message.retry_after or 0.0
         if self.control is not None:
             self.control.abort(f"the server closed the link: {message.reason}")
 
@@ -143,11 +152,14 @@ class ClientLink(Link):
     @property
     def shut_down(self) -> bool:
         """Whether the link is down on purpose and waits for an operator."""
-        return not self.linked and self._retry_after is None
+        return not self.linked and self._stays_down
 
-    def stay_down(self) -> None:
-        """After the next end of the link, wait for `retry`."""
-        self._retry_after = None
+    def stay_down(self, reason: str) -> None:
+        """End the link, or the attempts at it, on purpose; then wait for `retry`."""
+        self._stays_down = True
+        self._retry.set()
+        if self.control is not None:
+            self.control.shut_down(reason, retry_after=None)
 
     # --- routes
 
@@ -159,17 +171,14 @@ class ClientLink(Link):
 
     def open_stream(self, route: Route) -> None:
         if route.id not in self._streams_opening:
-            self._streams_opening.add(route.id)
-            self.spawn(self._open_stream(route, route.id))
+            self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id))
 
     async def _open_stream(self, route: Route, route_id: int) -> None:
         assert self.keys is not None
         opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
-        try:
-            await self._connect(self.host, route.proposal.port or self.port, opening)
-        except OSError as error:
-            if route.id == route_id:
-                route.path_lost(os_words(error))
+        failure = await self._open(route.proposal.port or self.port, opening)
+        if failure is not None and route.id == route_id:
+            route.path_lost(failure.reason)
 
     def open_lane(self, port: int) -> Lane | None:
         assert self.control is not None
@@ -195,15 +204,27 @@ class ClientLink(Link):
             )
 
 
-class _Opening(StreamHandler):
-    """Handles the control stream until the handshake is done.
+class _Failure(NamedTuple):
+    """Why a stream was not let in.
 
     Attributes:
-        outcome: None: linked; else why not, and whether the server refused.
+        reason: in words.
+        refused: the server said so, or is none; else it was not reached.
     """
 
-    def __init__(self, link: ClientLink, connection: ClientConnection) -> None:
-        self.outcome: asyncio.Future[tuple[str, bool] | None] = link.context.loop.create_future()
+    reason: str
+    refused: bool
+
+
+class _Opening(StreamHandler):
+    """Handles a stream until the server lets it in, or not.
+
+    Attributes:
+        outcome: None: it is let in, and has another handler.
+    """
+
+    def __init__(self, link: ClientLink, connection: ClientConnection | DataConnection) -> None:
+        self.outcome: asyncio.Future[_Failure | None] = link.context.loop.create_future()
         self._link = link
         self._connection = connection
         self._stream: Stream | None = None
@@ -213,69 +234,62 @@ class _Opening(StreamHandler):
         stream.write(self._connection.start())
 
     def received(self, data: bytes) -> None:
+        stream = self._stream
+        assert stream is not None
         events = self._connection.receive_data(data)
-        assert self._stream is not None
-        self._stream.write(self._connection.data_to_send())
+        stream.write(self._connection.data_to_send())
         for index, event in enumerate(events):
             match event:
-                case Established(peer, keys):
-                    control = Control(self._stream, self._connection, self._link)
+                case Established() | Accepted():
                     self._finish(None)
-                    self._link.up(control, peer, keys)
-                    control.take(events[index + 1 :])
+                    self._let_in(stream, event, events[index + 1 :])
                     return
                 case Refused(code, words, _):
-                    self._finish((self._link.refusal_words(code, words), True))
-                    self._stream.close(words)
+                    self._finish(_Failure(self._link.refusal_words(code, words), refused=True))
                 case Failed(reason):
-                    self._finish((f"{self._link.address} does not speak this protocol: {reason}", True))
-                    self._stream.abort(reason)
+                    words = f"{self._link.address} does not speak this protocol: {reason}"
+                    self._finish(_Failure(words, refused=True))
                 case _:
                     pass
 
     def closed(self, reason: str) -> None:
-        self._finish((f"{self._link.address}: {reason} before the handshake was done", False))
+        self._finish(_Failure(f"{self._link.address}: {reason} before the handshake was done", refused=False))
 
-    def give_up(self) -> None:
-        """The caller waits no longer."""
-        if self._stream is not None:
-            self._stream.abort("given up")
-        self.outcome.cancel()
+    def end(self) -> None:
+        """Nobody waits any longer: close the stream, unless it was let in."""
+        if self._stream is not None and self._stream.handler is self:
+            self._stream.abort("not let in")
 
-    def _finish(self, outcome: tuple[str, bool] | None) -> None:
+    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+        raise NotImplementedError
+
+    def _finish(self, outcome: _Failure | None) -> None:
         if not self.outcome.done():
             self.outcome.set_result(outcome)
 
 
-class _StreamOpening(StreamHandler):
-    """Handles a route's own stream until the server lets it in."""
+class _ControlOpening(_Opening):
+    """Makes the link's control connection."""
+
+    def __init__(self, link: ClientLink, connection: ClientConnection) -> None:
+        super().__init__(link, connection)
+        self._control = connection
+
+    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+        assert isinstance(event, Established)
+        control = Control(stream, self._control, self._link)
+        self._link.up(control, event.peer, event.keys)
+        control.take(more)
+
+
+class _StreamOpening(_Opening):
+    """Makes a stream of a route's own."""
 
     def __init__(self, link: ClientLink, connection: DataConnection, route: Route) -> None:
-        self._link = link
-        self._connection = connection
+        super().__init__(link, connection)
         self._route = route
         self._route_id = route.id
-        self._stream: Stream | None = None
 
-    def connected(self, stream: Stream) -> None:
-        self._stream = stream
-        stream.write(self._connection.start())
-
-    def received(self, data: bytes) -> None:
-        assert self._stream is not None
-        for event in self._connection.receive_data(data):
-            match event:
-                case Accepted() if self._route.id == self._route_id:
-                    self._link.attach_stream(self._route, self._stream, self._connection.leftover())
-                case Accepted():
-                    self._stream.close("the route was closed meanwhile")
-                case Refused(_, words, _):
-                    self._stream.close(words)
-                case Failed(reason):
-                    self._stream.abort(reason)
-                case _:
-                    pass
-
-    def closed(self, reason: str) -> None:
-        if self._route.id == self._route_id:
-            self._route.path_lost(reason)
+    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+        if self._route.id == self._route_id:  # else it was closed meanwhile
+            self._link.attach_stream(self._route, stream, self._connection.leftover())

@@ -112,9 +112,7 @@ class ClientEnd:
         self._link.retry()
 
     def shut_down(self, reason: str) -> None:
-        self._link.stay_down()
-        if self._link.control is not None:
-            self._link.control.shut_down(reason, retry_after=None)
+        self._link.stay_down(reason)
 
     async def restart(self, step: Step) -> None:
         if self._link.control is not None:

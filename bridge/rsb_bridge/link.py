@@ -170,11 +170,12 @@ class Link:
             route.destroy()
         self.routes.clear()
 
-    def spawn(self, work: Coroutine[None, None, None]) -> None:
-        """Run a coroutine beside; it ends with the link."""
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        """Run a coroutine beside; it ends with the engine at the latest."""
         task = self.context.loop.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
 
     def send(self, message: ControlMessage) -> None:
         """Send a control message; without a connection, nothing happens."""

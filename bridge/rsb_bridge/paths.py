@@ -94,7 +94,7 @@ class StreamPath(StreamHandler):
 
     def close(self, reason: str) -> None:
         self._stream.handler = StreamHandler()
-        self._stream.close(reason)
+        self._stream.abort(reason)  # the peer closes its half too: nobody would read what waits
 
     def received(self, data: bytes) -> None:
         """Bytes came: on a sending route's stream there is nothing to say, so they break the format."""

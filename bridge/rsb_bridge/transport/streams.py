@@ -13,6 +13,7 @@ from rsb_bridge.session import is_mac
 BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
+_LINGER = 2.0
 _HIGH_WATER = 256 * 1024
 _NOT_SENT_LOW_WATER = 128 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
@@ -66,10 +67,11 @@ class Stream(asyncio.Protocol):
             self._transport.write(data)
 
     def close(self, reason: str = "closed here") -> None:
-        """Send what waits, then close."""
+        """Send what waits, then close; a peer that takes nothing is not waited for longer than 2 s."""
         if self._transport is not None:
             self._reason = self._reason or reason
             self._transport.close()
+            asyncio.get_running_loop().call_later(_LINGER, self._transport.abort)
 
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
