@@ -24,6 +24,7 @@ _FAILURES_WITHIN = 30.0
 _PENALTY = 1.0
 _HOSTS_REMEMBERED = 1024
 _SAID_EVERY = 10.0
+_SAID_MOST = 256
 
 
 class Guests:
@@ -31,7 +32,7 @@ class Guests:
 
     def __init__(self, server: Server) -> None:
         self.server = server
-        self.present: set[_Guest] = set()
+        self.present: dict[_Guest, None] = {}  # the longest waiting first
         self._failures: dict[str, deque[float]] = {}
         self._said: dict[tuple[str, str], float] = {}
 
@@ -39,10 +40,16 @@ class Guests:
         """The handler of a new stream."""
         return _Guest(self)
 
-    def room_for(self, stream: Stream) -> bool:
-        """Whether one more is let wait; strangers of one host can't take all the places."""
-        of_host = sum(guest.host == stream.host for guest in self.present)
-        return len(self.present) < _MOST and of_host < _MOST_OF_ONE_HOST
+    def make_room(self, host: str) -> None:
+        """Turn those away that have waited longest, so that those who only wait can't keep others out.
+
+        A host that has too many strangers here loses one of its own.
+        """
+        of_host = [guest for guest in self.present if guest.host == host]
+        if len(of_host) >= _MOST_OF_ONE_HOST:
+            of_host[0].turn_away("too many connections that have not shown who they are")
+        elif len(self.present) >= _MOST:
+            next(iter(self.present)).turn_away("too many connections that have not shown who they are")
 
     def penalty(self, host: str) -> float:
         """How long (s) a host's handshake waits: failures cost time, but lock nobody out (many share an address)."""
@@ -54,12 +61,12 @@ class Guests:
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
-        if now - self._said.get((stream.host, words), -_SAID_EVERY) >= _SAID_EVERY:
+        if (stream.host, words) not in self._said and len(self._said) < _SAID_MOST:
             self._said[stream.host, words] = now
             self.server.context.log(Level.WARNING, "link", f"turned {stream.peer} away: {words}")
 
     def tick(self) -> None:
-        """Once a second: forget old failures."""
+        """Once a second: forget old failures, and what was said of them."""
         now = self.server.context.now()
         for host, times in tuple(self._failures.items()):
             while times and now - times[0] > _FAILURES_WITHIN:
@@ -89,11 +96,9 @@ class _Guest(StreamHandler):
         self._penalty: asyncio.TimerHandle | None = None
 
     def connected(self, stream: Stream) -> None:
-        if not self._guests.room_for(stream):
-            stream.abort("too many strangers")
-            return
+        self._guests.make_room(stream.host)
         self._stream, self.host = stream, stream.host
-        self._guests.present.add(self)
+        self._guests.present[self] = None
         loop = self._server.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self.turn_away, "no handshake within 5 s")
         if penalty := self._guests.penalty(self.host):
@@ -166,7 +171,7 @@ class _Guest(StreamHandler):
         return words
 
     def _leave(self) -> None:
-        self._guests.present.discard(self)
+        self._guests.present.pop(self, None)
         for timer in (self._deadline, self._penalty):
             if timer is not None:
                 timer.cancel()
