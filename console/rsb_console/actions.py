@@ -26,10 +26,13 @@ class Group(StrEnum):
     MOVE = "Move"  # the focused list
     VIEW = "View"  # the main screen
     OPERATE = "Operate"  # the main screen
+    SESSION = "Session"  # the main screen
     CONSOLE = "Console"  # the app
 
 
-NAMESPACE = {Group.MOVE: "focused", Group.VIEW: "screen", Group.OPERATE: "screen", Group.CONSOLE: "app"}
+NAMESPACE = {
+    Group.MOVE: "focused", Group.VIEW: "screen", Group.OPERATE: "screen", Group.SESSION: "screen", Group.CONSOLE: "app",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +93,17 @@ ACTIONS: tuple[Action, ...] = (
     Action("level", "L", "level", "Log level: all, INFO, WARNING, ERROR", Group.VIEW),
     Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
     Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
+    Action("links", "c", "links", "Look at the links: one a robot on a server", Group.SESSION, in_footer=True),
+    Action("bluetooth", "b", "bluetooth", "Look for Bluetooth adapters, devices and free channels", Group.SESSION,
+           in_footer=True),
+    Action("keys", "K", "keys", "Look at the key files, or make a key", Group.SESSION, in_footer=True),
+    Action("sessions", "o", "sessions", "Open another session", Group.SESSION, True, in_footer=True),
+    Action("save", "w", "save", "Save the session with the topics it has now", Group.SESSION, True),
+    Action("save_as", "W", "save as", "Save the session to another file", Group.SESSION, True),
+    Action("new_session", "f2", "new", "Write a new session", Group.SESSION, True),
+    Action("import_session", "f3", "import", "Import a bringup.yaml of the thesis's bridge", Group.SESSION, True),
+    Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, True),
+    Action("welcome", "f5", "welcome", "Choose how to begin, as without a session", Group.SESSION, True),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),

@@ -7,6 +7,7 @@ import os
 import signal
 import time
 import traceback
+from contextlib import ExitStack
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -96,6 +97,9 @@ class ConsoleApp(App[None]):
         self.ascii_only = ascii_only
         self.config = theming.config_path() if config is None else config
         self.engine: Engine | None = None
+        self.base = Path()
+        self._saved: Session | None = None
+        self._belongings = ExitStack()
         self.leaving = Leaving.QUIT
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.note = "no session"
@@ -135,6 +139,8 @@ class ConsoleApp(App[None]):
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
             self.run_session(self._session, self.path)
+        else:
+            self.main.action_welcome()
 
     def _load_themes(self) -> None:
         themes = theming.load_themes(theming.shipped_path(), self.config / "themes")
@@ -165,21 +171,24 @@ class ConsoleApp(App[None]):
     # -- the engine ---------------------------------------------------------------------------------------------------
 
     @work(exclusive=True, group="session")
-    async def run_session(self, session: Session, path: Path | None) -> None:
+    async def run_session(self, session: Session, path: Path | None, belongings: ExitStack | None = None) -> None:
         """Stop what runs and run `session` instead.
 
         Args:
             session: what to run.
             path: its file; None: it is in none.
+            belongings: what is to end with it.
         """
         from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- the first picture comes before the engine's imports
 
-        if self.engine is not None:
-            self.note = "stopping"
-            await asyncio.to_thread(self.engine.stop)
-        self.path, self.note, self._last_event = path, "starting", 0
+        self.note = "stopping"
+        await asyncio.to_thread(self.stop)
+        self._belongings = belongings or ExitStack()
+        self.note, self._last_event = "starting", 0
         self.main.reset()
-        self.engine = self._make_engine(session, Path() if path is None else path.parent)
+        self.base = Path() if path is None else path.parent
+        self.engine = self._make_engine(session, self.base)
+        self.saved_to(session, path)
         try:
             await asyncio.to_thread(self.engine.start)
             self.note = ""
@@ -187,6 +196,42 @@ class ConsoleApp(App[None]):
             self.note = "not started"
             self.notify(str(error), title="Not started", severity="error", markup=False, timeout=30)
         self.pull()
+
+    def stop(self) -> None:
+        """Stop the engine, and what belongs to its session; takes up to some seconds."""
+        if self.engine is not None:
+            self.engine.stop()
+        self._belongings.close()
+
+    def saved_to(self, session: Session, path: Path | None) -> None:
+        """What the session's file is, and what is in it."""
+        from rsb_console.recents import remember  # noqa: PLC0415 -- keeps the start short
+
+        self.path, self._saved = path, session
+        if path is not None and path.is_file():
+            try:
+                remember(path)
+            except OSError as error:
+                self.notify(f"the list of recent sessions: {error}", severity="warning", markup=False)
+
+    async def may_end(self, title: str, yes: str) -> bool:
+        """Whether the session may end: asks while it is linked, or changed and not saved.
+
+        Args:
+            title: of the question.
+            yes: the label of the button that ends it.
+        """
+        from rsb_console.saving import unsaved  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        reasons = []
+        if self.linked:
+            reasons.append("The bridge is linked and stops: no topic crosses any more.")
+        if self.engine is not None and self._saved is not None:
+            changes = unsaved(self._saved, self.engine.session)
+            if changes:
+                reasons.append(f"Not saved (w saves): {changes}.")
+        return not reasons or await self.push_screen_wait(ConfirmScreen(title, "\n".join(reasons), yes))
 
     @property
     def linked(self) -> bool:
@@ -241,11 +286,8 @@ class ConsoleApp(App[None]):
 
     @work(exclusive=True, group="quit")
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, for it asks
-        """Leave; ask first while linked."""
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
-
-        words = "The bridge is linked and stops with the console: no topic crosses any more."
-        if not self.linked or await self.push_screen_wait(ConfirmScreen("Quit?", words, "Quit")):
+        """Leave; ask first while linked, or while something is not saved."""
+        if await self.may_end("Quit?", "Quit"):
             self.leave(Leaving.QUIT)
 
     # -- end ----------------------------------------------------------------------------------------------------------
@@ -344,11 +386,10 @@ def _after(app: ConsoleApp, on_hangup: str) -> int:
     crashed = app.leaving is Leaving.CRASH
     if crashed:
         complain(f"the console has crashed; please report {crash_path()}")
-    if app.engine is None:
-        return int(crashed)
-    if crashed or (app.leaving is Leaving.HANGUP and on_hangup == "continue"):
+    code = int(crashed)
+    if app.engine is not None and (crashed or (app.leaving is Leaving.HANGUP and on_hangup == "continue")):
         from rsb_console.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
-        return bridge_on(app.engine, crashed=crashed)
-    app.engine.stop()
-    return 0
+        code = bridge_on(app.engine, crashed=crashed)
+    app.stop()
+    return code

@@ -50,8 +50,12 @@ class FormScreen(ModalScreen[T | None]):
             yield self.form.problem
             with Horizontal(classes="foot"):
                 yield self.form.help
-                yield Button(self._yes, id="yes", variant="primary", compact=True)
-                yield Button("Cancel", id="no", compact=True)
+                yield from self.compose_buttons()
+
+    def compose_buttons(self) -> ComposeResult:
+        """Accept and cancel."""
+        yield Button(self._yes, id="yes", variant="primary", compact=True)
+        yield Button("Cancel", id="no", compact=True)
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """What is wrong, by the key of the field; another key is about the form as a whole."""
@@ -75,7 +79,11 @@ class FormScreen(ModalScreen[T | None]):
         """Give the result away, or go to what is wrong."""
         self.check()
         if self.form.settle():
-            self.dismiss(self.result(self.form.values))
+            self.accept(self.result(self.form.values))
+
+    def accept(self, result: T) -> object:
+        """Take the result: the dialog's own, unless a subclass has more to do with it first."""
+        return self.dismiss(result)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         """Accept or leave."""

@@ -31,7 +31,7 @@ MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
 class MainScreen(OperationsScreen):
     """Topics, detail and log."""
 
-    BINDINGS = bindings(Group.VIEW, Group.OPERATE)
+    BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     AUTO_FOCUS = "#topics"
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual says it is no ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- Textual says it is no ClassVar
@@ -106,6 +106,8 @@ class MainScreen(OperationsScreen):
         known = BY_ID.get(action)
         if known is None:
             return super().check_action(action, parameters)
+        if known.group is Group.OPERATE and self.app.engine is None:
+            return None
         if known.needs_topic and self.topics.selected is None:
             return None
         return self.app.check_action(action, parameters)

@@ -6,23 +6,20 @@ import asyncio
 from typing import TYPE_CHECKING, TypeVar
 
 from textual import work
-from textual.screen import Screen
 
 from rsb_bridge.snapshot import State
+from rsb_console.screens.session_operations import SessionOperationsScreen
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.snapshot import RouteSnapshot
-    from rsb_console.app import ConsoleApp
 
 T = TypeVar("T")
 
 
-class OperationsScreen(Screen[None]):
+class OperationsScreen(SessionOperationsScreen):
     """The handlers of the registry's `Group.OPERATE`; the main screen adds how things are looked at."""
-
-    app: ConsoleApp
 
     @property
     def selected(self) -> RouteSnapshot | None:
@@ -77,7 +74,8 @@ class OperationsScreen(Screen[None]):
             return
         draft = await self.app.push_screen_wait(TopicScreen(engine))
         if draft is not None:
-            await self.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added")
+            lasts = "" if engine.session.role == "client" else "; to last, it belongs in the client's session file"
+            await self.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added{lasts}")
 
     @work
     async def action_edit_topic(self) -> None:

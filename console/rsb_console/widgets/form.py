@@ -59,6 +59,8 @@ class Field(Vertical):
 
     Attributes:
         spec: what it is.
+        problem: what is wrong with the value.
+        note: what else is to be known of it.
         touched: the operator has typed or chosen here: only then its mistakes are theirs.
     """
 
@@ -86,13 +88,15 @@ class Field(Vertical):
             else Input(spec.value, placeholder=spec.blank, compact=True, select_on_focus=False)
         )
         self.problem = Words("problem")
+        self.note = Words("hint note")
 
     def compose(self) -> ComposeResult:
-        """Label and control beside each other, the problem beneath."""
+        """Label and control beside each other, what is to be said about the value beneath."""
         with Horizontal():
             yield Static(self.spec.label, classes="label", markup=False)
             yield self.control
         yield self.problem
+        yield self.note
 
     @property
     def is_ready(self) -> bool:

@@ -1,0 +1,37 @@
+"""The session files that were opened last, one path a line, the newest first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from platformdirs import user_state_path
+
+from rsb_bridge.files import replace_file
+
+LIMIT = 20
+
+
+def recents_path() -> Path:
+    """Where they are listed."""
+    return user_state_path("rsb-console") / "recent-sessions"
+
+
+def recent_sessions() -> list[Path]:
+    """Those that are still there, the newest first."""
+    try:
+        lines = recents_path().read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return [path for line in lines if (path := Path(line)).is_file()]
+
+
+def remember(path: Path) -> None:
+    """Put a session file first.
+
+    Raises:
+        OSError: the list could not be written.
+    """
+    path = path.resolve()
+    newest = [path, *(other for other in recent_sessions() if other != path)][:LIMIT]
+    recents_path().parent.mkdir(parents=True, exist_ok=True)
+    replace_file(recents_path(), "".join(f"{each}\n" for each in newest).encode())

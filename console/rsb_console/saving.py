@@ -1,0 +1,83 @@
+"""Session files written from the console: what is not saved yet, where key files are from there, overwriting asks."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.session_file import SessionError, save
+
+if TYPE_CHECKING:
+    from rsb_bridge.session import Session, Topic
+    from rsb_console.app import ConsoleApp
+
+
+def unsaved(saved: Session, now: Session) -> str:
+    """How the topics differ from those in the file, in words; empty: they don't."""
+    before, after = _by_route(saved), _by_route(now)
+    kinds = {
+        "added": [route for route in after if route not in before],
+        "removed": [route for route in before if route not in after],
+        "changed": [route for route in after if route in before and after[route] != before[route]],
+    }
+    return "; ".join(f"{kind} {', '.join(topic for topic, _ in routes)}" for kind, routes in kinds.items() if routes)
+
+
+def _by_route(session: Session) -> dict[tuple[str, str], Topic]:
+    return {(topic.topic, topic.direction): topic for topic in session.topics}
+
+
+def moved(session: Session, old: Path, new: Path) -> Session:
+    """A session whose file moves to another folder: its key files are named as from there.
+
+    Args:
+        session: names its key files relative to `old`.
+        old: a folder.
+        new: the folder of its new file.
+    """
+    if old.resolve() == new.resolve():
+        return session
+
+    def rename(key_file: str | None) -> str | None:
+        if key_file is None or Path(key_file).expanduser().is_absolute():
+            return key_file
+        return os.path.relpath((old / key_file).resolve(), new.resolve())
+
+    clients = tuple(msgspec.structs.replace(each, key_file=rename(each.key_file)) for each in session.clients)
+    return msgspec.structs.replace(session, key_file=rename(session.key_file), clients=clients)
+
+
+def path_problem(text: str) -> str:
+    """Why a session cannot be written to a path that was typed; empty: it can, as far as one sees."""
+    path = Path(text).expanduser()
+    if not text:
+        return "missing: name the file"
+    if path.is_dir():
+        return "is a folder: name a file in it"
+    if not path.parent.is_dir():
+        return f"there is no folder {path.parent}"
+    return ""
+
+
+async def save_asking(app: ConsoleApp, session: Session, path: Path) -> bool:
+    """Write a session file; ask before one is overwritten, and tell the operator how it went.
+
+    Returns:
+        Whether it is written.
+    """
+    from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+    if path.exists():  # noqa: ASYNC240 -- one stat
+        words = "What is in the file now is replaced, comments too."
+        if not await app.push_screen_wait(ConfirmScreen(f"Overwrite {path.name}?", words, "Overwrite")):
+            return False
+    try:
+        save(session, path)
+    except SessionError as error:
+        app.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
+        return False
+    app.notify(f"saved: {path}", markup=False, timeout=3)
+    return True

@@ -1,0 +1,164 @@
+"""Bluetooth: adapters, devices to pick a server from, and which channels are taken."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar
+
+from textual import work
+from textual.binding import Binding
+from textual.containers import Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_bridge.bluetooth import ANY_ADAPTER, Adapter, Device, Scan, Use, scan
+from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.form import Words
+from rsb_console.widgets.lines import Line, LiveLines, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from textual.app import ComposeResult
+
+    from rsb_console.app import ConsoleApp
+
+CHANNELS_A_LINE = 15
+SIGNS = {Use.FREE: ("·", "dim"), Use.BUSY: ("✗", "down"), Use.OWN: ("●", "ok")}
+
+
+class Machines(CursorLines):
+    """One line an adapter or device."""
+
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="machines")
+        self._machines: dict[str, Adapter | Device] = {}
+
+    def show(self, found: Scan) -> None:
+        """Show what was found: adapters first."""
+        machines: list[Adapter | Device] = [*found.adapters, *found.devices]
+        self._machines = {one.address: one for one in machines}
+        self.show_keys(list(self._machines))
+        self.styles.height = max(2, min(self.line_count, 10))
+
+    @property
+    def selected(self) -> Adapter | Device | None:
+        """The machine under the cursor."""
+        return None if self.cursor_key is None else self._machines[self.cursor_key]
+
+    def line(self, index: int) -> Line:
+        """The heading, or one of the machines."""
+        if index < self.sticky:
+            return ((f"   {'MAC':<18} {'':<8} {'STATE':<18} NAME", "head"),)
+        one = self._machines[self.keys[index - self.sticky]]
+        if isinstance(one, Adapter):
+            sign, state, kind, name = (("●", "ok") if one.powered else ("✗", "down")), "on", one.name, one.alias
+            state = "on" if one.powered else "off"
+        else:
+            sign, kind, name = ("◆", "waiting") if one.connected else ("·", "dim"), "device", one.name
+            state = ", ".join(word for word in ("paired", "connected") if getattr(one, word))
+        return fit(
+            (
+                ("▌" if self.is_cursor(index) else " ", "key"),
+                (f"{sign[0]} ", sign[1]),
+                (f"{one.address:<18} ", "strong"),
+                (f"{kind:<8} {state:<18} ", ""),
+                (name, ""),
+            ),
+            self.size.width,
+        )
+
+
+class Channels(LiveLines):
+    """Channels 1-30 of each adapter: free, busy, or this bridge's own."""
+
+    def __init__(self) -> None:
+        super().__init__(id="channels")
+        self._lines: list[Line] = []
+
+    @property
+    def line_count(self) -> int:
+        """Two an adapter, and what the signs mean."""
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        """One of them."""
+        return self._lines[index]
+
+    def show(self, found: Scan) -> None:
+        """Show the channels that were tried."""
+        self._lines = list(_channel_lines(found)) if found.channels else []
+        self.styles.height = len(self._lines)
+        self.sync()
+
+
+def _channel_lines(found: Scan) -> Iterator[Line]:
+    names = {one.address: one.name for one in found.adapters} | {ANY_ADAPTER: "any"}
+    yield (
+        ("   CHANNELS    ", "head"),
+        *((piece, look) for use in Use for piece, look in (SIGNS[use], (f" {use.value}  ", "dim"))),
+    )
+    for address, uses in found.channels.items():
+        numbers = list(uses)
+        for at in range(0, len(numbers), CHANNELS_A_LINE):
+            row = numbers[at : at + CHANNELS_A_LINE]
+            cells = [piece for number in row for piece in ((f"{number:>3}", "dim"), SIGNS[uses[number]])]
+            yield ((f"   {names.get(address, address) if at == 0 else '':<8} ", "strong"), *cells)
+
+
+class BluetoothScreen(ModalScreen[str | None]):
+    """Scans as soon as it is shown; gives the MAC that was picked."""
+
+    app: ConsoleApp
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss", show=False),
+        Binding("enter", "pick", show=False),
+        Binding("s,f5", "scan", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.machines, self.channels = Machines(), Channels()
+        self._problems, self._state = Words("problem"), Words("hint")
+
+    def compose(self) -> ComposeResult:
+        """Machines, channels, and what is missing."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = "Bluetooth"
+            yield self.machines
+            yield self.channels
+            yield self._problems
+            yield self._state
+            yield Static("⏎ use as the server of a new session   s scan again   esc close", classes="hint keys")
+
+    def on_mount(self) -> None:
+        """Scan."""
+        self.action_scan()
+
+    @work(exclusive=True)
+    async def action_scan(self) -> None:
+        """Look at everything again."""
+        self._state.say("scanning …")
+        own = self._own_channels()
+        found = await asyncio.to_thread(lambda: asyncio.run(scan(own_channels=own)))
+        self._state.say("" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them.")
+        self._problems.say("\n".join(found.problems))
+        self.machines.show(found)
+        self.machines.display = bool(found.adapters)
+        self.channels.show(found)
+
+    def _own_channels(self) -> set[tuple[str, int]]:
+        """Those that a server in this console has bound."""
+        engine = self.app.engine
+        if engine is None or engine.session.role != "server" or not engine.session.is_bluetooth:
+            return set()
+        routes = [route.port for route in engine.snapshot().routes if route.transport == "bluetooth"]
+        return {(engine.session.server_ip, channel) for channel in (engine.session.server_port, *routes)}
+
+    def action_pick(self) -> None:
+        """Give the MAC under the cursor."""
+        machine = self.machines.selected
+        if machine is not None and not self.app.readonly:
+            self.dismiss(machine.address)

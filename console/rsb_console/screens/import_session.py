@@ -1,0 +1,119 @@
+"""Import a thesis bringup.yaml: what the launch file said beside it is asked for here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from textual import on, work
+
+from rsb_bridge.session_file import SessionError
+from rsb_bridge.thesis import import_bringup
+from rsb_console.saving import path_problem, save_asking
+from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.form import FormScreen
+from rsb_console.screens.session_files import Opened, is_path, offers, yaml_files
+from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.picker import PickField
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rsb_bridge.session import Role, Session
+
+ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
+MOST_PROBLEMS = 4
+NO_YES = (("no", "no"), ("yes", "yes"))
+BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
+               blank="type to look for a file")  # fmt: skip
+FIELDS = (
+    Spec("name", "Name", "As in the launch file (-name)."),
+    Spec("role", "Role", "Of the session to be; a client's file makes a server's session too.",
+         options=(("", "as the file's node"), ("client", "client"), ("server", "server"))),
+    Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
+    Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt"),
+    Spec("use_name", "Prefix", "As in the launch file (-usename).", options=NO_YES),
+    Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", "yes", options=NO_YES),
+    Spec("path", "Session file", "Where the session is kept."),
+)  # fmt: skip
+
+
+class ImportScreen(FormScreen[Opened]):
+    """Import and save; gives the session if it is to be run."""
+
+    def __init__(self) -> None:
+        self._bringup = PickField(BRINGUP, is_path)
+        super().__init__("Import", [self._bringup, *(Field(spec) for spec in FIELDS)], "Import")
+        self._made: Session | None = None
+        self._notes: list[str] = []
+
+    def on_mount(self) -> None:
+        """List the files."""
+        super().on_mount()
+        files = yaml_files(Path.cwd(), Path.cwd() / "config")
+        self._bringup.offer(list(offers(files, "here")), "no such file; type its path")
+
+    @on(PickField.Picked)
+    def _picked(self, event: PickField.Picked) -> None:
+        if event.offer is not None:
+            self._bringup.value = event.offer.value
+        self._bringup.touched = True
+        self.check()
+        self.form.fields["name"].control.focus()
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Import it, and see."""
+        words = {}
+        if not values["name"]:
+            words["name"] = "missing: give one"
+        if problem := path_problem(values["path"]):
+            words["path"] = problem
+        if values["server_port"] and not values["server_port"].isdecimal():
+            words["server_port"] = f"{values['server_port']!r} is not a port: 1 to 65535"
+        if not values["bringup"]:
+            words["bringup"] = "missing: name the file"
+        if not words.keys() & {"bringup", "name", "server_port"}:
+            words |= self._import(values)
+        return words
+
+    def _import(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Make the session; what is wrong in the file is about the file, the rest about its field."""
+        encrypted = values["use_encryption"] == "yes"
+        try:
+            self._made, self._notes = import_bringup(
+                Path(values["bringup"]).expanduser(),
+                name=values["name"],
+                role=ROLES[values["role"]],
+                server_port=int(values["server_port"]) if values["server_port"] else None,
+                key_file=values["key_file"] or None if encrypted else None,
+                use_name=values["use_name"] == "yes",
+                use_encryption=encrypted,
+            )
+        except SessionError as error:
+            words: dict[str, list[str]] = {}
+            for problem in error.problems:
+                key = problem.place if problem.place in values else "bringup"
+                line = f"line {problem.line}: " if problem.line else ""
+                words.setdefault(key, []).append(problem.words if key == problem.place else f"{line}{problem}")
+            return {key: _few(lines) for key, lines in words.items()}
+        return {}
+
+    def result(self, values: Mapping[str, str]) -> Opened:
+        """What was made."""
+        assert self._made is not None
+        return Opened(self._made, Path(values["path"]).expanduser())
+
+    @work
+    async def accept(self, result: Opened) -> None:
+        """Save it, say what is different now, and ask whether to run it."""
+        if await save_asking(self.app, result.session, result.path):
+            words = "\n".join(
+                ["Different from the thesis's bridge now:", *self._notes] if self._notes else ["All of it."]
+            )
+            run = await self.app.push_screen_wait(ConfirmScreen(f"Imported. Run {result.path.name}?", words, "Run"))
+            self.dismiss(result if run else None)
+
+
+def _few(lines: list[str]) -> str:
+    more = len(lines) - MOST_PROBLEMS
+    return "\n".join(lines[:MOST_PROBLEMS] + ([f"and {more} more"] if more > 0 else []))

@@ -1,0 +1,206 @@
+"""The session's key files: fingerprint, mode, and a new key. A key itself is never drawn."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from textual import work
+from textual.binding import Binding
+from textual.containers import Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_bridge.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, read_key, write_key
+from rsb_console.saving import path_problem
+from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.form import FormScreen
+from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.form import Field, Spec, Words
+from rsb_console.widgets.lines import Line, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.session import Session
+    from rsb_console.app import ConsoleApp
+
+NAME_WIDTH = 30
+
+
+class KeyFile(NamedTuple):
+    """What can be told of a key file.
+
+    Attributes:
+        path: of the file.
+        user: whose links it is for.
+        mode: ``0600``; empty: there is no file.
+        fingerprint: empty: it cannot be read.
+        words: what an operator should know of it; empty: nothing.
+    """
+
+    path: Path
+    user: str
+    mode: str
+    fingerprint: str
+    words: str
+
+
+def look_at(path: Path, user: str) -> KeyFile:
+    """Read a key file."""
+    try:
+        mode = f"{stat.S_IMODE(path.stat().st_mode):04o}"
+    except OSError:
+        mode = ""
+    try:
+        key = read_key(path)
+    except KeyFileError as error:
+        return KeyFile(path, user, mode, "", str(error))
+    return KeyFile(path, user, mode, fingerprint(key), "\n".join(key.warnings))
+
+
+def key_files(session: Session, base: Path) -> dict[Path, str]:
+    """Whose links each of a session's key files is for.
+
+    Args:
+        session: whose.
+        base: the folder that they are relative to.
+    """
+    users = [(client.name, client.key_file or session.key_file) for client in session.clients]
+    found: dict[Path, str] = {}
+    for user, name in users or [(session.name, session.key_file)]:
+        if name is not None:
+            path = base / Path(name).expanduser()
+            found[path] = f"{found[path]}, {user}" if path in found else user
+    return found
+
+
+class KeysTable(CursorLines):
+    """One line a key file."""
+
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="keyfiles")
+        self._files: dict[str, KeyFile] = {}
+
+    def show(self, files: Sequence[KeyFile]) -> None:
+        """Show `files`."""
+        self._files = {str(file.path): file for file in files}
+        self.show_keys(list(self._files))
+        self.styles.height = max(2, min(self.line_count, 12))
+
+    @property
+    def selected(self) -> KeyFile | None:
+        """The file under the cursor."""
+        return None if self.cursor_key is None else self._files[self.cursor_key]
+
+    def line(self, index: int) -> Line:
+        """The heading, or one of the files."""
+        if index < self.sticky:
+            return ((f"   {'FILE':<{NAME_WIDTH}} {'MODE':<5} {'FINGERPRINT':<20} FOR", "head"),)
+        file = self._files[self.keys[index - self.sticky]]
+        sign, look = ("✗", "down") if not file.fingerprint else ("▲", "stale") if file.words else ("✓", "ok")
+        name = fit(((f"{file.path.name:<{NAME_WIDTH}}", "strong"),), NAME_WIDTH)
+        figures = f" {file.mode or '-':<5} {file.fingerprint or 'no key':<20} {file.user}"
+        return fit(
+            (("▌" if self.is_cursor(index) else " ", "key"), (f"{sign} ", look), *name, (figures, "")), self.size.width
+        )
+
+
+class KeysScreen(ModalScreen[None]):
+    """Look at the key files; `g` makes a key."""
+
+    app: ConsoleApp
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss", show=False),
+        Binding("g", "generate", show=False, priority=True),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.table = KeysTable()
+        self._words = Words("problem", id="key-words")
+        self._made: dict[Path, str] = {}
+
+    def compose(self) -> ComposeResult:
+        """The table, and what is to be known of the file under the cursor."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = "Keys"
+            yield self.table
+            yield self._words
+            keys = "" if self.app.readonly else "g generate a key   "
+            yield Static(f"Both sides of a link need the same fingerprint.\n{keys}esc close", classes="hint keys")
+
+    def on_mount(self) -> None:
+        """Look."""
+        self.look()
+
+    def look(self) -> None:
+        """Read the files again."""
+        engine = self.app.engine
+        files = self._made if engine is None else self._made | key_files(engine.session, self.app.base)
+        self.table.show([look_at(path, user) for path, user in files.items()])
+        self.on_cursor_lines_cursor_moved()
+
+    def on_cursor_lines_cursor_moved(self) -> None:
+        """Say what is to be known of the file."""
+        file = self.table.selected
+        self._words.say("No key file yet: g makes one." if file is None else file.words)
+
+    @work
+    async def action_generate(self) -> None:
+        """Make a key."""
+        if self.app.readonly:
+            return
+        file = self.table.selected
+        path = await self.app.push_screen_wait(GenerateScreen(Path(DEFAULT_KEY_FILE) if file is None else file.path))
+        if path is not None:
+            self._made.setdefault(path, "not in the session")
+            self.look()
+            self.table.move_to(self.table.keys.index(str(path)))
+
+
+class GenerateScreen(FormScreen[Path]):
+    """Make a key; gives its file.
+
+    Args:
+        path: to begin with.
+    """
+
+    def __init__(self, path: Path) -> None:
+        words = "Mode 0600. Copy it to the other side, by a safe way, and keep it to yourself."
+        super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path)))], "Generate")
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Whether a file can be there."""
+        words = path_problem(values["path"])
+        return {"path": words} if words else {}
+
+    def result(self, values: Mapping[str, str]) -> Path:
+        """The file."""
+        return Path(values["path"]).expanduser()
+
+    @work
+    async def accept(self, result: Path) -> None:
+        """Write it; never over another without a yes."""
+        exists = result.exists()  # noqa: ASYNC240 -- one stat
+        if exists:
+            words = "Whoever holds only the old key can no longer link. The old key is lost."
+            if not await self.app.push_screen_wait(
+                ConfirmScreen(f"Replace the key in {result.name}?", words, "Replace")
+            ):
+                return
+        try:
+            key = write_key(result, force=exists)
+        except KeyFileError as error:
+            self.form.show_problems({"path": str(error)})
+            return
+        self.notify(
+            f"{result}: fingerprint {fingerprint(key)}. A running session uses it after it is opened again (o).",
+            title="A new key", markup=False, timeout=10,
+        )  # fmt: skip
+        self.dismiss(result)

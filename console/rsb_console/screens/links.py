@@ -1,0 +1,163 @@
+"""The links: on a server one row a robot, on a client the one it has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from textual import work
+from textual.binding import Binding
+from textual.containers import Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_bridge.snapshot import State
+from rsb_console import formats
+from rsb_console.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.lines import Line, LiveLines, fit
+
+if TYPE_CHECKING:
+    from textual.app import ComposeResult
+
+    from rsb_bridge.snapshot import LinkSnapshot, Snapshot
+    from rsb_console.app import ConsoleApp
+
+HEADING = f" {'STATE':<8}{'NAME':<13}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
+
+
+class LinksTable(CursorLines):
+    """One line a link, the worst first."""
+
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="links")
+        self._now: Snapshot | None = None
+        self._links: dict[str, LinkSnapshot] = {}
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show its links."""
+        order = list(State)
+        self._now = snapshot
+        worst_first = sorted(snapshot.links, key=lambda link: (order.index(link.state), link.name))
+        self._links = {link.name: link for link in worst_first}
+        self.show_keys(list(self._links))
+
+    @property
+    def selected(self) -> LinkSnapshot | None:
+        """The link under the cursor."""
+        return None if self.cursor_key is None else self._links.get(self.cursor_key)
+
+    def line(self, index: int) -> Line:
+        """The heading, or one of the links."""
+        assert self._now is not None or index < self.sticky
+        if index < self.sticky or self._now is None:
+            return ((HEADING, "head"),)
+        link = self._links[self.keys[index - self.sticky]]
+        name = fit(((f"{link.name:<13}", "strong"),), 13)
+        topics = sum(route.link == link.name for route in self._now.routes)
+        figures = (
+            f"{_span(link.rtt):>8}{_span(link.clock_offset):>10}{topics:>7}"
+            f"{formats.byte_rate(link.rx_bytes_per_second):>9}{formats.byte_rate(link.tx_bytes_per_second):>9}"
+        )
+        return (
+            ("▌" if self.is_cursor(index) else " ", "key"),
+            (f"{STATE_SIGN[link.state]} {STATE_WORD[link.state]:<6}", link.state.value),
+            *name,
+            (f"{formats.clock(self._now.time - link.since):>9}", "dim"),
+            (figures, ""),
+            (f"  {link.fingerprint}", "dim"),
+        )
+
+
+class LinkDetail(LiveLines):
+    """What has no column: why it is down, the key, the other side."""
+
+    def __init__(self) -> None:
+        super().__init__(id="link-detail")
+        self._lines: list[Line] = []
+
+    @property
+    def line_count(self) -> int:
+        """As many as there are to say."""
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        """One of them."""
+        return fit(self._lines[index], self.size.width)
+
+    def show(self, link: LinkSnapshot | None) -> None:
+        """Show `link`."""
+        self._lines = [] if link is None else _detail(link)
+        self.sync()
+
+
+def _detail(link: LinkSnapshot) -> list[Line]:
+    key = (
+        ((link.fingerprint, "strong"), (f"  {link.cipher}", "dim"))
+        if link.encrypted
+        else ((" NOT ENCRYPTED ", "alarm"),)
+    )
+    domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
+    version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
+    uncertain = "" if link.clock_uncertainty is None else f" ± {formats.span(link.clock_uncertainty)}"
+    offset = "not known yet" if link.clock_offset is None else f"{_span(link.clock_offset)} against ours{uncertain}"
+    lines: list[Line] = [
+        (("  peer         ", "dim"), (link.peer, ""), (f"  {domain}{version}", "dim")),
+        (("  key          ", "dim"), *key),
+        (("  its clock    ", "dim"), (offset, "")),
+    ]
+    if link.state is not State.OK:
+        retry = "" if link.retry_in is None else f"; attempt {link.attempts + 1} in {link.retry_in:.0f} s"
+        lines.insert(0, (("  why          ", "dim"), (f"{link.reason}{retry}", link.state.value)))
+    return lines
+
+
+def _span(seconds: float | None) -> str:
+    if seconds is None:
+        return "-"
+    return f"-{formats.span(-seconds)}" if seconds < 0 else formats.span(seconds)
+
+
+class LinksScreen(ModalScreen[None]):
+    """All links, live."""
+
+    app: ConsoleApp
+    BINDINGS: ClassVar = [
+        Binding("escape,q", "dismiss", show=False),
+        Binding("r", "retry", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.table, self.detail = LinksTable(), LinkDetail()
+
+    def compose(self) -> ComposeResult:
+        """The table, and more about the link under the cursor."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = "Links"
+            yield self.table
+            yield self.detail
+            yield Static("esc close" if self.app.readonly else "r try again now   esc close", classes="hint keys")
+
+    def on_mount(self) -> None:
+        """Go on showing."""
+        self.set_interval(1 / self.app.refresh_rate, self.show)
+        self.show()
+
+    def show(self) -> None:
+        """Show the links as they are now."""
+        self.table.show(self.app.snapshot())
+        self.table.styles.height = min(self.table.line_count, 12)
+        self.detail.show(self.table.selected)
+
+    def on_cursor_lines_cursor_moved(self) -> None:
+        """The detail follows."""
+        self.detail.show(self.table.selected)
+
+    @work
+    async def action_retry(self) -> None:
+        """Connect again now."""
+        link, engine = self.table.selected, self.app.engine
+        if link is not None and engine is not None and not self.app.readonly:
+            await self.app.main.command(engine.retry(link.name), f"{link.name}: trying again")

@@ -1,0 +1,176 @@
+"""A new session: a form that writes a valid file, and makes or takes the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from textual import work
+from textual.widgets import Button, Input
+
+from rsb_bridge.keys import KeyFileError, fingerprint, read_key, write_key
+from rsb_bridge.session import Session
+from rsb_bridge.session_file import validate
+from rsb_console.saving import path_problem, save_asking
+from rsb_console.screens.form import FormScreen
+from rsb_console.widgets.form import Field, Spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from textual.app import ComposeResult
+
+YES_NO = (("yes", "yes"), ("no", "no"))
+NUMBERS = ("server_port", "domain_id")
+FIELDS = (
+    Spec("role", "Role", "A client connects and says which topics cross; a server waits for it.",
+         options=(("client", "client (robot)"), ("server", "server (control PC)"))),
+    Spec("name", "Name", "The same on both sides, like robot1."),
+    Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
+    Spec("server_port", "Port", "TCP and UDP port, or RFCOMM channel 1-30: the same on both sides.", "49152"),
+    Spec("domain_id", "Domain", "ROS domain of this side, 0 to 101. Empty: $ROS_DOMAIN_ID, else 0.",
+         blank="$ROS_DOMAIN_ID"),
+    Spec("use_name", "Prefix", "On the server the client's topics have its name before them: /robot1/scan. The same on "
+         "both sides.", options=tuple(reversed(YES_NO))),
+    Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
+         options=YES_NO),
+    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other."),
+    Spec("path", "Session file", "Where the session is kept."),
+)  # fmt: skip
+
+
+class NewSession(NamedTuple):
+    """A session and its file."""
+
+    session: Session
+    path: Path
+
+
+class NewSessionScreen(FormScreen[NewSession]):
+    """Write a session file. Gives it when it is written, and its key is there.
+
+    Args:
+        server_ip: to begin with.
+    """
+
+    def __init__(self, server_ip: str = "") -> None:
+        self._fields = {spec.key: Field(spec) for spec in FIELDS}
+        self._fields["server_ip"].value = server_ip
+        super().__init__("New session", list(self._fields.values()), "Create")
+
+    def compose_buttons(self) -> ComposeResult:
+        """One more: a server by Bluetooth."""
+        yield Button("Bluetooth…", id="bluetooth", compact=True)
+        yield from super().compose_buttons()
+
+    def check(self) -> None:
+        """Fill in what follows from the rest, then look for problems."""
+        values = self.form.values
+        name = values["name"]
+        encrypted = values["use_encryption"] == "yes"
+        for key, suffix in (("path", "yaml"), ("key_file", "key")):
+            control = self._fields[key].control
+            assert isinstance(control, Input)
+            control.placeholder = f"{name}.{suffix}" if name else ""
+        self._fields["key_file"].display = encrypted
+        super().check()
+        self._fields["key_file"].note.say(self._about_key(self.result(self.form.values)) if encrypted and name else "")
+
+    def _about_key(self, new: NewSession) -> str:
+        """What will become of the key."""
+        path = _key_path(new)
+        if not path.exists():
+            return "will be made: copy it to the other side"
+        try:
+            return f"is there, fingerprint {fingerprint(read_key(path))}"
+        except KeyFileError:
+            return ""
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """The session file's own rules, and those of the files."""
+        new = self.result(values)
+        words: dict[str, str] = {}
+        for problem in validate(new.session):
+            words.setdefault(problem.place, problem.words)
+        if not values["name"]:
+            words["name"] = "missing: give one"
+        if not values["server_ip"]:
+            words["server_ip"] = "missing: give the server's address"
+        if values["name"] or values["path"]:
+            words |= _at("path", path_problem(str(new.path)))
+        else:
+            words["path"] = "missing: name the file"
+        if new.session.use_encryption and "key_file" not in words and "name" not in words:
+            words |= _at("key_file", _key_problem(_key_path(new)))
+        return words
+
+    def result(self, values: Mapping[str, str]) -> NewSession:
+        """The session; not to be used while there are problems."""
+        name = values["name"]
+        data = {key: _number(values[key]) for key in NUMBERS if values[key]}
+        session = Session(
+            name=name,
+            role="server" if values["role"] == "server" else "client",
+            server_ip=values["server_ip"],
+            use_name=values["use_name"] == "yes",
+            use_encryption=values["use_encryption"] == "yes",
+            key_file=values.get("key_file") or f"{name}.key" if values["use_encryption"] == "yes" else None,
+            **({"server_port": 0} | data),  # type: ignore[arg-type]  # what is no number is the rules' to refuse
+        )
+        return NewSession(session, Path(values["path"] or f"{name}.yaml").expanduser())
+
+    @work
+    async def accept(self, result: NewSession) -> None:
+        """Make the key if there is none, then write the file; ask before one is overwritten."""
+        if not await save_asking(self.app, result.session, result.path):
+            return
+        if result.session.use_encryption and not _key_path(result).exists():
+            try:
+                key = write_key(_key_path(result))
+            except KeyFileError as error:
+                self.form.show_problems({"key_file": str(error)})
+                return
+            self.notify(
+                f"{_key_path(result)}: fingerprint {fingerprint(key)}. Copy it to the other side.",
+                title="A new key", markup=False, timeout=15,
+            )  # fmt: skip
+        self.dismiss(result)
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """Pick a server by Bluetooth."""
+        if event.button.id == "bluetooth":
+            self._pick_bluetooth()
+        else:
+            super().on_button_pressed(event)
+
+    @work
+    async def _pick_bluetooth(self) -> None:
+        from rsb_console.screens.bluetooth import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
+
+        address = await self.app.push_screen_wait(BluetoothScreen())
+        if address:
+            self._fields["server_ip"].value = address
+            self._fields["server_port"].control.focus()
+
+
+def _at(key: str, words: str) -> dict[str, str]:
+    return {key: words} if words else {}
+
+
+def _number(text: str) -> int | str:
+    return int(text) if text.isdecimal() else text
+
+
+def _key_path(new: NewSession) -> Path:
+    assert new.session.key_file is not None
+    return new.path.parent / Path(new.session.key_file).expanduser()
+
+
+def _key_problem(path: Path) -> str:
+    if not path.exists():
+        return path_problem(str(path))
+    try:
+        read_key(path)
+    except KeyFileError as error:
+        return str(error)
+    return ""

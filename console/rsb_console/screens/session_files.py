@@ -1,0 +1,136 @@
+"""Choose a session file: the recent ones, those in the working folder, or any by its path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from textual import on
+from textual.widgets import Button
+
+from rsb_bridge.session_file import SessionError, load
+from rsb_console.recents import recent_sessions
+from rsb_console.saving import path_problem
+from rsb_console.screens.form import FormScreen
+from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.picker import Offer, PickField
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.session import Session
+
+MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
+
+
+class Opened(NamedTuple):
+    """A session and its file."""
+
+    session: Session
+    path: Path
+
+
+def is_path(text: str) -> bool:
+    """Whether what was typed is a path rather than something to look for."""
+    return "/" in text or text.endswith((".yaml", ".yml"))
+
+
+def yaml_files(*folders: Path) -> list[Path]:
+    """The YAML files in `folders`."""
+    return sorted(path for folder in folders for path in folder.glob("*.y*ml") if path.is_file())
+
+
+def offers(files: list[Path], what: str) -> Iterator[Offer]:
+    """Files to pick from.
+
+    Args:
+        files: which.
+        what: what they are, said of each.
+    """
+    for path in files:
+        line = ((f"{path.name:<28} ", "strong"), (f"{what:<8} ", "dim"), (str(path.parent), "dim"))
+        yield Offer(str(path.resolve()), str(path), line)
+
+
+class SessionsScreen(FormScreen[Opened | str]):
+    """Open a session, or go on to another way to get one: then gives the action's id.
+
+    Args:
+        runs: whether a session runs, which could be saved.
+    """
+
+    def __init__(self, *, runs: bool) -> None:
+        spec = Spec(
+            "path", "Session", "↑ ↓ and ⏎ to open one of these; or type any path.", blank="type to look for a file"
+        )
+        self._field = PickField(spec, is_path)
+        super().__init__("Sessions", [self._field], "Open")
+        self._runs = runs
+
+    def compose_buttons(self) -> ComposeResult:
+        """The other ways, but for those that change nothing but files while read-only."""
+        yield from super().compose_buttons()
+        for action, label in MORE.items():
+            if not self.app.readonly and (self._runs or not action.startswith("save")):
+                yield Button(label, id=action, compact=True)
+
+    def on_mount(self) -> None:
+        """List the files."""
+        super().on_mount()
+        recent = recent_sessions()
+        known = {path.resolve() for path in recent}
+        here = [path for path in yaml_files(Path.cwd()) if path.resolve() not in known]
+        self._field.offer([*offers(recent, "recent"), *offers(here, "here")], "no such file; type its path")
+
+    @on(PickField.Picked)
+    def _picked(self, event: PickField.Picked) -> None:
+        if event.offer is not None:
+            self._field.value = event.offer.value
+        self.submit()
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Nothing before it is opened."""
+        return {} if values["path"] else {"path": "missing: name the file"}
+
+    def result(self, values: Mapping[str, str]) -> str:
+        """The path; `accept` makes a session of it."""
+        return values["path"]
+
+    def accept(self, result: Opened | str) -> None:
+        """Load it; what is wrong in it is said here, with the lines."""
+        path = Path(str(result)).expanduser()
+        try:
+            self.dismiss(Opened(load(path), path))
+        except SessionError as error:
+            self.form.show_problems({"path": str(error)})
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        """The other ways."""
+        if event.button.id in MORE:
+            self.dismiss(event.button.id)
+        else:
+            super().on_button_pressed(event)
+
+
+class SaveAsScreen(FormScreen[Path]):
+    """Name a file to save to.
+
+    Args:
+        path: to begin with.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(
+            "Save as", [Field(Spec("path", "File", "Key files are named as from its folder.", str(path)))], "Save"
+        )
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Whether a file can be there."""
+        words = path_problem(values["path"])
+        return {"path": words} if words else {}
+
+    def result(self, values: Mapping[str, str]) -> Path:
+        """The file."""
+        return Path(values["path"]).expanduser()

@@ -1,0 +1,107 @@
+"""What to begin with when there is no session."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.binding import Binding
+from textual.containers import Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_console.recents import recent_sessions
+from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.lines import Line, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from textual.app import ComposeResult
+
+    from rsb_console.app import ConsoleApp
+
+ABOUT = """\
+Bridges ROS 2 topics between domains and networks over encrypted sockets,
+and shows what flows and what doesn't."""
+CHOICES = {
+    "demo": ("d", "Demo", "a simulated robot and its desk, bridged on this machine"),
+    "new_session": ("n", "New session", "a form writes the file, and makes or takes the key"),
+    "sessions": ("o", "Open a session", "a recent one, or any file"),
+    "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
+    "quit": ("q", "Quit", ""),
+}
+WATCHING = ("demo", "sessions", "quit")
+RECENT = 5
+
+
+class Menu(CursorLines):
+    """The choices, then the recent sessions.
+
+    Args:
+        choices: ids out of `CHOICES`.
+        recent: session files.
+    """
+
+    def __init__(self, choices: Sequence[str], recent: Sequence[Path]) -> None:
+        super().__init__(id="menu")
+        self._lines: dict[str, Line] = {}
+        for choice in choices:
+            key, words, more = CHOICES[choice]
+            self._lines[choice] = ((f"{key}  ", "key"), (f"{words:<17}", "strong"), (more, "dim"))
+        for number, path in enumerate(recent, start=1):
+            self._lines[str(path)] = ((f"{number}  ", "key"), (f"{path.stem:<17}", "strong"), (str(path), "dim"))
+        self.keys = list(self._lines)
+
+    def line(self, index: int) -> Line:
+        """One of them."""
+        sign = "▌ " if self.is_cursor(index) else "  "
+        return fit(((sign, "key"), *self._lines[self.keys[index]]), self.size.width)
+
+    def on_mount(self) -> None:
+        """As high as it needs."""
+        self.styles.height = self.line_count
+        self.sync()
+
+
+class WelcomeScreen(ModalScreen[str]):
+    """Gives one of `CHOICES`, or the path of a recent session."""
+
+    app: ConsoleApp
+    BINDINGS: ClassVar = [
+        Binding("enter", "choose", show=False),
+        Binding("escape", "dismiss('')", show=False),
+        *(Binding(key, f"dismiss('{choice}')", show=False) for choice, (key, _, _) in CHOICES.items()),
+        *(Binding(str(number), f"recent({number})", show=False) for number in range(1, RECENT + 1)),
+    ]
+
+    def __init__(self, *, readonly: bool) -> None:
+        super().__init__()
+        self._recent = recent_sessions()[:RECENT]
+        self.menu = Menu(WATCHING if readonly else tuple(CHOICES), self._recent)
+
+    def compose(self) -> ComposeResult:
+        """What this is, and the menu."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = "rsb-console"
+            yield Static(ABOUT, classes="hint")
+            yield self.menu
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what the menu lists."""
+        if action == "dismiss" and parameters[0]:
+            return parameters[0] in self.menu.keys
+        return super().check_action(action, parameters)
+
+    def action_choose(self) -> None:
+        """What is under the cursor."""
+        self.dismiss(self.menu.cursor_key)
+
+    def on_cursor_lines_chosen(self) -> None:
+        """A second click chooses."""
+        self.action_choose()
+
+    def action_recent(self, number: int) -> None:
+        """A recent session by its number."""
+        if number <= len(self._recent):
+            self.dismiss(str(self._recent[number - 1]))
