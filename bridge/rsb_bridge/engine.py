@@ -20,7 +20,9 @@ from rsb_bridge.ends import ClientEnd, End, Keys, ServerEnd, clients_of
 from rsb_bridge.event_log import EventLog
 from rsb_bridge.graph import topics_of
 from rsb_bridge.keys import KeyFileError, read_key
+from rsb_bridge.observer import Observer, in_slices
 from rsb_bridge.ros.api import RosError, RosSide, Subscription
+from rsb_bridge.route import Route
 from rsb_bridge.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.transport.streams import address_words
@@ -30,12 +32,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from rsb_bridge.link import Link
-    from rsb_bridge.route import Route
     from rsb_bridge.session import Session, Topic
 
 _POLL = 0.25
 _POLLS_PER_TICK = 4
-_LOOKED_AT_FOR = 2.0
 
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -65,11 +65,9 @@ class Engine:
         self._thread: threading.Thread | None = None
         self._context: Context | None = None
         self._end: End | None = None
-        self._looked_at = 0.0
         address = address_words((session.server_ip, session.server_port))
-        self._snapshot = Snapshot(
-            time.time(), session.name, session.role, address, session.domain_id or 0, running=False
-        )
+        blank = Snapshot(time.time(), session.name, session.role, address, session.domain_id or 0, running=False)
+        self._observer = Observer(blank, self._events)
 
     # --- from any thread
 
@@ -94,6 +92,7 @@ class Engine:
             EngineError: it can't; nothing is left running.
         """
         domain = _domain_of(self._session)
+        self._observer.latest = dataclasses.replace(self._observer.latest, domain_id=domain)
         keys = self._load_keys()
         ros = self._ros or _ros_node(domain, self._session.name)
         try:
@@ -125,8 +124,7 @@ class Engine:
 
     def snapshot(self) -> Snapshot:
         """The engine as it was at most a quarter of a second ago (right after a pause in asking: a second)."""
-        self._looked_at = time.monotonic()
-        return self._snapshot
+        return self._observer.look()
 
     def events(self, after: int = 0) -> list[Event]:
         """What happened, numbered above `after`; the oldest are forgotten in time."""
@@ -232,7 +230,7 @@ class Engine:
             except (LinkError, ListenError, RosError, ValueError) as error:
                 raise EngineError(str(error)) from None
             finally:
-                self._take_snapshot()
+                self._observer.refresh_now(end)
 
         if end is not None and context is not None and self._thread is not None:
             coroutine = guarded()
@@ -265,7 +263,7 @@ class Engine:
         except (ListenError, RosError, LinkError, ValueError) as error:
             started.set_exception(EngineError(str(error)))
         else:
-            self._take_snapshot()
+            self._observer.refresh_now(end)
             started.set_result(None)
             await self._run(context, end)
         finally:
@@ -273,7 +271,7 @@ class Engine:
                 watch.close()
             await end.stop()
             self._events.add(Level.INFO, "engine", "stopped")
-            self._take_snapshot(running=False)
+            self._observer.refresh_now(end, running=False)
 
     async def _run(self, context: Context, end: End) -> None:
         polls = 0
@@ -281,10 +279,12 @@ class Engine:
             polls += 1
             for link in end.links():
                 link.poll()
-            if polls % _POLLS_PER_TICK == 0:
+            tick = polls % _POLLS_PER_TICK == 0
+            if tick:
+                await in_slices([route for link in end.links() for route in link.routes.values()], Route.tick)
                 end.tick()
-            if polls % _POLLS_PER_TICK == 0 or time.monotonic() - self._looked_at < _LOOKED_AT_FOR:
-                self._take_snapshot()
+            if tick or self._observer.looked_at:
+                await self._observer.refresh(end)
             try:
                 async with asyncio.timeout_at(context.loop.time() + _POLL):
                     await self._stopping.wait()
@@ -302,20 +302,6 @@ class Engine:
             end.shut_down(words)
 
         return watch_shutdown_topic(context.ros, topic, lambda: context.call(act))
-
-    def _take_snapshot(self, *, running: bool = True) -> None:
-        assert self._end is not None
-        assert self._context is not None
-        links = self._end.links()
-        self._snapshot = dataclasses.replace(
-            self._snapshot,
-            time=time.time(),
-            domain_id=self._context.domain_id,
-            running=running,
-            links=tuple(link.snapshot() for link in links),
-            routes=tuple(route.snapshot() for link in links for route in link.routes.values()),
-            last_event=self._events.last,
-        )
 
     def _internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         error = details.get("exception")

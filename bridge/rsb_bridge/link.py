@@ -324,10 +324,8 @@ class Link:
                     route.advance()
 
     def tick(self) -> None:
-        """Once a second: keepalive, reports, retries, histories."""
+        """Once a second, after the routes' own tick: keepalive, reports, retries."""
         now = self.context.now()
-        for route in tuple(self.routes.values()):
-            route.tick()
         if self.control is None:
             return
         stream = self.control.stream

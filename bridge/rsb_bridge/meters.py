@@ -14,14 +14,36 @@ _PINGS = 16
 
 
 class RateMeter:
-    """Counts messages and bytes; `tick` once a second makes rates of them."""
+    """Counts messages and bytes; `tick` once a second makes rates of them.
 
-    __slots__ = ("_at_tick", "_bytes_at_tick", "bytes", "bytes_per_second", "count", "history", "last")
+    Attributes:
+        count: messages.
+        bytes: of them all.
+        last: s, when the last one came; None: none yet.
+        rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages.
+        usual_rate: Hz: the median second of the history, quiet ones left out; None until five seconds had messages.
+        bytes_per_second: smoothed over about two seconds.
+        history: messages in each of the last seconds, oldest first.
+    """
+
+    __slots__ = (
+        "_at_tick",
+        "_bytes_at_tick",
+        "bytes",
+        "bytes_per_second",
+        "count",
+        "history",
+        "last",
+        "rate",
+        "usual_rate",
+    )
 
     def __init__(self) -> None:
         self.count = 0
         self.bytes = 0
         self.last: float | None = None
+        self.rate = 0.0
+        self.usual_rate: float | None = None
         self.bytes_per_second = 0.0
         self.history: deque[int] = deque(maxlen=HISTORY)
         self._at_tick = 0
@@ -39,23 +61,18 @@ class RateMeter:
         self._at_tick = self.count
         self.bytes_per_second += 0.5 * (self.bytes - self._bytes_at_tick - self.bytes_per_second)
         self._bytes_at_tick = self.bytes
+        self.rate = self._rate()
+        busy = [count for count in self.history if count]
+        self.usual_rate = float(median(busy)) if len(busy) >= 5 else None
 
-    @property
-    def rate(self) -> float:
-        """Hz, over the shortest of 3, 10 and 30 s that holds at least three messages."""
+    def _rate(self) -> float:
         messages = seconds = 0
         for window in _WINDOWS:
             seconds = min(window, len(self.history))
             messages = sum(islice(reversed(self.history), seconds))
             if messages >= 3:
-                return messages / seconds
+                break
         return messages / seconds if seconds else 0.0
-
-    @property
-    def usual_rate(self) -> float | None:
-        """Hz: the median second of the history, quiet seconds left out; None until five seconds had messages."""
-        busy = [count for count in self.history if count]
-        return float(median(busy)) if len(busy) >= 5 else None
 
 
 class LatencyMeter:

@@ -243,7 +243,7 @@ class Route:
         """Whether messages could cross now."""
         return self.accepted and not self.paused and self.path is not None and self.path.ready
 
-    def state(self) -> tuple[State, str]:
+    def _state(self, stages: tuple[Stage, ...]) -> tuple[State, str]:
         """Its state and, where that is not OK, why."""
         if not self.peer.linked:
             return State.DOWN, self.peer.down_reason
@@ -251,17 +251,18 @@ class Route:
             return State.DOWN, self.refusal
         if self.paused:
             return State.PAUSED, "paused by an operator"
-        reason = self.problem or next((s.detail or s.name for s in self.stages() if not s.done), "")
-        if self.flowing and not self.is_latched and self.stale.stale(self.context.now()):
-            return State.STALE, reason or "nothing comes"
-        if self.meter.count and self.flowing:
+        flowing = self.flowing
+        stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
+        if flowing and self.meter.count and not stale:
             return State.OK, ""
-        return State.WAITING, reason or "no message yet"
+        reason = self.problem or next((s.detail or s.name for s in stages if not s.done), "")
+        return (State.STALE, reason or "nothing comes") if stale else (State.WAITING, reason or "no message yet")
 
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
         now = self.context.now()
-        state, reason = self.state()
+        stages = self.stages()
+        state, reason = self._state(stages)
         return RouteSnapshot(
             key=self.key,
             link=self.peer.name,
@@ -276,7 +277,7 @@ class Route:
             qos=self.qos,
             transport=self.transport,
             port=self.proposal.port or self.peer.shared_port(),
-            stages=self.stages(),
+            stages=stages,
             ledger=self.ledger(),
             rate=self.meter.rate,
             expected_rate=self.spec.expected_rate or self.meter.usual_rate,
