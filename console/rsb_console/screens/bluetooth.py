@@ -9,7 +9,6 @@ from textual import work
 from textual.binding import Binding
 from textual.containers import Vertical
 from textual.screen import ModalScreen
-from textual.widgets import Static
 
 from rsb_bridge.bluetooth import ANY_ADAPTER, Adapter, Device, Scan, Use, scan
 from rsb_console.widgets.cursor_lines import CursorLines
@@ -121,7 +120,7 @@ class BluetoothScreen(ModalScreen[str | None]):
     def __init__(self) -> None:
         super().__init__()
         self.machines, self.channels = Machines(), Channels()
-        self._problems, self._state = Words("problem"), Words("hint")
+        self._problems, self._state, self._keys = Words("problem"), Words("hint"), Words("hint keys")
 
     def compose(self) -> ComposeResult:
         """Machines, channels, and what is missing."""
@@ -131,7 +130,7 @@ class BluetoothScreen(ModalScreen[str | None]):
             yield self.channels
             yield self._problems
             yield self._state
-            yield Static("⏎ use as the server of a new session   s scan again   esc close", classes="hint keys")
+            yield self._keys
 
     def on_mount(self) -> None:
         """Scan."""
@@ -145,6 +144,8 @@ class BluetoothScreen(ModalScreen[str | None]):
         found = await asyncio.to_thread(lambda: asyncio.run(scan(own_channels=own)))
         self._state.say("" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them.")
         self._problems.say("\n".join(found.problems))
+        pick = "⏎ use as the server of a new session   " if found.adapters and not self.app.readonly else ""
+        self._keys.say(f"{pick}s scan again   esc close")
         self.machines.show(found)
         self.machines.display = bool(found.adapters)
         self.channels.show(found)

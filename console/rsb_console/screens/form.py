@@ -48,8 +48,8 @@ class FormScreen(ModalScreen[T | None]):
             dialog.border_title = self._title
             yield self.form
             yield self.form.problem
-            with Horizontal(classes="foot"):
-                yield self.form.help
+            yield self.form.help
+            with Horizontal(classes="buttons -below-help"):
                 yield from self.compose_buttons()
 
     def compose_buttons(self) -> ComposeResult:

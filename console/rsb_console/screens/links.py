@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.snapshot import LinkSnapshot, Snapshot
     from rsb_console.app import ConsoleApp
 
-HEADING = f" {'STATE':<8}{'NAME':<13}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
+HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
 
 
 class LinksTable(CursorLines):
@@ -54,7 +54,7 @@ class LinksTable(CursorLines):
         if index < self.sticky or self._now is None:
             return ((HEADING, "head"),)
         link = self._links[self.keys[index - self.sticky]]
-        name = fit(((f"{link.name:<13}", "strong"),), 13)
+        name = fit(((f"{link.name:<12}", "strong"),), 12)
         topics = sum(route.link == link.name for route in self._now.routes)
         figures = (
             f"{_span(link.rtt):>8}{_span(link.clock_offset):>10}{topics:>7}"

@@ -86,17 +86,16 @@ class SessionsScreen(FormScreen[Opened | str]):
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
-        if event.offer is not None:
-            self._field.value = event.offer.value
         self.submit()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """Nothing before it is opened."""
-        return {} if values["path"] else {"path": "missing: name the file"}
+        return {} if self.result(values) else {"path": "missing: name the file"}
 
     def result(self, values: Mapping[str, str]) -> str:
-        """The path; `accept` makes a session of it."""
-        return values["path"]
+        """The path, picked or typed; `accept` makes a session of it."""
+        picked = self._field.picked
+        return values["path"] if picked is None else picked.value
 
     def accept(self, result: Opened | str) -> None:
         """Load it; what is wrong in it is said here, with the lines."""
