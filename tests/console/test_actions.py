@@ -12,7 +12,7 @@ from rsb_console.screens.main import MainScreen
 from rsb_console.widgets.cursor_lines import CursorLines
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
-OWNER = {Group.MOVE: CursorLines, Group.VIEW: MainScreen, Group.OPERATE: MainScreen, Group.CONSOLE: ConsoleApp}
+OWNER = dict.fromkeys(Group, MainScreen) | {Group.MOVE: CursorLines, Group.CONSOLE: ConsoleApp}
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
