@@ -40,7 +40,7 @@ async def connect(address: str, channel: int, handler: StreamHandler) -> Stream:
         async with asyncio.timeout(CONNECT_TIMEOUT):
             sock = await _connected(address, channel)
     except TimeoutError:
-        raise OSError(errno.ETIMEDOUT, _connect_words(errno.EHOSTDOWN, channel)) from None
+        raise OSError(_connect_words(errno.EHOSTDOWN, channel)) from None
     _, stream = await loop.create_connection(lambda: Stream(handler), sock=sock)
     return stream
 
@@ -56,7 +56,7 @@ async def _connected(address: str, channel: int) -> socket.socket:
         except OSError as error:
             sock.close()
             if error.errno not in _TRANSIENT or loop.time() > give_up:
-                raise OSError(error.errno, _connect_words(error.errno, channel)) from None
+                raise OSError(_connect_words(error.errno, channel)) from None
             await asyncio.sleep(_RETRY_EVERY)
         except asyncio.CancelledError:
             sock.close()
@@ -72,6 +72,8 @@ def _connect_words(error: int | None, channel: int) -> str:
         return f"nobody listens on channel {channel} there: is the server running, with that server_port?"
     if error == errno.EBUSY:
         return f"channel {channel} there is in use by another program of this machine"
+    if error == errno.EACCES:
+        return "pairing failed: remove the other machine on both (bluetoothctl remove MAC), then pair them again"
     if error in (errno.EHOSTUNREACH, errno.ENETUNREACH):
         return "no Bluetooth adapter of this machine is on: rsb-console bt-scan"
     return os.strerror(error or 0)

@@ -19,7 +19,7 @@ _NOT_SENT_LOW_WATER = 128 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 # RFCOMM carries some 50 kB/s: what waits behind the scheduler (`shared`) should be well below a second of that.
 _RFCOMM_HIGH_WATER = 2048
-_RFCOMM_SEND_BUFFER = 4096
+_RFCOMM_BUFFER = 4096
 
 
 class StreamHandler:
@@ -99,7 +99,8 @@ class Stream(asyncio.Protocol):
         else:
             self.batch_bytes = _RFCOMM_HIGH_WATER
             self._transport.set_write_buffer_limits(high=_RFCOMM_HIGH_WATER)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _RFCOMM_SEND_BUFFER)
+            for buffer in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+                sock.setsockopt(socket.SOL_SOCKET, buffer, _RFCOMM_BUFFER)
         self.address = transport.get_extra_info("peername") or self.address
         self.handler.connected(self)
 

@@ -1,0 +1,122 @@
+"""A stand-in for the ROS side (`rsb_bridge.ros.api.RosSide`): ROS does not fit in the machine.
+
+It has one publisher and one subscriber on whatever topic a test names, and hands messages over as the real one does:
+raw, from a thread of its own.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Hashable
+from typing import NamedTuple
+
+from rsb_bridge.qos import Qos
+from rsb_bridge.ros.api import Endpoint, Sink, Taken
+
+TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
+
+
+class Arrival(NamedTuple):
+    """A message that came out.
+
+    Attributes:
+        payload: as published.
+        time: s, monotonic.
+    """
+
+    payload: bytes
+    time: float
+
+
+class StandIn:
+    """One domain.
+
+    Attributes:
+        offered: the topics that this domain's own nodes publish, with their QoS.
+        arrived: what the engine published, by topic.
+    """
+
+    def __init__(self, **offered: Qos) -> None:
+        self.offered = {f"/{name}": qos for name, qos in offered.items()}
+        self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
+        self._sinks: dict[str, Sink] = {}
+        self._threads: list[threading.Thread] = []
+        self._stopped = threading.Event()
+
+    # --- what tests do
+
+    def publish(self, topic: str, payload: bytes) -> None:
+        """As a node of this domain; lost where the engine does not subscribe, as with ROS."""
+        sink = self._sinks.get(topic)
+        if sink is not None:
+            sink((Taken(payload, time.time_ns()),))
+
+    def publish_at(self, rate: float, topic: str, make: Callable[[int], bytes]) -> None:
+        """Go on publishing from a thread, at that rate in Hz, until the domain is stopped."""
+
+        def run() -> None:
+            number, due = 0, time.monotonic()
+            while not self._stopped.wait(max(0.0, due - time.monotonic())):
+                self.publish(topic, make(number))
+                number += 1
+                due += 1 / rate
+
+        self._threads.append(threading.Thread(target=run))
+        self._threads[-1].start()
+
+    def subscribed(self, *topics: str) -> bool:
+        """Whether the engine subscribes to all of them."""
+        return all(topic in self._sinks for topic in topics)
+
+    # --- what the engine does
+
+    def start(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        self._stopped.set()
+        for thread in self._threads:
+            thread.join()
+
+    def topics(self) -> dict[str, list[str]]:
+        return {topic: [TYPE] for topic in self.offered}
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        return [Endpoint("/stand_in", TYPE, HASH, self.offered[topic])] if topic in self.offered else []
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        return []
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return HASH if type_name == TYPE else None
+
+    def subscribe(
+        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
+    ) -> _Subscription:
+        self._sinks[topic] = sink
+        return _Subscription(lambda: self._sinks.pop(topic, None))
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Publisher:
+        return _Publisher(self.arrived[topic])
+
+
+class _Subscription:
+    lost = 0
+
+    def __init__(self, close: Callable[[], object]) -> None:
+        self.close = close
+
+
+class _Publisher:
+    subscriber_count = 1
+
+    def __init__(self, arrived: list[Arrival]) -> None:
+        self._arrived = arrived
+
+    def publish(self, payload: bytes) -> None:
+        self._arrived.append(Arrival(payload, time.monotonic()))
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,225 @@
+"""The engine over RFCOMM. ROS does not fit in the machine: its side is `stand_in.StandIn`, at the engine's own seam."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import pytest
+from rsb_bridge.engine import Engine
+from rsb_bridge.keys import write_key
+from rsb_bridge.qos import Qos
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.snapshot import State
+
+from .conftest import wait_until
+from .stand_in import StandIn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from rsb_bridge.snapshot import LinkSnapshot, RouteSnapshot
+
+_CHANNEL = 10
+
+
+@pytest.fixture(autouse=True, scope="module")
+def unpaired() -> None:
+    """The virtual controllers can't authenticate a second time after a link is down, so they don't pair at all."""
+    for adapter in ("hci0", "hci1"):
+        subprocess.run(["hciconfig", adapter, "sspmode", "0"], check=True)
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    """A folder with the key of both sides, and another."""
+    write_key(tmp_path / "robot.key")
+    write_key(tmp_path / "other.key")
+    return tmp_path
+
+
+def session(role: str, address: str, *topics: Topic, key: str = "robot.key") -> Session:
+    return Session(
+        name="robot1",
+        role="server" if role == "server" else "client",
+        server_ip=address,
+        server_port=_CHANNEL,
+        domain_id=1,
+        key_file=key,
+        shutdown_topic=None,
+        topics=topics,
+    )
+
+
+@contextmanager
+def running(session: Session, base: Path, ros: StandIn) -> Iterator[Engine]:
+    engine = Engine(session, base=base, ros=ros)
+    engine.start()
+    try:
+        yield engine
+    finally:
+        engine.stop()
+
+
+def link(engine: Engine) -> LinkSnapshot:
+    return engine.snapshot().links[0]
+
+
+def route(engine: Engine, topic: str) -> RouteSnapshot:
+    return next(route for route in engine.snapshot().routes if route.topic == topic)
+
+
+def linked(engine: Engine) -> bool:
+    return link(engine).state is State.OK
+
+
+def test_a_megabyte_each_way_encrypted(addresses: tuple[str, str], base: Path) -> None:
+    topics = (Topic("/there", "transmit"), Topic("/back", "receive"))
+    client_side, server_side = StandIn(there=Qos()), StandIn(back=Qos())
+    there, back = os.urandom(1_000_000), os.urandom(1_000_000)
+    with (
+        running(session("server", addresses[0]), base, server_side) as server,
+        running(session("client", addresses[0], *topics), base, client_side) as client,
+    ):
+        wait_until(lambda: client_side.subscribed("/there") and server_side.subscribed("/back"), "both topics open")
+        for engine, peer in ((client, addresses[0]), (server, addresses[1])):
+            wait_until(lambda engine=engine: linked(engine), "the snapshot says so")
+            assert link(engine).encrypted
+            assert link(engine).cipher in {"AESGCM", "CHACHAPOLY"}
+            assert link(engine).peer == f"{peer} channel {_CHANNEL}"
+        client_side.publish("/there", there)
+        server_side.publish("/back", back)
+        wait_until(lambda: client_side.arrived["/back"] and server_side.arrived["/there"], "both arrived")
+        wait_until(lambda: route(client, "/there").ledger.delivered == 1, "the ledger is settled")
+        assert route(client, "/there").transport == "bluetooth"
+        assert route(client, "/there").port == _CHANNEL
+    assert server_side.arrived["/there"][0].payload == there
+    assert client_side.arrived["/back"][0].payload == back
+
+
+def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
+    """Eight topics; maps fill the link all the time, and the 10 Hz topic is as prompt as without them."""
+    sizes = {"map": 100_000, "costmap": 100_000, "cloud": 30_000, "scan": 6_000, "odom": 700, "imu": 320, "pose": 80}
+    client_side = StandIn(joy=Qos(), **dict.fromkeys(sizes, Qos(depth=1)))
+    topics = [Topic(topic, "transmit", compression="none") for topic in client_side.offered]
+    server_side = StandIn()
+    with (
+        running(session("server", addresses[0]), base, server_side),
+        running(session("client", addresses[0], *topics), base, client_side) as client,
+    ):
+        wait_until(lambda: client_side.subscribed(*client_side.offered), "all topics open")
+        client_side.publish_at(10, "/joy", lambda _: struct.pack("d", time.monotonic()))
+        _let_arrive(server_side, "/joy", 20)
+        alone = _latencies(server_side)
+        for name, size in sizes.items():
+            client_side.publish_at(50, f"/{name}", lambda _, size=size: bytes(size))
+        wait_until(lambda: route(client, "/map").ledger.dropped.get("queue full", 0) > 5, "the link is full")
+        server_side.arrived["/joy"].clear()
+        _let_arrive(server_side, "/joy", 50)
+        beside, arrived = _latencies(server_side), server_side.arrived["/joy"][:50]
+        assert all(len(server_side.arrived[f"/{name}"]) > 1 for name in sizes)
+    rate = 49 / (arrived[-1].time - arrived[0].time)
+    sys.stdout.write(
+        f"joystick: median {1e3 * alone[len(alone) // 2]:.1f} ms alone, {1e3 * beside[len(beside) // 2]:.1f} ms beside "
+        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz\n"
+    )
+    assert 9.5 < rate < 10.5
+    assert beside[len(beside) // 2] < 0.05
+    assert beside[-1] < 0.2
+
+
+def _let_arrive(side: StandIn, topic: str, count: int) -> None:
+    wait_until(lambda: len(side.arrived[topic]) >= count, f"{count} on {topic}", 20.0)
+
+
+def _latencies(side: StandIn) -> list[float]:
+    return sorted(one.time - struct.unpack("d", one.payload)[0] for one in side.arrived["/joy"])
+
+
+def test_a_wrong_key_is_refused_in_words(addresses: tuple[str, str], base: Path) -> None:
+    with (
+        running(session("server", addresses[0]), base, StandIn()) as server,
+        running(session("client", addresses[0], key="other.key"), base, StandIn()) as client,
+    ):
+        wait_until(lambda: "fingerprint" in link(client).reason, "the client says why")
+        assert any("turned" in event.text and addresses[1] in event.text for event in server.events())
+        assert not linked(server)
+
+
+def test_a_topic_with_a_channel_of_its_own(addresses: tuple[str, str], base: Path) -> None:
+    client_side, server_side = StandIn(scan=Qos()), StandIn()
+    topics = [Topic("/scan", "transmit", port=11)]
+    with (
+        running(session("server", addresses[0]), base, server_side),
+        running(session("client", addresses[0], *topics), base, client_side) as client,
+    ):
+        wait_until(lambda: client_side.subscribed("/scan"), "open")
+        client_side.publish("/scan", b"1" * 10_000)
+        _let_arrive(server_side, "/scan", 1)
+        assert route(client, "/scan").port == 11
+
+
+_SERVER = """
+import sys
+from pathlib import Path
+from rsb_bridge.engine import Engine
+from rsb_bridge.qos import Qos
+from tests.bluetooth.guest.stand_in import StandIn
+from tests.bluetooth.guest.test_bridge import session
+
+ros = StandIn(odom=Qos())
+ros.publish_at(20, "/odom", lambda number: number.to_bytes(8, "little"))
+Engine(session("server", sys.argv[1]), base=Path(sys.argv[2]), ros=ros).start()
+print("running", flush=True)
+sys.stdin.read()
+"""
+
+
+@contextmanager
+def server_process(address: str, base: Path) -> Iterator[subprocess.Popen[str]]:
+    """A server of its own process, killed at the end."""
+    command = [sys.executable, "-c", _SERVER, address, str(base)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "running\n"
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_a_killed_peer_comes_back(addresses: tuple[str, str], base: Path) -> None:
+    client_side = StandIn()
+    with running(session("client", addresses[0], Topic("/odom", "receive")), base, client_side) as client:
+        for _ in range(3):
+            with server_process(addresses[0], base):
+                _let_arrive(client_side, "/odom", 5)
+            wait_until(lambda: not linked(client), "the client notices")
+            client_side.arrived["/odom"].clear()
+
+
+_DISCONNECT = ["hcitool -i hci1 dc {server}"]
+_OFF_AND_ON = [f"hciconfig hci{number} {what}" for what in ("down", "up", "piscan", "sspmode 0") for number in (0, 1)]
+
+
+@pytest.mark.parametrize("commands", [_DISCONNECT, _OFF_AND_ON], ids=["disconnected", "off and on"])
+def test_a_broken_radio_link_comes_back(commands: list[str], addresses: tuple[str, str], base: Path) -> None:
+    """The virtual radio has no supervision timeout, so both ends are told, or both switched off."""
+    client_side = StandIn()
+    with (
+        server_process(addresses[0], base),
+        running(session("client", addresses[0], Topic("/odom", "receive")), base, client_side) as client,
+    ):
+        _let_arrive(client_side, "/odom", 5)
+        before = link(client).since
+        for command in commands:
+            subprocess.run(command.format(server=addresses[0]).split(), check=True)
+        wait_until(lambda: link(client).since != before, "the client notices")
+        client_side.arrived["/odom"].clear()
+        _let_arrive(client_side, "/odom", 5)
