@@ -52,3 +52,24 @@ def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tupl
             await steps(pilot)
 
     asyncio.run(run())
+
+
+async def fill(pilot: Pilot, **values: str) -> None:
+    """Type each value into the form's field of that key, in place of what is there."""
+    for key, value in values.items():
+        control = pilot.app.screen.form.fields[key].control
+        control.focus()
+        await pilot.pause()
+        await pilot.press("end", "ctrl+u", *value)
+        assert control.value == value
+
+
+async def choose(pilot: Pilot, key: str, value: str) -> None:
+    """Move a choice until `value` is chosen."""
+    control = pilot.app.screen.form.fields[key].control
+    control.focus()
+    for _ in range(10):
+        if control.value == value:
+            return
+        await pilot.press("right")
+    raise AssertionError(f"{key} has no {value}")

@@ -70,7 +70,7 @@ class Machines(CursorLines):
         )
 
 
-class Channels(LiveLines):
+class Channels(LiveLines, can_focus=False):
     """Channels 1-30 of each adapter: free, busy, or this bridge's own."""
 
     def __init__(self) -> None:

@@ -70,7 +70,7 @@ class LinksTable(CursorLines):
         )
 
 
-class LinkDetail(LiveLines):
+class LinkDetail(LiveLines, can_focus=False):
     """What has no column: why it is down, the key, the other side."""
 
     def __init__(self) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 RUNNING = "◌"
 
 
-class Steps(LiveLines):
+class Steps(LiveLines, can_focus=False):
     """What is done and what is being done, each with the time it took."""
 
     def __init__(self) -> None:

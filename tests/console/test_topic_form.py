@@ -1,0 +1,269 @@
+"""Topics added, edited and removed by keyboard: picked from both graphs, refused in words, asked about."""
+
+from dataclasses import replace
+
+import msgspec
+import pytest
+from driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text, until
+from scripted import SESSION, ScriptedEngine, route
+from textual.pilot import Pilot
+
+from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.session import Client, Session, Topic
+from rsb_bridge.session_file import validate_topic
+from rsb_bridge.snapshot import TopicInfo
+from rsb_console.topic_draft import Ends, offers_of, qos_text, topic_of, values_of
+
+SERVER = msgspec.structs.replace(
+    SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"
+)
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type_and_qos(size: tuple[int, int]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a", *"dep")
+        await shown(pilot, "▌→ /camera/depth")
+        assert "not an absolute topic name" not in text(app), "what is looked for is no mistake"
+        await pilot.press("down", "enter")  # the second: from the server's graph
+        await shown(pilot, "sensor_msgs/msg/Image")
+        await shown(pilot, "● receive")
+        await pilot.press("enter")
+        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
+        expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image", qos="sensor_data")
+        assert app.engine.commands[-1] == ("add", expected, "robot1")
+        await shown(pilot, "/camera/depth: added")
+
+    drive(app, steps, size=size)
+
+
+def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a", *"/camera")
+        await shown(pilot, "/camera/depth")
+        await pilot.press("enter", "enter")
+        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
+        assert app.engine.commands[-1] == ("add", Topic("/camera", "transmit"), "robot1")
+
+    drive(app, steps)
+
+
+MISTAKES = [
+    ("type", "LaserScam", "did you mean sensor_msgs/msg/LaserScan"),
+    ("qos", "sensor_date", "did you mean sensor_data?"),
+    ("qos", "{depth: 0}", "depth: at least 1, not 0"),
+    ("qos", "{depth", "is not one of auto"),
+    ("port", "70000", "70000 is not a port"),
+    ("port", "49152", "is the server_port"),
+    ("port", "x", "'x' is not"),
+    ("remote_topic", "scan", "did you mean /scan?"),
+    ("max_rate", "-1", "more than 0"),
+    ("expected_rate", "fast", "'fast' is not a number"),
+    ("stale_after", "inf", "is not a time"),
+    ("topic", "/1scan", "did you mean /_1scan?"),
+]
+
+
+def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "Add a topic")
+        await fill(pilot, topic="/scan")
+        for key, typed, words in MISTAKES:
+            field = app.screen.form.fields[key]
+            await fill(pilot, **{key: typed})
+            await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
+            app.screen.form.fields["direction"].control.focus()
+            await pilot.press("enter")
+            await until(pilot, lambda f=field: f.control.has_focus, f"the focus on {key}")
+            assert field.problem.display
+            await fill(pilot, **{key: ""})
+            await until(pilot, lambda f=field, k=key: k == "topic" or not f.problem.display, f"{key} to be right")
+        assert not any(command[0] == "add" for command in app.engine.commands)
+        await pilot.press("escape")
+        await gone(pilot, "Add a topic")
+
+    drive(app, steps)
+
+
+def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
+    app = scripted_app(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "Add a topic")
+        await fill(pilot, topic="/scan")
+        await pilot.press("enter", "enter")
+        await shown(pilot, "as transmit: one can go")
+        await choose(pilot, "direction", "receive")
+        await gone(pilot, "one can go")
+
+    drive(app, steps)
+
+
+def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
+    spec = Topic("/scan", "receive", qos={"reliability": "best_effort", "depth": 3}, max_rate=2.5, port=5000)
+    routes = (route("/scan", spec=spec),)
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/scan")
+        await pilot.press("e")
+        await shown(pilot, "{reliability: best_effort, depth: 3}")
+        await pilot.press("enter")
+        await gone(pilot, "Edit /scan")
+        assert app.engine.commands == [], "nothing was changed"
+        await pilot.press("e")
+        await shown(pilot, "Edit /scan")
+        await fill(pilot, max_rate="5")
+        await choose(pilot, "compression", "zstd")
+        await pilot.press("enter")
+        await until(pilot, lambda: app.engine.commands, "the command")
+        became = msgspec.structs.replace(spec, max_rate=5, compression="zstd")
+        assert app.engine.commands == [("edit", "/scan", became)]
+
+    drive(app, steps)
+
+
+def test_removing_asks_with_the_focus_on_no() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("d", "enter")
+        await gone(pilot, "Remove /robot2/scan?")
+        await pilot.press("d", "escape")
+        await gone(pilot, "Remove /robot2/scan?")
+        assert app.engine.commands == []
+        await pilot.press("d", "y")
+        await until(pilot, lambda: app.engine.commands, "the command")
+        assert app.engine.commands == [("remove", "/robot2/scan")]
+
+    drive(app, steps)
+
+
+def test_on_a_server_the_form_asks_which_client() -> None:
+    links = ("robot1", "robot2")
+
+    class Server(ScriptedEngine):
+        def __init__(self, *args) -> None:
+            super().__init__(*args)
+            (link,) = self.now.links
+            self.now = replace(self.now, links=tuple(replace(link, name=name) for name in links))
+
+    app = scripted_app(session=SERVER, make_engine=Server)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "● robot1   ○ robot2")
+        assert "transmit ←" in text(app)
+        await choose(pilot, "link", "robot2")
+        await until(pilot, lambda: ("topics", "robot2") in app.engine.commands, "a look at robot2's graph")
+        await fill(pilot, topic="/scan")
+        await pilot.press("enter", "enter")
+        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
+        assert app.engine.commands[-1] == ("add", Topic("/scan", "transmit"), "robot2")
+
+    drive(app, steps)
+
+
+def test_a_restart_asks_then_shows_its_steps() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("R", "enter")
+        await gone(pilot, "Restart the bridge?")
+        assert app.engine.commands == []
+        await pilot.press("R", "y")
+        await shown(pilot, "✓ restarted")
+        assert text(app).index("telling the peer") < text(app).index("sockets closed") < text(app).index("restarted")
+        await pilot.press("enter")
+        await gone(pilot, "✓ restarted")
+
+    drive(app, steps)
+
+
+def test_readonly_has_none_of_it() -> None:
+    app = scripted_app(readonly=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a", "e", "d", "R", "w", "o")
+        await pilot.pause()
+        assert app.screen is app.main
+        assert app.engine.commands == []
+
+    drive(app, steps)
+
+
+# -- the texts -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        Topic("/scan", "receive"),
+        Topic("/scan", "transmit", "LaserScan", "udp", 5000, "latched", "/there", "zstd", 5.0, 10.0, 0.0, paused=True),
+        Topic("/scan", "transmit", qos=20, max_rate=0.25),
+        Topic("/scan", "transmit", qos={"profile": "sensor_data", "depth": 20, "deadline": 0.5}),
+    ],
+)
+def test_a_topic_survives_the_form(topic: Topic) -> None:
+    assert topic_of(values_of(topic)) == topic
+
+
+@pytest.mark.parametrize(
+    ("qos", "words"),
+    [
+        (None, "auto"),
+        (Qos(), "default"),
+        (Qos(depth=0), "default"),
+        (Qos(reliability="best_effort"), "sensor_data"),
+        (Qos(durability="transient_local"), "{durability: transient_local}"),
+        (Qos(reliability="best_effort", deadline=0.5), "{reliability: best_effort, deadline: 0.5}"),
+    ],
+)
+def test_a_graphs_qos_in_the_session_files_words(qos: Qos | None, words: str) -> None:
+    assert qos_text(qos) == words
+    topic = topic_of({"topic": "/scan", "direction": "transmit", "qos": words})
+    assert validate_topic(topic) == []
+    if qos is not None and words not in PROFILES:
+        assert topic.parsed_qos() == qos
+
+
+def info(topic: str, publishers: int = 1, subscriptions: int = 0) -> TopicInfo:
+    return TopicInfo(topic, "std_msgs/msg/String", "", Qos() if publishers else None, publishers, subscriptions)
+
+
+@pytest.mark.parametrize("is_server", [False, True])
+def test_topics_flow_from_publishers_to_where_somebody_listens(is_server: bool) -> None:
+    here, there = [info("/a"), info("/b", 0, 1)], [info("/c"), info("/d", 0, 2)]
+    offers = offers_of(Ends(is_server, "robot1", use_name=False), here, there, bridged=())
+    ways = {offer.value: offer.fills["direction"] for offer in offers}
+    to_there, to_here = ("receive", "transmit") if is_server else ("transmit", "receive")
+    assert ways == {"/a": to_there, "/b": to_here, "/c": to_here, "/d": to_there}
+
+
+def test_what_crosses_already_is_not_offered_again() -> None:
+    offers = offers_of(Ends(False, "robot1", False), [info("/a"), info("/b")], [], [Topic("/a", "transmit")])
+    assert [offer.value for offer in offers] == ["/b"]
+
+
+def test_the_servers_names_lose_the_clients_prefix() -> None:
+    session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=1, use_name=True)
+    offers = offers_of(Ends.of(session, "robot1"), [], [info("/robot1/map"), info("/robot2/map"), info("/map")], ())
+    assert [(offer.value, offer.fills["direction"]) for offer in offers] == [("/map", "receive")]
+    assert Ends.of(SERVER, "robot2").use_name is False
+    assert Ends.of(SERVER, "robot1").use_name is True
