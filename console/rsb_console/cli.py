@@ -107,6 +107,9 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-ui", action="store_true", help="bridge without the console, and log")
     parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
     parser.add_argument(
+        "--status-every", type=_seconds, default=5.0, metavar="N", help="with --no-ui: a status line every N s (5)"
+    )
+    parser.add_argument(
         "--on-hangup", choices=("stop", "continue"), default="stop", help="when the terminal goes away (%(default)s)"
     )
     parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")

@@ -38,7 +38,13 @@ def run(arguments: Namespace) -> int:
     if arguments.no_ui and path is not None and session is not None:
         from rsb_console.headless import run_headless  # noqa: PLC0415 (needs ROS)
 
-        return run_headless(path, session, log_format=arguments.log_format, on_hangup=arguments.on_hangup)
+        return run_headless(
+            path,
+            session,
+            log_format=arguments.log_format,
+            on_hangup=arguments.on_hangup,
+            status_every=arguments.status_every,
+        )
     if not _can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
         return USAGE
     from rsb_console.app import run_console  # noqa: PLC0415 (needs Textual)

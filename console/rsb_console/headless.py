@@ -27,7 +27,7 @@ _LOOK_EVERY = 0.25
 _TOPICS_IN_STATUS = 8
 
 
-def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: str) -> int:
+def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: str, status_every: float) -> int:
     """Bridge until a signal, or until the link is shut down on purpose.
 
     Args:
@@ -35,6 +35,7 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
         session: what to bridge.
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
+        status_every: s between status lines.
 
     Returns:
         The exit code.
@@ -45,7 +46,7 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
     except EngineError as error:
         complain(str(error))
         return FAILURE
-    return bridge_on(engine, log_format=log_format, on_hangup=on_hangup)
+    return bridge_on(engine, log_format=log_format, on_hangup=on_hangup, status_every=status_every)
 
 
 def bridge_on(
@@ -53,6 +54,7 @@ def bridge_on(
     *,
     log_format: str = "text",
     on_hangup: str = "continue",
+    status_every: float = STATUS_EVERY,
     crashed: bool = False,
     seconds: float | None = None,
 ) -> int:
@@ -62,6 +64,7 @@ def bridge_on(
         engine: a running one.
         log_format: as `run_headless`.
         on_hangup: as `run_headless`.
+        status_every: as `run_headless`.
         crashed: a console has crashed above it: say so, and exit non-zero in the end.
         seconds: stop by itself after so long.
     """
@@ -71,7 +74,7 @@ def bridge_on(
         complain("the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)")
     status = _json_status if log_format == "json" else _text_status
     ends = None if seconds is None else time.monotonic() + seconds
-    next_status = time.monotonic() + STATUS_EVERY
+    next_status = time.monotonic() + status_every
     seen, reason = 0, ""
     with signals:
         while not reason:
@@ -81,7 +84,7 @@ def bridge_on(
             now = time.monotonic()
             snapshot = engine.snapshot()
             if now >= next_status:
-                next_status = now + STATUS_EVERY
+                next_status = now + status_every
                 printer.line(status(snapshot))
             reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
         printer.line(
