@@ -15,7 +15,10 @@ from rsb_bridge.hci import ANY_ADAPTER, CHANNELS, Adapter, NoBluetoothError
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-__all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "Device", "Scan", "Use", "scan"]
+    from rsb_bridge.session import Session
+    from rsb_bridge.snapshot import Snapshot
+
+__all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "Device", "Scan", "Use", "held_channels", "scan"]
 
 
 class Use(StrEnum):
@@ -87,6 +90,14 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
         problems.append(f"{error}. Channels can't be tried")
     names = {one.name for one in chosen}
     return Scan(tuple(chosen), channels, tuple(one for one in devices if one.adapter in names), tuple(problems))
+
+
+def held_channels(session: Session, snapshot: Snapshot) -> set[tuple[str, int]]:
+    """The channels that an engine listens on: `scan`'s `own_channels`."""
+    if not (session.is_bluetooth and session.role == "server" and snapshot.running):
+        return set()
+    channels = {session.server_port, *(route.port for route in snapshot.routes)}
+    return {(session.server_ip, channel) for channel in channels}
 
 
 def _names(adapter: Adapter) -> tuple[str, str]:

@@ -9,11 +9,14 @@ from __future__ import annotations
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Hashable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.qos import Qos
 from rsb_bridge.ros.api import Endpoint, Sink, Taken
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from rsb_bridge.qos import Qos
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 
@@ -96,7 +99,7 @@ class StandIn:
         self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
     ) -> _Subscription:
         self._sinks[topic] = sink
-        return _Subscription(lambda: self._sinks.pop(topic, None))
+        return _Subscription(self._sinks, topic)
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Publisher:
         return _Publisher(self.arrived[topic])
@@ -105,8 +108,12 @@ class StandIn:
 class _Subscription:
     lost = 0
 
-    def __init__(self, close: Callable[[], object]) -> None:
-        self.close = close
+    def __init__(self, sinks: dict[str, Sink], topic: str) -> None:
+        self._sinks = sinks
+        self._topic = topic
+
+    def close(self) -> None:
+        self._sinks.pop(self._topic, None)
 
 
 class _Publisher:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import struct
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+
+from rsb_bridge.bluetooth import Scan, Use, held_channels, scan
 from rsb_bridge.engine import Engine
 from rsb_bridge.keys import write_key
 from rsb_bridge.qos import Qos
 from rsb_bridge.session import Session, Topic
 from rsb_bridge.snapshot import State
 
-from .conftest import wait_until
+from .conftest import holding, wait_until
 from .stand_in import StandIn
 
 if TYPE_CHECKING:
@@ -89,7 +93,7 @@ def test_a_megabyte_each_way_encrypted(addresses: tuple[str, str], base: Path) -
     ):
         wait_until(lambda: client_side.subscribed("/there") and server_side.subscribed("/back"), "both topics open")
         for engine, peer in ((client, addresses[0]), (server, addresses[1])):
-            wait_until(lambda engine=engine: linked(engine), "the snapshot says so")
+            wait_until(partial(linked, engine), "the snapshot says so")
             assert link(engine).encrypted
             assert link(engine).cipher in {"AESGCM", "CHACHAPOLY"}
             assert link(engine).peer == f"{peer} channel {_CHANNEL}"
@@ -118,7 +122,7 @@ def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
         _let_arrive(server_side, "/joy", 20)
         alone = _latencies(server_side)
         for name, size in sizes.items():
-            client_side.publish_at(50, f"/{name}", lambda _, size=size: bytes(size))
+            client_side.publish_at(50, f"/{name}", partial(_message, size))
         wait_until(lambda: route(client, "/map").ledger.dropped.get("queue full", 0) > 5, "the link is full")
         server_side.arrived["/joy"].clear()
         _let_arrive(server_side, "/joy", 50)
@@ -132,6 +136,10 @@ def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
     assert 9.5 < rate < 10.5
     assert beside[len(beside) // 2] < 0.05
     assert beside[-1] < 0.2
+
+
+def _message(size: int, _: int) -> bytes:
+    return bytes(size)
 
 
 def _let_arrive(side: StandIn, topic: str, count: int) -> None:
@@ -153,16 +161,28 @@ def test_a_wrong_key_is_refused_in_words(addresses: tuple[str, str], base: Path)
 
 
 def test_a_topic_with_a_channel_of_its_own(addresses: tuple[str, str], base: Path) -> None:
+    """And the scan tells the bridge's channels from others'."""
     client_side, server_side = StandIn(scan=Qos()), StandIn()
     topics = [Topic("/scan", "transmit", port=11)]
+    listening = session("server", addresses[0])
     with (
-        running(session("server", addresses[0]), base, server_side),
+        running(listening, base, server_side) as server,
         running(session("client", addresses[0], *topics), base, client_side) as client,
     ):
         wait_until(lambda: client_side.subscribed("/scan"), "open")
         client_side.publish("/scan", b"1" * 10_000)
         _let_arrive(server_side, "/scan", 1)
         assert route(client, "/scan").port == 11
+        wait_until(lambda: len(held_channels(listening, server.snapshot())) == 2, "the snapshot has both")
+        with holding((addresses[0], 12, "listen")):
+            found = asyncio.run(scan(own_channels=held_channels(listening, server.snapshot())))
+        assert _channels(found, addresses[0], Use.OWN) == {_CHANNEL, 11}
+        assert _channels(found, addresses[0], Use.BUSY) == {12}
+    assert not _channels(asyncio.run(scan()), addresses[0], Use.BUSY)
+
+
+def _channels(found: Scan, address: str, use: Use) -> set[int]:
+    return {number for number, what in found.channels[address].items() if what is use}
 
 
 _SERVER = """
