@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
-import os
+import fcntl
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
+    from tests.support.relay import Relay
 
-_DOMAINS = 30 + os.getpid() % 15 * 2  # 30 to 59: two runs on one machine seldom meet
-
-
-@pytest.fixture(scope="session")
-def _robot_domain() -> Iterator[Domain]:
-    yield from _domain(_DOMAINS)
+_DOMAINS = range(30, 60, 2)
 
 
 @pytest.fixture(scope="session")
-def _pc_domain() -> Iterator[Domain]:
-    yield from _domain(_DOMAINS + 1)
+def _domains() -> Iterator[int]:
+    """The first of two domains that no other run on this machine uses."""
+    for domain_id in _DOMAINS:
+        with (Path(tempfile.gettempdir()) / f"rsb-console-tests-{domain_id}").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain_id
+            return
+    pytest.fail(f"domains {_DOMAINS} are all in use by other runs of these tests")
+
+
+@pytest.fixture(scope="session")
+def _robot_domain(_domains: int) -> Iterator[Domain]:
+    yield from _domain(_domains)
+
+
+@pytest.fixture(scope="session")
+def _pc_domain(_domains: int) -> Iterator[Domain]:
+    yield from _domain(_domains + 1)
 
 
 def _domain(domain_id: int) -> Iterator[Domain]:
@@ -56,4 +72,16 @@ def bridge(tmp_path: Path, robot: Domain, pc: Domain) -> Iterator[Bridge]:
 
     made = Bridge(tmp_path, robot, pc)
     yield made
+    made.close()
+
+
+@pytest.fixture
+def relay(bridge: Bridge) -> Iterator[Relay]:
+    """A network between the clients and the server that `bridge` makes."""
+    from tests.support.relay import Relay
+
+    made = Relay(bridge.port)
+    bridge.through(made)
+    yield made
+    bridge.close()
     made.close()

@@ -144,7 +144,7 @@ class Dialogue:
             case Describe() if isinstance(route, IncomingRoute):
                 route.described(message)
             case Ready() if isinstance(route, OutgoingRoute):
-                route.peer_ready()
+                route.peer_ready(message.before)
             case Close() if message.removed:
                 self._link.forget(route, f"removed by the other side: {message.reason}")
             case Close():

@@ -34,17 +34,20 @@ class IncomingRoute(Route):
         self._received = 0
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
+        self._before: ReceivedReport | None = None
         self._report: SentReport | None = None
         self._clash = ""
         self._subscribers = 0
 
     # --- setting up
 
-    def open(self, route_id: int) -> None:
-        """Begin a new opening: it is counted anew, as the sender does."""
-        super().open(route_id)
-        self._received = self._delivered = 0
-        self._dropped.clear()
+    def close(self, reason: str) -> None:
+        """End the opening. The next one is counted anew, as the sender does, who is told then what came of this one."""
+        if self._received:
+            self._before = self.received_report()
+            self._received = self._delivered = 0
+            self._dropped.clear()
+        super().close(reason)
 
     def described(self, description: Describe) -> None:
         """The sender says what it will send: have a publisher for it, or say why not."""
@@ -68,7 +71,7 @@ class IncomingRoute(Route):
                 return
             self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
         self.log(Level.INFO, f"← {self.transport} connected ({description.type})")
-        self.peer.send(Ready(route=self.id))
+        self.peer.send(Ready(route=self.id, before=self._before))
         self.advance()
 
     def _current(self) -> tuple[object, ...]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import zstandard
 
+from rsb_bridge.account import Account
 from rsb_bridge.qos import Qos, incompatible, match_publishers
 from rsb_bridge.ros.api import Endpoint, RosError, Subscription, Taken
 from rsb_bridge.ros.types import expand_type_name
@@ -27,19 +28,6 @@ _RADIO_QUEUE_BYTES = 64 * 1024  # on Bluetooth, a second or two, of what needn't
 _BATCH = 16
 _SETTLE = 2.0
 _ZSTD_LEVEL = 3
-
-
-@dataclass(slots=True)
-class _Tally:
-    """What this side counted, since the route was made."""
-
-    offered: int = 0
-    throttled: int = 0
-    sent: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-    delivered: int = 0
-    expired: int = 0
-    lost_in_dds: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +52,7 @@ class OutgoingRoute(Route):
         self._due = 0
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._largest = LARGEST_DATAGRAM_MESSAGE if proposal.transport == "udp" else MESSAGE_LIMIT
-        self._tally = _Tally()
-        self._sent_before = 0  # in earlier openings
-        self._report: ReceivedReport | None = None
+        self._account = Account()
         self._described: Describe | None = None
         self._ready = False
         self._publishers: list[Endpoint] = []
@@ -80,8 +66,9 @@ class OutgoingRoute(Route):
         self._hint = (type_name, type_hash)
         super().agreed()
 
-    def peer_ready(self) -> None:
-        """The peer has a publisher for what was described."""
+    def peer_ready(self, before: ReceivedReport | None) -> None:
+        """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
+        self._account.settle(before)
         self._ready = True
         self.advance()
 
@@ -166,45 +153,38 @@ class OutgoingRoute(Route):
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
-            self._tally.lost_in_dds += self._subscription.lost
+            self._account.lost_in_dds += self._subscription.lost
             self._subscription.close()
             self._subscription = None
 
+    def open(self, route_id: int) -> None:
+        """Begin a new opening."""
+        super().open(route_id)
+        self._account.opened(route_id)
+
     def close(self, reason: str) -> None:
-        """End the opening: what was under way is settled with the peer's last word."""
+        """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
         self._unsubscribe()
         self._described = None
         self._ready = False
-        self._settle()
-        super().close(reason)
-
-    def _settle(self) -> None:
-        tally, report = self._tally, self._report
-        lost = len(self._queue) + tally.sent - self._sent_before
-        if report is not None:
-            tally.delivered += report.delivered
-            tally.expired += report.expired
-            tally.dropped.update(report.dropped)
-            lost -= report.delivered + report.expired + sum(report.dropped.values())
-        if lost > 0:
-            tally.dropped["link lost"] += lost
-        self._sent_before = tally.sent
-        self._report = None
+        self._account.drop("link lost", len(self._queue))
+        self._account.closed()
         self._queue.clear()
         self._queue_bytes = 0
+        super().close(reason)
 
     # --- messages
 
     def offer(self, batch: Sequence[Taken]) -> None:
         """Take messages from the ROS side, oldest first."""
-        self._tally.offered += len(batch)
+        self._account.offered += len(batch)
         messages: list[Message] = [(payload, stamp, 0) for payload, stamp in batch]
         if self._interval:
             messages = self._throttle(messages)
         if self._compressor is not None:
             messages = [self._compress(message) for message in messages]
         if not self.flowing:
-            self._drop("link lost", len(messages))
+            self._account.drop("link lost", len(messages))
             return
         self.count(len(messages), sum([len(message[0]) for message in messages]))
         self._enqueue(messages)
@@ -221,7 +201,7 @@ class OutgoingRoute(Route):
                 size += len(message[0])
                 batch.append(message)
             self._queue_bytes -= size
-            self._tally.sent += len(batch)
+            self._account.sent(len(batch))
             path.send(batch)
 
     def _enqueue(self, messages: list[Message]) -> None:
@@ -239,17 +219,18 @@ class OutgoingRoute(Route):
         limit = _RADIO_QUEUE_BYTES if stale else _QUEUE_BYTES + self._largest
         while len(queue) > 1 and ((depth and len(queue) > depth) or self._queue_bytes > limit):
             self._queue_bytes -= len(queue.popleft()[0])
-            self._drop("queue full", 1)
+            self._account.drop("queue full", 1)
 
     def _throttle(self, messages: list[Message]) -> list[Message]:
         kept = []
         for message in messages:
             stamp = message[1]
-            if stamp >= self._due:
+            late = stamp - self._due
+            if late >= 0:
                 # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
-                self._due = max(self._due + self._interval, stamp - self._interval)
+                self._due = (self._due if late < self._interval else stamp) + self._interval
                 kept.append(message)
-        self._tally.throttled += len(messages) - len(kept)
+        self._account.throttled += len(messages) - len(kept)
         return kept
 
     def _compress(self, message: Message) -> Message:
@@ -259,53 +240,30 @@ class OutgoingRoute(Route):
         return (smaller, stamp, flags | ZSTD) if len(smaller) < len(payload) else message
 
     def _too_large(self, size: int) -> None:
-        self._drop("too large", 1)
+        self._account.drop("too large", 1)
         text = f"a message of {size:,} bytes is more than {self.transport} carries here ({self._largest:,}): use tcp"
         if text != self.last_error:
             self.last_error = text
             self.log(Level.ERROR, text)
 
-    def _drop(self, cause: str, count: int) -> None:
-        if count:
-            self._tally.dropped[cause] += count
-
     # --- the ledger
 
     def reported(self, report: ReceivedReport) -> None:
         """The peer said what arrived in the present opening."""
-        self._report = report
+        self._account.reported(report)
         self.latency.p50, self.latency.p99, self.latency.jitter = report.latency_p50, report.latency_p99, report.jitter
 
     def ledger(self) -> Ledger:
         """Where the messages went, by the peer's last report."""
-        tally, report = self._tally, self._report
-        delivered, expired, dropped = tally.delivered, tally.expired, Counter(tally.dropped)
-        if report is not None:
-            delivered += report.delivered
-            expired += report.expired
-            dropped.update(report.dropped)
-            if lost := self._lost_on_the_way(report):
-                dropped["lost on the way"] += lost
-        accounted = delivered + expired + tally.throttled + dropped.total()
-        lost_in_dds = tally.lost_in_dds + (self._subscription.lost if self._subscription else 0)
-        return Ledger(
-            offered=tally.offered,
-            delivered=delivered,
-            throttled=tally.throttled,
-            expired=expired,
-            in_flight=max(0, tally.offered - accounted),
-            dropped=dict(dropped),
-            lost_in_dds=lost_in_dds,
-        )
+        return self._account.ledger(self._subscription.lost if self._subscription else 0, self._passed())
 
-    def _lost_on_the_way(self, report: ReceivedReport) -> int:
-        """Datagrams' messages that the peer has passed over, or that should long have arrived."""
-        if self.transport != "udp":
+    def _passed(self) -> int:
+        """Datagrams' messages that the peer has seen newer ones of, or that should long have arrived; 0 on streams."""
+        report = self._account.report
+        if self.transport != "udp" or report is None:
             return 0
-        sent = self._tally.sent - self._sent_before
         quiet = self.meter.last is not None and self.context.now() - self.meter.last > _SETTLE
-        passed = sent if quiet else report.newest
-        return max(0, passed - report.received - report.expired - report.incomplete)
+        return self._account.sent_now if quiet and not self._queue else report.newest
 
     def sent_report(self) -> SentReport:
         """What the peer is told."""
@@ -326,7 +284,7 @@ class OutgoingRoute(Route):
 
     def stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""
-        report = self._report
+        report = self._account.report
         known = self._described is not None
         publishers = len(self._publishers)
         failed = self._unresolved.stage if self._unresolved else ""
@@ -339,7 +297,7 @@ class OutgoingRoute(Route):
             Stage("subscribed", self._subscription is not None or None),
             self.link_stage(),
             Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
-            Stage("sent", self._tally.sent > 0 or None),
+            Stage("sent", self._account.sent_now > 0 or None),
             Stage("received", (report is not None and report.received > 0) or None),
             Stage("published", (report is not None and report.delivered > 0) or None),
             Stage(

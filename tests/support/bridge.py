@@ -7,20 +7,22 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from tests.support.waiting import eventually
+
 from rsb_bridge.engine import Engine
 from rsb_bridge.keys import write_key
 from rsb_bridge.session import Session, Topic
 from rsb_bridge.snapshot import State
-from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
     from rclpy.publisher import Publisher
+    from tests.support.domain import Domain, Listener
+    from tests.support.relay import Relay
 
     from rsb_bridge.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot
-    from tests.support.domain import Domain, Listener
 
 STOPS_WITHIN = 5.0
 
@@ -40,7 +42,12 @@ class Bridge:
         self.pc = pc
         self.port = free_port()
         self.key_file = self.make_key("robot1")
+        self._addresses = {"server": "127.0.0.1", "client": "127.0.0.1"}
         self._engines: list[Engine] = []
+
+    def through(self, relay: Relay) -> None:
+        """Have clients call a relay instead of the server."""
+        self._addresses = {"server": relay.SERVER, "client": relay.HOST}
 
     def make_key(self, name: str) -> str:
         """A new key file."""
@@ -60,7 +67,7 @@ class Bridge:
         common = {
             "name": "robot1",
             "role": role,
-            "server_ip": "127.0.0.1",
+            "server_ip": self._addresses[role],
             "server_port": self.port,
             "domain_id": domain_id,
             "key_file": self.key_file,
@@ -90,12 +97,13 @@ class Bridge:
 
     def close(self) -> None:
         """Stop all engines: in time, without a thread left, and without ever having failed inside."""
-        for engine in self._engines:
+        engines, self._engines = self._engines, []
+        for engine in engines:
             began = time.monotonic()
             engine.stop()
             assert time.monotonic() - began < STOPS_WITHIN
-        assert [] == [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")]
-        assert [] == [event.text for engine in self._engines for event in engine.events() if "internal" in event.text]
+        assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
+        assert [event.text for engine in engines for event in engine.events() if "internal" in event.text] == []
 
 
 def free_port(host: str = "127.0.0.1") -> int:
@@ -131,7 +139,11 @@ def find(engine: Engine, topic: str) -> RouteSnapshot | None:
 
 def stage(engine: Engine, topic: str, name: str) -> bool | None:
     """Whether a message's way is known to lead past a stage."""
-    return next((each.done for each in found.stages if each.name == name), None) if (found := find(engine, topic)) else None
+    return (
+        next((each.done for each in found.stages if each.name == name), None)
+        if (found := find(engine, topic))
+        else None
+    )
 
 
 def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[str]) -> None:

@@ -153,9 +153,15 @@ class Describe(_Message, frozen=True):
 
 
 class Ready(_Message, frozen=True):
-    """The receiving side: the publisher is made, send."""
+    """The receiving side: the publisher is made, send.
+
+    Attributes:
+        route: which.
+        before: what was counted in the last opening in which anything came; its route id names that opening.
+    """
 
     route: RouteId
+    before: ReceivedReport | None = None
 
 
 class Close(_Message, frozen=True):

@@ -1,0 +1,194 @@
+"""No message goes unaccounted for: the ledger against what publisher and subscriber counted themselves."""
+
+from __future__ import annotations
+
+import random
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.bridge import balance, carries, eventually, heard, linked, route, said, settled
+from tests.support.domain import text
+from tests.support.relay import message_number
+
+from rsb_bridge.session import Topic
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+
+def publish(publisher: Publisher, numbers: range, size: int = 0) -> None:
+    """Publish the numbers, each in a message of its own."""
+    for number in numbers:
+        publisher.publish(text(f"{number}" + " " * size))
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("direction", ["transmit", "receive"])
+def test_everything_arrives_on_a_good_line(
+    protocol: Any, direction: Any, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    near, far = (robot, pc) if direction == "transmit" else (pc, robot)
+    there, out = far.listener("/count"), near.publisher("/count")
+    server, client = bridge.both(Topic("/count", direction, protocol=protocol, qos={"depth": 1000}))
+    sender, receiver = (client, server) if direction == "transmit" else (server, client)
+    carries([out], receiver, ["/count"])
+    publish(out, range(500))
+    assert heard(there, 500) == [text(f"{number}") for number in range(500)]
+    ledger = settled(sender, "/count", 500)
+    assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (500, {}, 0)
+    eventually(lambda: route(receiver, "/count").ledger == ledger)
+
+
+def test_datagrams_that_are_lost(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Every tenth datagram, then the last three: what is not heard is counted as lost, nothing twice."""
+    there, out = pc.listener("/count"), robot.publisher("/count")
+    _, client, lost = *lossy(bridge, relay, out, "/count"), []
+    kept = iter(range(1_000_000))
+
+    def lose_some(datagram: bytes) -> list[bytes]:
+        number = message_number(datagram)
+        if number is None or not (next(kept) % 10 == 0 or number > 297):
+            return [datagram]
+        lost.append(number)
+        return []
+
+    relay.to_server = lose_some
+    publish(out, range(300))
+    ledger = settled(client, "/count", 300, within=15)
+    assert len(lost) >= 30
+    assert len(there.payloads) == ledger.delivered == 300 - len(lost)
+    assert ledger.dropped == {"lost on the way": len(lost)}
+    assert balance(ledger) == 300
+
+
+def test_fragments_that_are_lost_late_and_twice(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Messages of four datagrams, in any order: a whole one arrives once, a torn one expires, the rest adds up."""
+    there, out = pc.listener("/count"), robot.publisher("/count")
+    _, client = lossy(bridge, relay, out, "/count")
+    chance, torn, held = random.Random(1), set[int](), []
+
+    def jumble(datagram: bytes) -> list[bytes]:
+        number = message_number(datagram)
+        if number is None:
+            return [datagram]
+        fate = chance.random()
+        if fate < 0.05:
+            torn.add(number)
+            return []
+        if fate < 0.2:
+            held.append(datagram)
+            return []
+        late, held[:] = held[:], []
+        return [datagram, *late, datagram]
+
+    relay.to_server = jumble
+    publish(out, range(100), size=200_000)
+    eventually(lambda: route(client, "/count").ledger.offered == 100)
+    relay.to_server = lambda datagram: [datagram]
+    ledger = settled(client, "/count", 100, within=15)
+    assert torn
+    assert len(there.payloads) == len(set(there.payloads)) == ledger.delivered
+    assert ledger.delivered + ledger.expired + ledger.dropped.get("lost on the way", 0) == 100
+    assert 100 - len(torn) - len(held) <= ledger.delivered <= 100 - len(torn)
+    assert balance(ledger) == 100
+
+
+def lossy(bridge: Bridge, relay: Relay, out: Publisher, topic: str) -> tuple[Engine, Engine]:
+    """Both engines, with a UDP topic that is open."""
+    server, client = bridge.both(Topic(topic, "transmit", protocol="udp", qos={"depth": 1000}))
+    carries([out], server, [topic])
+    return server, client
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_a_link_that_is_cut(protocol: Any, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Three times amid traffic: what the other side published is delivered, also what it had not reported yet."""
+    there, out = pc.listener("/count"), robot.publisher("/count")
+    server, client = bridge.both(Topic("/count", "transmit", protocol=protocol, qos={"depth": 1000}))
+    sent = 0
+    for _ in range(3):
+        carries([out], server, ["/count"])
+        before = len(there.payloads)
+        publish(out, range(sent, sent + 100))
+        sent += 100
+        heard(there, before + 50)
+        relay.cut()
+        eventually(lambda: said(client, "link lost") and not linked(client))
+        eventually(lambda: linked(client) and linked(server))
+    carries([out], server, ["/count"])
+    publish(out, range(sent, sent + 10))
+    ledger = settled(client, "/count", sent + 10, within=15)
+    assert len(there.payloads) == ledger.delivered
+    assert ledger.delivered >= 150
+    assert set(ledger.dropped) <= {"link lost"}
+    assert balance(ledger) == sent + 10
+
+
+def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """What waits in queues and sockets is counted: replaced by newer while there is hope, lost when there is none."""
+    there, out = pc.listener("/count"), robot.publisher("/count")
+    server, client = bridge.both(Topic("/count", "transmit", qos=20))
+    carries([out], server, ["/count"])
+    relay.stall()
+    published = 0
+
+    def overflows() -> bool:
+        nonlocal published
+        publish(out, range(5), size=50_000)
+        published += 5
+        return "queue full" in route(client, "/count").ledger.dropped
+
+    eventually(overflows)
+    eventually(lambda: said(client, "the peer is silent"))
+    eventually(lambda: linked(client), 15)
+    carries([out], server, ["/count"])
+    publish(out, range(10))
+    heard(there, 10)
+    lost_in_dds = route(client, "/count").ledger.lost_in_dds
+    ledger = settled(client, "/count", published + 10 - lost_in_dds, within=15)
+    assert len(there.payloads) == ledger.delivered
+    assert ledger.dropped["link lost"] >= 20
+    assert balance(ledger) + ledger.lost_in_dds == published + 10
+
+
+def test_pausing_under_traffic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """From either side; what was taken before is delivered, what is published meanwhile is nobody's."""
+    there, out = pc.listener("/count"), robot.publisher("/count")
+    server, client = bridge.both(Topic("/count", "transmit", qos={"depth": 1000}))
+    for engine in (client, server):
+        carries([out], server, ["/count"])
+        publish(out, range(100))
+        engine.pause(route(engine, "/count").key, True).result(5)
+        for side in (client, server):
+            eventually(lambda side=side: route(side, "/count").state == "paused")
+        eventually(lambda: not out.get_subscription_count())
+        publish(out, range(50))
+        engine.pause(route(engine, "/count").key, False).result(5)
+    carries([out], server, ["/count"])
+    publish(out, range(7))
+    eventually(lambda: there.payloads and there.payloads[-1] == text("6"))
+    offered = len(there.payloads)
+    ledger = settled(client, "/count", offered)
+    assert ledger.delivered == offered <= 207
+    assert ledger.dropped == {}
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_a_highest_rate(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    there, out = pc.listener("/fast"), robot.publisher("/fast")
+    server, client = bridge.both(Topic("/fast", "transmit", protocol=protocol, max_rate=20.0))
+    carries([out], server, ["/fast"])
+    began = time.monotonic()
+    for number in range(200):
+        out.publish(text(f"{number}"))
+        time.sleep(max(0.0, began + number / 100 - time.monotonic()))
+    seconds = time.monotonic() - began
+    ledger = settled(client, "/fast", 200)
+    assert ledger.delivered == len(there.payloads) == 200 - ledger.throttled
+    assert 0.8 * 20 * seconds <= ledger.delivered <= 20 * seconds + 2
