@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from scripted import SESSION, ScriptedEngine
+from textual.events import Paste
 from textual.pilot import Pilot
 
 from rsb_console.app import ConsoleApp
@@ -55,13 +56,13 @@ def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tupl
 
 
 async def fill(pilot: Pilot, **values: str) -> None:
-    """Type each value into the form's field of that key, in place of what is there."""
+    """Paste each value into the form's field of that key, in place of what is there."""
     for key, value in values.items():
         control = pilot.app.screen.form.fields[key].control
         control.focus()
-        await pilot.pause()
-        await pilot.press("end", "ctrl+u", *value)
-        assert control.value == value
+        control.value = ""
+        control.post_message(Paste(value))
+        await until(pilot, lambda c=control, v=value: c.value == v, f"{value!r} in {key}")
 
 
 async def choose(pilot: Pilot, key: str, value: str) -> None:

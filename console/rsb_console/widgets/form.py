@@ -47,11 +47,14 @@ class Words(Static):
     def __init__(self, classes: str, *, id: str | None = None) -> None:  # noqa: A002 -- Textual's name
         super().__init__(markup=False, classes=classes, id=id)
         self.display = False
+        self._words = ""
 
     def say(self, words: str) -> None:
         """Show `words`."""
-        self.update(words)
-        self.display = bool(words)
+        if words != self._words:  # Textual would lay the screen out anew even for the same
+            self._words = words
+            self.update(words)
+            self.display = bool(words)
 
 
 class Field(Vertical):
