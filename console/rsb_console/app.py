@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from platformdirs import user_log_path
-from textual import work
+from textual import events, work
 from textual.app import App
 
 from rsb_bridge.snapshot import Snapshot
@@ -289,6 +289,12 @@ class ConsoleApp(App[None]):
         """Leave; ask first while linked, or while something is not saved."""
         if await self.may_end("Quit?", "Quit"):
             self.leave(Leaving.QUIT)
+
+    async def on_event(self, event: events.Event) -> None:
+        """As Textual's, but a key that comes back from where the focus was may be part of the filter by now."""
+        if isinstance(event, events.Key) and event.is_forwarded and self.main.type_ahead(event):
+            return
+        await super().on_event(event)
 
     # -- end ----------------------------------------------------------------------------------------------------------
 

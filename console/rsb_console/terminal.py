@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+from codecs import getincrementaldecoder
+from functools import partial
 from queue import Full
 from typing import TYPE_CHECKING, Any
 
+from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from queue import Queue
+
+# Textual 8 dies of bytes that are no UTF-8, like the legacy mouse reports that tmux sends: its issue 6668.
+_lenient = partial(getincrementaldecoder("utf-8"), "replace")
+vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
 CLOSE_TIMEOUT = 1.0  # s until a terminal that does not read is given up
 
@@ -71,14 +79,9 @@ class ConsoleDriver(LinuxDriver):
             self._behind = True
 
     def run_input_thread(self) -> None:
-        """Read keys; a byte that isn't UTF-8 (a mouse report of the legacy kind: Textual's issue 6668) is left out."""
-        while not self.exit_event.is_set():
-            try:
-                super().run_input_thread()
-            except UnicodeDecodeError:
-                continue
-            except OSError:  # the terminal is gone; its file says so
-                return
+        """Read keys until the terminal is gone; its file tells the app."""
+        with contextlib.suppress(OSError):
+            super().run_input_thread()
 
     def close(self) -> None:
         """Let the last frames out, unless the terminal does not read."""

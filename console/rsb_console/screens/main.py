@@ -38,7 +38,7 @@ class MainScreen(OperationsScreen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.status, self.key_bar = StatusBar(), KeyBar()
+        self.status, self.prompt, self.key_bar = StatusBar(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
         self._frozen_since: float | None = None
         self._held: list[Event] = []
@@ -50,6 +50,7 @@ class MainScreen(OperationsScreen):
             yield self.topics
             yield self.detail
         yield self.log_pane
+        yield self.prompt
         yield self.key_bar
 
     def on_mount(self) -> None:
@@ -142,7 +143,14 @@ class MainScreen(OperationsScreen):
         """Type a filter."""
         pattern = self._list.pattern
         self._filtered = self._list
-        self.mount(Prompt("" if pattern is None else pattern.text), before=self.key_bar)
+        self.prompt.open("" if pattern is None else pattern.text)
+
+    def type_ahead(self, event: events.Key) -> bool:
+        """Whether `event` was meant for the filter: typed behind ``/`` before the focus could follow."""
+        if not self.prompt.display or not self.is_current or not event.is_printable or event.character is None:
+            return False
+        self.prompt.type(event.character)
+        return True
 
     def on_prompt_changed(self, event: Prompt.Changed) -> None:
         """Filter."""
@@ -152,8 +160,7 @@ class MainScreen(OperationsScreen):
 
     def on_prompt_closed(self) -> None:
         """Back to the list."""
-        self.query(Prompt).remove()
-        self._filtered.focus()
+        self.set_focus(self._filtered)
 
     def _show_title(self) -> None:
         parts = ["Topics"]

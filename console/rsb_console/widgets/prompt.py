@@ -30,19 +30,30 @@ class Prompt(Horizontal):
     class Closed(Message):
         """The operator is done with it."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self) -> None:
         super().__init__(id="prompt")
-        self._before = text
+        self.display = False
+        self._before = ""
 
     def compose(self) -> ComposeResult:
         """The slash, the input, and room for what is wrong."""
         yield Static(" /", id="sign")
-        yield Input(self._before, id="pattern", placeholder="regular expression; ! first: what does not match")
+        yield Input(id="pattern", placeholder="regular expression; ! first: what does not match")
         yield Static("", id="problem", classes="problem")
 
-    def on_mount(self) -> None:
-        """Typing goes here."""
-        self.query_one(Input).focus()
+    def open(self, text: str) -> None:
+        """Ask for a filter, beginning with `text`. The focus moves at once: what is typed next is meant for it."""
+        self._before = text
+        self.display = True
+        field = self.query_one(Input)
+        with self.prevent(Input.Changed):
+            field.value = text
+        self.query_one("#problem", Static).update("")
+        self.screen.set_focus(field)
+
+    def type(self, character: str) -> None:
+        """Add what was typed ahead."""
+        self.query_one(Input).insert_text_at_cursor(character)
 
     def on_input_changed(self, event: Input.Changed) -> None:
         """Filter by what stands there now."""
@@ -59,9 +70,13 @@ class Prompt(Horizontal):
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Keep it."""
         event.stop()
-        self.post_message(self.Closed())
+        self._close()
 
     def action_cancel(self) -> None:
         """Back to what was before."""
         self.post_message(self.Changed(Pattern(self._before) if self._before else None))
+        self._close()
+
+    def _close(self) -> None:
+        self.display = False
         self.post_message(self.Closed())

@@ -1,0 +1,60 @@
+"""A real other side: the command without its console, and a talker, each in a process of its own."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from rsb_bridge.keys import write_key
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.session_file import save
+
+HERE, THERE = 83, 84  # ROS domains
+COMMAND = Path(sys.executable).with_name("rsb-console")
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
+
+
+class Pair:
+    """Two session files with one key: a client's, for the console under test, and a server's."""
+
+    def __init__(self, folder: Path, *topics: Topic) -> None:
+        write_key(folder / "robot1.key")
+        common = {"name": "robot1", "server_ip": "127.0.0.1", "server_port": free_port(), "key_file": "robot1.key"}
+        self.client = Session(role="client", domain_id=HERE, stale_after=1.0, topics=topics, **common)
+        self.client_path, self.server_path = folder / "client.yaml", folder / "server.yaml"
+        save(self.client, self.client_path)
+        save(Session(role="server", domain_id=THERE, **common), self.server_path)
+
+    @contextlib.contextmanager
+    def server(self) -> Iterator[subprocess.Popen]:
+        """The other side, bridging headless."""
+        with running(str(COMMAND), "run", "--no-ui", str(self.server_path)) as process:
+            yield process
+
+
+@contextlib.contextmanager
+def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> Iterator[subprocess.Popen]:
+    """Publishes `topic` on this side."""
+    script = Path(__file__).with_name("talker.py")
+    with running(sys.executable, str(script), str(domain), topic, str(rate)) as process:
+        yield process
+
+
+@contextlib.contextmanager
+def running(*command: str) -> Iterator[subprocess.Popen]:
+    """A process, ended with the block."""
+    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with subprocess.Popen(command, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            yield process
+        finally:
+            process.kill()

@@ -1,0 +1,99 @@
+"""A real terminal under a real command: a pseudo-terminal that a test reads, stalls, resizes and hangs up."""
+
+import fcntl
+import os
+import pty
+import select
+import signal
+import struct
+import sys
+import termios
+import time
+from pathlib import Path
+
+COMMAND = Path(sys.executable).with_name("rsb-console")
+
+
+class Terminal:
+    """A command in a pseudo-terminal of its own.
+
+    Attributes:
+        output: all that it wrote so far.
+    """
+
+    def __init__(self, *command: str, size: tuple[int, int] = (120, 36), **environ: str) -> None:
+        self.started = time.monotonic()
+        self.pid, self.fd = pty.fork()
+        if self.pid == 0:
+            fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
+            # execve, for readline, which pytest loads, has put COLUMNS and LINES where os.environ does not see them
+            settings = {"TERM": "xterm-256color", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | environ
+            os.execve(command[0], command, os.environ | settings)
+        self.output = b""
+        self.status: int | None = None
+        self.hung_up = False
+
+    def resize(self, columns: int, lines: int) -> None:
+        """Give it another size."""
+        fcntl.ioctl(self.fd, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
+
+    def type(self, text: str | bytes) -> None:
+        """Press keys."""
+        os.write(self.fd, text.encode() if isinstance(text, str) else text)
+
+    def read(self, seconds: float) -> None:
+        """Take what it writes."""
+        ready, _, _ = select.select([self.fd], [], [], seconds)
+        if ready:
+            try:
+                self.output += os.read(self.fd, 65536)
+            except OSError:  # it has closed its end
+                time.sleep(min(seconds, 0.05))
+
+    def wait_for(self, words: str, seconds: float = 15.0, *, after: int = 0) -> None:
+        """Read until `words` have been written, beyond the first `after` bytes."""
+        deadline = time.monotonic() + seconds
+        while words.encode() not in self.output[after:]:
+            assert time.monotonic() < deadline, f"no {words!r} within {seconds} s:\n{self.output[-400:]!r}"
+            self.read(0.05)
+
+    def hang_up(self) -> None:
+        """What sshd does when the line drops."""
+        os.close(self.fd)
+        self.hung_up = True
+
+    def kill(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        os.kill(self.pid, number)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the command still runs."""
+        if self.status is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self.status = os.waitstatus_to_exitcode(status) if pid else None
+        return self.status is None
+
+    def exit_code(self, seconds: float = 10.0, *, read: bool = True) -> int:
+        """Wait for its end."""
+        deadline = time.monotonic() + seconds
+        while self.alive:
+            assert time.monotonic() < deadline, f"still running after {seconds} s:\n{self.output[-400:]!r}"
+            if read and not self.hung_up:
+                self.read(0.05)
+            else:
+                time.sleep(0.02)
+        if read and not self.hung_up:
+            self.read(0.05)
+        assert self.status is not None
+        return self.status
+
+    def __enter__(self) -> "Terminal":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.alive:
+            os.kill(self.pid, signal.SIGKILL)
+            os.waitpid(self.pid, 0)
+        if not self.hung_up:
+            os.close(self.fd)

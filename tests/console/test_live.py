@@ -1,0 +1,121 @@
+"""The console on a real engine, against a real other side in another process."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from driving import NOWHERE, drive, gone, shown, text, until
+from live import Pair, talker
+from textual.pilot import Pilot
+
+from rsb_bridge.keys import fingerprint, read_key, write_key
+from rsb_bridge.session import Topic
+from rsb_bridge.session_file import load
+from rsb_bridge.snapshot import State
+from rsb_console.app import ConsoleApp
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+CHATTER = f"/console_{os.getpid()}/chatter"
+
+
+@pytest.fixture(autouse=True)
+def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def watch(pair: Pair, steps) -> None:
+    """Open the console on the pair's client, run `steps`, stop its engine."""
+    app = ConsoleApp(load(pair.client_path), pair.client_path, config=NOWHERE, theme="dark")
+
+    async def run(pilot: Pilot) -> None:
+        await until(pilot, lambda: app.engine is not None, "an engine")
+        await steps(app, pilot)
+
+    try:
+        drive(app, run)
+    finally:
+        if app.engine is not None:
+            app.engine.stop()
+
+
+def state(app: ConsoleApp) -> State | None:
+    """How the topic under the cursor is."""
+    return None if app.main.selected is None else app.main.selected.state
+
+
+async def flowing(app: ConsoleApp, pilot: Pilot) -> None:
+    """Wait until the selected topic carries about what its talker says."""
+    await until(pilot, lambda: state(app) is State.OK and app.main.selected.rate > 15, "20 Hz", 20)
+
+
+def test_a_topics_life(tmp_path: Path) -> None:
+    """Flows, goes stale with its publisher, flows again, is paused, resumed, removed."""
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+
+    async def steps(app: ConsoleApp, pilot: Pilot) -> None:
+        await shown(pilot, "● LINKED", 20)
+        with talker(CHATTER):
+            await flowing(app, pilot)
+            assert "● 1 ok" in text(app)
+        await until(pilot, lambda: state(app) is State.STALE, "stale")
+        await shown(pilot, "▲ STALE")
+        with talker(CHATTER):
+            await flowing(app, pilot)
+            await pilot.press("p")
+            await until(pilot, lambda: state(app) is State.PAUSED, "paused")
+            await pilot.press("p")
+            await flowing(app, pilot)
+            await pilot.press("d")
+            await shown(pilot, f"Remove {CHATTER}?")
+            await pilot.press("enter")  # the focus is on No
+            await gone(pilot, "Remove /")
+            assert state(app) is State.OK
+            await pilot.press("d", "y")
+            await shown(pilot, "0 topics")
+
+    with pair.server():
+        watch(pair, steps)
+
+
+def test_the_peer_dies_and_comes_back(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+
+    async def steps(app: ConsoleApp, pilot: Pilot) -> None:
+        with talker(CHATTER):
+            with pair.server():
+                await flowing(app, pilot)
+            await shown(pilot, "✗ DOWN")
+            await until(pilot, lambda: state(app) is not State.OK, "the topic not ok")
+            with pair.server():
+                await shown(pilot, "● LINKED", 20)
+                await flowing(app, pilot)
+
+    watch(pair, steps)
+
+
+def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+    with pair.server() as server, talker(CHATTER):
+        wait_for_port(pair.client.server_port, server)
+        write_key(tmp_path / "robot1.key", force=True)
+
+        async def steps(app: ConsoleApp, pilot: Pilot) -> None:
+            await shown(pilot, fingerprint(read_key(tmp_path / "robot1.key")), 20)
+            assert not app.linked
+            assert app.snapshot().routes[0].ledger.delivered == 0
+
+        watch(pair, steps)
+
+
+def wait_for_port(port: int, process) -> None:
+    """Wait until `process` listens."""
+    import socket
+
+    deadline = time.monotonic() + 15
+    while process.poll() is None and time.monotonic() < deadline:
+        with socket.socket() as sock:
+            if sock.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.05)
+    pytest.fail("the other side does not listen")

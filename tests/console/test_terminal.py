@@ -1,0 +1,255 @@
+"""In a real terminal: it comes up at once, goes cleanly whatever happens, and never holds up the bridge."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from live import Pair, talker
+from terminal import COMMAND, Terminal
+
+from rsb_bridge.session import Topic
+from rsb_console.terminal import prefers_ascii
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+CHATTER = f"/console_{os.getpid()}/terminal"
+LEFT = b"\x1b[?1049l"  # the alternate screen is left (xterm's control sequences, DECRST 1049)
+CRASHING = """
+import sys
+from pathlib import Path
+from rsb_console import app
+app.ConsoleApp.action_theme = lambda self: 1 / 0
+path = Path(sys.argv[1])
+sys.exit(app.run_console(path, readonly=False, ascii_only=False, theme=None, on_hangup="stop"))
+"""
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Pair:
+    return Pair(tmp_path, Topic(CHATTER, "transmit"))
+
+
+def console(pair: Pair, *options: str, **environ: str) -> Terminal:
+    return Terminal(str(COMMAND), "run", str(pair.client_path), *options, **environ)
+
+
+class FarSide:
+    """The other side's own figures: its status lines, five seconds apart."""
+
+    def __init__(self, pair: Pair, log: Path) -> None:
+        self.log = log
+        self._command = [str(COMMAND), "run", "--no-ui", "--log-format", "json", str(pair.server_path)]
+
+    def __enter__(self) -> "FarSide":
+        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(self._command, env=environ, stdout=log)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def lines(self) -> list[dict]:
+        return [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
+
+    def said(self, words: str) -> bool:
+        return any(words in line.get("text", "") for line in self.lines())
+
+    def rate_since(self, moment: float, seconds: float = 15.0) -> float:
+        """The topic's rate in the first status that concerns only what came after `moment`."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            for line in self.lines():
+                if "status" in line and line["time"] > moment + 3:
+                    return line["status"]["routes"][0]["rate"]
+            time.sleep(0.1)
+        pytest.fail("no status from the other side")
+
+
+def test_the_first_picture_comes_within_eight_tenths_of_a_second(pair: Pair) -> None:
+    took = []
+    for _ in range(3):
+        with console(pair) as terminal:
+            terminal.wait_for("Topics")
+            took.append(time.monotonic() - terminal.started)
+    assert min(took) < 0.8, took
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+def test_a_signal_ends_it_cleanly_and_restores_the_terminal(pair: Pair, tmp_path: Path, number: signal.Signals) -> None:
+    with FarSide(pair, tmp_path / "far") as far, console(pair) as terminal:
+        terminal.wait_for("LINKED")
+        terminal.kill(number)
+        assert terminal.exit_code() == 0
+        assert LEFT in terminal.output
+        assert b"Traceback" not in terminal.output
+        assert_told(far)
+
+
+def assert_told(far: FarSide) -> None:
+    """The other side was told that this one stops, instead of finding out."""
+    deadline = time.monotonic() + 5
+    while not any(line.get("source") == "link" and "linked with" not in line["text"] for line in far.lines()):
+        assert time.monotonic() < deadline, far.log.read_text()
+        time.sleep(0.05)
+
+
+def test_a_dropped_line_ends_it_and_the_peer_is_told(pair: Pair, tmp_path: Path) -> None:
+    with FarSide(pair, tmp_path / "far") as far, console(pair) as terminal:
+        terminal.wait_for("LINKED")
+        terminal.hang_up()
+        assert terminal.exit_code() == 0
+        assert_told(far)
+
+
+def test_a_dropped_line_leaves_it_bridging_where_that_is_asked_for(pair: Pair, tmp_path: Path) -> None:
+    going_on = console(pair, "--on-hangup", "continue")
+    with FarSide(pair, tmp_path / "far") as far, talker(CHATTER), going_on as terminal:
+        terminal.wait_for("LINKED")
+        terminal.hang_up()
+        assert far.rate_since(time.time()) > 15
+        assert terminal.alive
+        terminal.kill(signal.SIGTERM)
+        assert terminal.exit_code() == 0
+
+
+def test_a_terminal_that_does_not_read_stalls_neither_the_bridge_nor_the_end(pair: Pair, tmp_path: Path) -> None:
+    with FarSide(pair, tmp_path / "far") as far, talker(CHATTER), console(pair) as terminal:
+        terminal.wait_for("LINKED")
+        for step in range(60):  # each redraws the whole screen: far more than the line holds
+            terminal.resize(100 + step % 2, 30)
+            time.sleep(0.02)
+        assert far.rate_since(time.time()) > 15
+        mark = len(terminal.output)
+        terminal.resize(120, 36)
+        terminal.wait_for("Topics", after=mark)  # it reads again: a whole picture comes
+        for step in range(60):
+            terminal.resize(100 + step % 2, 30)
+            time.sleep(0.02)
+        terminal.kill(signal.SIGTERM)
+        assert terminal.exit_code(read=False) == 0
+
+
+def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair, tmp_path: Path) -> None:
+    script = tmp_path / "crashing.py"
+    script.write_text(CRASHING)
+    with FarSide(pair, tmp_path / "far") as far, talker(CHATTER):
+        command = (sys.executable, str(script), str(pair.client_path))
+        with Terminal(*command, XDG_STATE_HOME=str(tmp_path / "state")) as terminal:
+            terminal.wait_for("LINKED")
+            terminal.type("t")
+            terminal.wait_for("the console has crashed")
+            assert LEFT in terminal.output
+            assert b"Traceback" not in terminal.output
+            assert far.rate_since(time.time()) > 15
+            terminal.kill(signal.SIGTERM)
+            assert terminal.exit_code() == 1
+    (crash,) = (tmp_path / "state").rglob("crash.txt")
+    assert "ZeroDivisionError" in crash.read_text()
+
+
+def test_bytes_that_are_no_utf8_are_left_out(pair: Pair) -> None:
+    with console(pair) as terminal:
+        terminal.wait_for(" quit")
+        terminal.type(b"\x1b[M \xe2\xc3")  # a mouse report of the legacy kind, as tmux sends after attaching
+        mark = len(terminal.output)
+        terminal.type("?")
+        terminal.wait_for("Next line", after=mark)
+
+
+def test_the_mouse_can_be_left_to_the_terminal(pair: Pair, tmp_path: Path) -> None:
+    script = tmp_path / "no_mouse.py"
+    script.write_text(CRASHING.replace('on_hangup="stop"', 'on_hangup="stop", mouse=False'))
+    with Terminal(sys.executable, str(script), str(pair.client_path)) as terminal:
+        terminal.wait_for(" quit")
+        assert b"\x1b[?1003h" not in terminal.output
+
+
+@pytest.mark.parametrize(
+    ("environ", "expected"),
+    [
+        ({"LANG": "en_US.UTF-8", "TERM": "xterm"}, False),
+        ({"LC_ALL": "C.utf8"}, False),
+        ({}, False),
+        ({"LANG": "de_DE.ISO-8859-1"}, True),
+        ({"LANG": "en_US.UTF-8", "LC_ALL": "POSIX"}, True),
+        ({"LANG": "en_US.UTF-8", "TERM": "linux"}, True),
+    ],
+)
+def test_ascii_is_chosen_where_the_terminal_has_no_more(environ: dict[str, str], expected: bool) -> None:
+    assert prefers_ascii(environ) is expected
+
+
+def test_a_terminal_without_unicode_gets_ascii_only(pair: Pair) -> None:
+    with console(pair, LC_ALL="C", TERM="linux", COLORTERM="") as terminal:
+        terminal.wait_for(" quit")
+        assert terminal.output.isascii()
+        assert b"38;5;" not in terminal.output  # sixteen colours
+        assert b"38;2;" not in terminal.output
+
+
+class Tmux:
+    """The console in a tmux server of its own: what an operator's terminal multiplexer does to it."""
+
+    def __init__(self, folder: Path, *command: str) -> None:
+        self._socket = str(folder / "tmux")
+        self("new-session", "-d", "-x", "120", "-y", "36", *command)
+        self("set-option", "-g", "mouse", "on")
+
+    def __call__(self, *words: str) -> str:
+        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        command = ["tmux", "-S", self._socket, "-f", "/dev/null", *words]
+        return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=10).stdout
+
+    def wait_for(self, words: str, seconds: float = 15.0) -> str:
+        deadline = time.monotonic() + seconds
+        while words not in (picture := self("capture-pane", "-p")):
+            assert time.monotonic() < deadline, f"no {words!r} within {seconds} s:\n{picture}"
+            time.sleep(0.05)
+        return picture
+
+    def __enter__(self) -> "Tmux":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self("kill-server")
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Path) -> None:
+    command = f"{COMMAND} run {pair.client_path}; echo exit code $?; cat"
+    with FarSide(pair, tmp_path / "far"), talker(CHATTER), Tmux(tmp_path, command) as tmux:
+        picture = tmux.wait_for("● LINKED")
+        assert len(picture.rstrip("\n").splitlines()) == 36
+        assert "┌─ /console_" in tmux.wait_for("● ok")
+
+        tmux("send-keys", "/", "nothing")
+        tmux.wait_for("0 of 1")
+        tmux("send-keys", "Escape")
+        tmux.wait_for("▌● ok")
+
+        tmux("resize-window", "-x", "80", "-y", "24")
+        tmux.wait_for("LIVE 4 Hz")
+        assert "┌─ /console_" not in tmux("capture-pane", "-p")
+        tmux("resize-window", "-x", "120", "-y", "36")
+        tmux.wait_for("┌─ /console_")
+
+        for _ in range(2):
+            with Terminal(shutil.which("tmux"), "-S", str(tmp_path / "tmux"), "attach", size=(100, 30)) as client:
+                client.wait_for("Topics")
+                tmux("detach-client")
+                assert client.exit_code() == 0
+        tmux("resize-window", "-x", "120", "-y", "36")
+        tmux.wait_for("● LINKED")
+
+        tmux("send-keys", "q")
+        tmux.wait_for("Quit?")
+        tmux("send-keys", "y")
+        picture = tmux.wait_for("exit code 0")
+        assert "Topics" not in picture  # the shell's own screen is back
