@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from textual import on
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
@@ -69,12 +68,18 @@ class FormScreen(ModalScreen[T | None]):
         """The first look."""
         self.check()
 
-    @on(Field.Changed)
+    def on_field_changed(self) -> None:
+        """Another value."""
+        self.check()
+
+    def on_field_submitted(self) -> None:
+        """Enter in a field."""
+        self.submit()
+
     def check(self) -> None:
         """Say what is wrong with what stands there now."""
         self.form.show_problems(self.problems(self.form.values))
 
-    @on(Field.Submitted)
     def submit(self) -> None:
         """Give the result away, or go to what is wrong."""
         self.check()

@@ -1,0 +1,228 @@
+"""Keys, links and Bluetooth: what an operator compares, never the key itself."""
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+from driving import NARROW, drive, fill, gone, scripted_app, shown, text, until
+from scripted import LINK, SESSION
+from textual.pilot import Pilot
+
+from rsb_bridge.bluetooth import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use
+from rsb_bridge.keys import fingerprint, read_key, write_key
+from rsb_bridge.session import Client
+from rsb_bridge.snapshot import State
+from rsb_console.screens import bluetooth
+from rsb_console.screens.keys import key_files
+
+# -- keys ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(tmp_path: Path) -> None:
+    key = write_key(tmp_path / "r.key")
+    (tmp_path / "r.key").chmod(0o644)
+    app = scripted_app(path=tmp_path / "nav2.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("K")
+        await shown(pilot, fingerprint(key))
+        assert "0644" in text(app)
+        await shown(pilot, "others may read this key")
+        assert (tmp_path / "r.key").read_text().strip() not in text(app)
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]) -> None:
+    old = write_key(tmp_path / "r.key")
+    app = scripted_app(path=tmp_path / "nav2.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("K")
+        await shown(pilot, fingerprint(old))
+        await pilot.press("g", "enter")
+        await shown(pilot, "Replace the key in r.key?")
+        await pilot.press("enter")  # the focus is on No
+        await gone(pilot, "Replace the key in r.key?")
+        assert read_key(tmp_path / "r.key") == old
+        await pilot.press("enter", "y")
+        await gone(pilot, "Generate a key")
+        new = read_key(tmp_path / "r.key")
+        assert new != old
+        await shown(pilot, fingerprint(new))
+
+    drive(app, steps, size=size)
+
+
+def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(tmp_path: Path) -> None:
+    app = scripted_app(path=tmp_path / "nav2.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("K")
+        await shown(pilot, "no such key file")
+        await pilot.press("g")
+        await shown(pilot, "Generate a key")
+        await fill(pilot, path=str(tmp_path / "nowhere" / "new.key"))
+        await shown(pilot, "there is no folder")
+        await fill(pilot, path=str(tmp_path / "new.key"))
+        await pilot.press("enter")
+        await shown(pilot, "new.key")
+        await until(pilot, (tmp_path / "new.key").exists, "the key")
+        await shown(pilot, fingerprint(read_key(tmp_path / "new.key")))
+
+    drive(app, steps)
+
+
+def test_readonly_looks_at_keys_and_makes_none(tmp_path: Path) -> None:
+    app = scripted_app(path=tmp_path / "nav2.yaml", readonly=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("K")
+        await shown(pilot, "no such key file")
+        assert "generate a key" not in text(app)
+        await pilot.press("g")
+        await pilot.pause()
+        assert "Generate a key" not in text(app)
+
+    drive(app, steps)
+
+
+def test_each_of_a_servers_key_files_and_whose_it_is() -> None:
+    clients = (Client("robot1"), Client("robot2", key_file="/keys/two.key"), Client("robot3"))
+    server = msgspec.structs.replace(SESSION, role="server", clients=clients)
+    assert key_files(server, Path("/base")) == {
+        Path("/base/r.key"): "robot1, robot3",
+        Path("/keys/two.key"): "robot2",
+    }
+
+
+# -- links -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
+    down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None, retry_in=3.0, attempts=3)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        app.engine.now = replace(app.engine.now, links=(LINK, down))
+        await pilot.press("c")
+        await shown(pilot, "▌✗ DOWN  robot2")
+        await shown(pilot, "no answer; attempt 4 in 3 s")
+        assert "● ok    robot1" in text(app)
+        await pilot.press("j")
+        await shown(pilot, "▌● ok    robot1")
+        await shown(pilot, LINK.fingerprint)
+        await shown(pilot, "-12.0 ms against ours ± 400 µs")
+        await pilot.press("r")
+        await until(pilot, lambda: app.engine.commands == [("retry", "robot1")], "the command")
+        await pilot.press("escape")
+        await gone(pilot, "its clock")
+
+    drive(app, steps, size=size)
+
+
+def test_a_link_in_the_clear_stands_out() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        app.engine.now = replace(app.engine.now, links=(replace(LINK, encrypted=False, cipher=""),))
+        await pilot.press("c")
+        await shown(pilot, "key          ")
+        key_line = next(line for line in text(app).splitlines() if "key          " in line)
+        assert "NOT ENCRYPTED" in key_line
+
+    drive(app, steps)
+
+
+# -- Bluetooth -------------------------------------------------------------------------------------------------------
+
+HCI0 = Adapter("hci0", "5C:F3:70:9A:1B:2E", powered=True, alias="desk")
+PHONE = Device("00:1A:7D:DA:71:13", "robot1", "hci0", paired=True, connected=False)
+
+
+def found() -> Scan:
+    uses = {number: Use.BUSY if number in (1, 5) else Use.FREE for number in CHANNELS}
+    return Scan((HCI0,), {HCI0.address: uses, ANY_ADAPTER: uses}, (PHONE,))
+
+
+@pytest.fixture
+def radio(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """A stand-in for the radio that no test machine has; the real scan has tests of its own. Lists its calls."""
+    calls: list[object] = []
+
+    async def scan(own_channels: object) -> Scan:
+        calls.append(own_channels)
+        return found()
+
+    monkeypatch.setattr(bluetooth, "scan", scan)
+    return calls
+
+
+def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
+    problems = asyncio.run(bluetooth.scan()).problems
+    if not problems:
+        pytest.skip("this machine has all that Bluetooth needs")
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("b")
+        await shown(pilot, problems[0][:40])
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_adapters_devices_and_channels_at_a_glance(radio: list[object], size: tuple[int, int]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("b")
+        await shown(pilot, "5C:F3:70:9A:1B:2E  hci0     on                 desk")
+        assert "00:1A:7D:DA:71:13  device   paired             robot1" in text(app)
+        assert "1✗  2·  3·  4·  5✗  6·" in text(app)
+        await pilot.press("s")
+        await until(pilot, lambda: len(radio) == 2, "another scan")
+
+    drive(app, steps, size=size)
+
+
+def test_a_paired_device_becomes_the_server_of_a_new_session(radio: list[object]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("b")
+        await shown(pilot, PHONE.address)
+        await pilot.press("j", "enter")
+        await shown(pilot, "New session")
+        assert app.screen.form.values["server_ip"] == PHONE.address
+        await fill(pilot, name="robot1")
+        await pilot.press("enter")
+        await shown(pilot, "49152 is not an RFCOMM channel")
+
+    drive(app, steps)
+
+
+def test_a_servers_own_channels_are_told_to_the_scan(radio: list[object]) -> None:
+    session = msgspec.structs.replace(SESSION, role="server", server_ip=HCI0.address, server_port=4)
+    app = scripted_app(session=session)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("b")
+        await until(pilot, lambda: radio, "a scan")
+        assert radio == [{(HCI0.address, 4), (HCI0.address, 3)}]  # the session's, and that of /robot2/scan
+
+    drive(app, steps)
