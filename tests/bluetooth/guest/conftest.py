@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import pytest
 
 from rsb_bridge import hci
 
-Wait = Callable[[Callable[[], object], str], None]
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable, Iterator
 
 _HOLDER = """
 import socket, sys
@@ -55,3 +58,27 @@ def wait_until(condition: Callable[[], object], what: str, seconds: float = 10.0
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds} s: {what}"
         time.sleep(0.05)
+
+
+def bare_rate(address: str, size: int = 2_000_000) -> float:
+    """Bytes/s that blocking sockets with a thread each carry to an adapter, when they do nothing else."""
+    with hci.rfcomm_socket() as listener, hci.rfcomm_socket() as client:
+        listener.bind((address, 29))
+        listener.listen(1)
+        client.connect((address, 29))
+        server, _ = listener.accept()
+        with server:
+            writing = threading.Thread(target=_write, args=(client, size))
+            started = time.monotonic()
+            writing.start()
+            left = size
+            while left:
+                left -= len(server.recv(left))
+            seconds = time.monotonic() - started
+            writing.join()
+    return size / seconds
+
+
+def _write(sock: socket.socket, size: int) -> None:
+    while size:
+        size -= sock.send(bytes(min(size, 2048)))

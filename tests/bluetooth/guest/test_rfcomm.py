@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge import hci
 from rsb_bridge.hci import ANY_ADAPTER
 from rsb_bridge.transport import rfcomm
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import ListenError
 
-from .conftest import holding
+from .conftest import bare_rate, holding
 
 if TYPE_CHECKING:
-    import socket
     from collections.abc import AsyncIterator, Callable
 
 _DEADLINE = 20.0
@@ -198,7 +196,7 @@ def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
 
 
 def test_throughput_beside_a_bare_socket(addresses: tuple[str, str]) -> None:
-    """The transport's cost over blocking sockets that do nothing else, in one process as well."""
+    """The transport's cost over blocking sockets that do nothing else."""
     size = 2_000_000
 
     async def ours() -> float:
@@ -209,30 +207,6 @@ def test_throughput_beside_a_bare_socket(addresses: tuple[str, str]) -> None:
             await server.until(lambda end: len(end.data) == size)
             return size / (time.monotonic() - started)
 
-    async def bare() -> float:
-        loop = asyncio.get_running_loop()
-        with hci.rfcomm_socket() as listener, hci.rfcomm_socket() as client:
-            listener.bind((addresses[0], 8))
-            listener.listen(1)
-            client.connect((addresses[0], 8))
-            server, _ = listener.accept()
-            with server:
-                started = time.monotonic()
-                reading = loop.run_in_executor(None, _read, server, size)
-                await loop.run_in_executor(None, _write, client, size)
-                await reading
-                return size / (time.monotonic() - started)
-
-    by_transport, by_socket = asyncio.run(ours()), asyncio.run(bare())
-    sys.stdout.write(f"RFCOMM: {by_transport / 1e3:.0f} kB/s, a bare socket {by_socket / 1e3:.0f} kB/s\n")
+    by_transport, by_socket = asyncio.run(ours()), bare_rate(addresses[0])
+    sys.stdout.write(f"transport: {by_transport / 1e3:.0f} kB/s, a bare socket {by_socket / 1e3:.0f} kB/s\n")
     assert by_transport > 0.25 * by_socket
-
-
-def _read(sock: socket.socket, size: int) -> None:
-    while size:
-        size -= len(sock.recv(min(size, 65536)))
-
-
-def _write(sock: socket.socket, size: int) -> None:
-    while size:
-        size -= sock.send(bytes(min(size, 2048)))
