@@ -1,0 +1,203 @@
+"""A robot's own programs: talkers and listeners in one stock rclpy node, told over stdin what to do.
+
+`python -m tests.network.node DOMAIN` takes a JSON object a line and answers each with one; `Node` is its other end.
+Every message says its number and when it was published, and has a checksum.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import select
+import subprocess
+import sys
+import time
+import zlib
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tests.network.hosts import ROOT
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from tests.network.hosts import Host
+    from tests.support.domain import Domain
+
+_ANSWERS_WITHIN = 20.0
+
+
+class Heard(NamedTuple):
+    """A message that came.
+
+    Attributes:
+        number: counts up from 1.
+        sent: when it was published, ns since the epoch.
+        came: when DDS received it, ns since the epoch.
+    """
+
+    number: int
+    sent: int
+    came: int
+
+    @property
+    def latency(self) -> float:
+        """s."""
+        return (self.came - self.sent) / 1e9
+
+
+class Node:
+    """A node on a host."""
+
+    def __init__(self, host: Host, domain_id: int) -> None:
+        self._process = host.start(
+            sys.executable,
+            "-m",
+            "tests.network.node",
+            str(domain_id),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+
+    def talk(self, topic: str, *, rate: float, size: int = 100, count: int | None = None) -> None:
+        """Publish, as soon as somebody listens.
+
+        Args:
+            topic: where.
+            rate: Hz.
+            size: bytes, about.
+            count: how many; None: until told to hush.
+        """
+        self._ask(do="talk", topic=topic, rate=rate, size=size, count=count)
+
+    def hush(self) -> dict[str, int]:
+        """Stop all talkers. Returns how many messages each topic's has published."""
+        said: dict[str, int] = self._ask(do="hush")
+        return said
+
+    def listen(self, *topics: str) -> None:
+        """Subscribe, and wait for publishers."""
+        for topic in topics:
+            self._ask(do="listen", topic=topic)
+        eventually(lambda: all(self._ask(do="matched", topic=topic) for topic in topics), what=f"published: {topics}")
+
+    def heard(self, topic: str) -> list[Heard]:
+        """All that came so far; AssertionError where a message is not as it was published."""
+        return [Heard(*each) for each in self._ask(do="tell", topic=topic)]
+
+    def hears(self, topic: str, within: float = 10.0, *, after: float | None = None) -> Heard:
+        """Wait for a message published later than `after` (s since the epoch; None: now)."""
+        after = time.time() if after is None else after
+
+        def new() -> Heard | None:
+            return next((each for each in self.heard(topic) if each.sent > after * 1e9), None)
+
+        return eventually(new, within, f"anything new on {topic}")
+
+    def close(self) -> None:
+        """End it."""
+        self._process.communicate(timeout=10)
+
+    def _ask(self, **request: Any) -> Any:
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        stdin.write(json.dumps(request) + "\n")
+        stdin.flush()
+        assert select.select([stdout], [], [], _ANSWERS_WITHIN)[0], f"the node does not answer {request}"
+        answer = json.loads(stdout.readline())
+        assert "broken" not in answer, answer
+        return answer["is"]
+
+
+# --- the node's own process
+
+
+class _Talker:
+    def __init__(self, domain: Domain, topic: str, rate: float, size: int, count: int | None) -> None:
+        self.number = 0
+        self.due = time.monotonic()
+        self._publisher = domain.publisher(topic)
+        self._interval = 1 / rate
+        self._size = size
+        self._left = float("inf") if count is None else count
+
+    def work(self) -> None:
+        """Publish if it is time."""
+        from tests.support.domain import text  # noqa: PLC0415 — only the node's process has ROS
+
+        now = time.monotonic()
+        if now < self.due:
+            return
+        self.due = max(self.due + self._interval, now)
+        if self._left > 0 and self._publisher.get_subscription_count():
+            self.number += 1
+            self._left -= 1
+            filler = random.Random(self.number).randbytes(self._size // 2).hex()  # noqa: S311 — filler, no secret
+            checksum = zlib.crc32(filler.encode())
+            self._publisher.publish(text(f"{self.number} {time.time_ns()} {checksum} {filler}"))
+
+
+class _Ear:
+    def __init__(self, domain: Domain, topic: str) -> None:
+        self._listener = domain.listener(topic)
+        self._heard: list[Heard] = []
+
+    @property
+    def matched(self) -> bool:
+        """Whether somebody publishes."""
+        return bool(self._listener.matched)
+
+    def heard(self) -> list[Heard]:
+        """All that came so far; ValueError where one is broken."""
+        payloads, moments = self._listener.payloads, self._listener.received
+        for index in range(len(self._heard), len(payloads)):
+            # CDR: 4 bytes encapsulation, 4 length
+            number, sent, checksum, filler = payloads[index][8:].rstrip(b"\0").split(b" ")
+            if zlib.crc32(filler) != int(checksum):
+                raise ValueError(f"message {number.decode()} has another checksum")
+            self._heard.append(Heard(int(number), int(sent), moments[index]))
+        return self._heard
+
+
+def _main(domain_id: int) -> None:
+    from tests.support.domain import Domain  # noqa: PLC0415 — only the node's process has ROS
+
+    domain = Domain(domain_id)
+    talkers: dict[str, _Talker] = {}
+    ears: dict[str, _Ear] = {}
+
+    def act(request: dict[str, Any]) -> object:
+        match request.pop("do"):
+            case "talk":
+                talkers[request["topic"]] = _Talker(domain, **request)
+            case "hush":
+                said = {topic: talker.number for topic, talker in talkers.items()}
+                for talker in talkers.values():
+                    talker.due = float("inf")
+                return said
+            case "listen":
+                ears[request["topic"]] = _Ear(domain, request["topic"])
+            case "matched":
+                return ears[request["topic"]].matched
+            case "tell":
+                return ears[request["topic"]].heard()
+        return None
+
+    while True:
+        due = min([talker.due for talker in talkers.values()], default=float("inf"))
+        if select.select([sys.stdin], [], [], min(max(0.0, due - time.monotonic()), 0.1))[0]:
+            line = sys.stdin.readline()
+            if not line:
+                break
+            try:
+                answer = {"is": act(json.loads(line))}
+            except ValueError as error:
+                answer = {"broken": str(error)}
+            sys.stdout.write(json.dumps(answer) + "\n")
+            sys.stdout.flush()
+        for talker in talkers.values():
+            talker.work()
+    domain.close()
+
+
+if __name__ == "__main__":
+    _main(int(sys.argv[1]))

@@ -1,0 +1,47 @@
+"""Two hosts on one cable: every size, by IPv4 and IPv6, in large packets and in small ones."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from tests.network.conftest import Network
+    from tests.network.hosts import Cable, Host
+
+_MEGABYTE = 1_000_000
+_FRAGMENTS = {4: ("IpFragCreates", "IpReasmReqds"), 6: ("Ip6FragCreates", "Ip6ReasmReqds")}
+
+
+@pytest.mark.parametrize(("mtu", "version"), [(1500, 4), (1280, 6)])
+def test_every_size_crosses_and_no_packet_is_fragmented(
+    network: Network, robot: Host, pc: Host, cable: Cable, mtu: int, version: int
+) -> None:
+    cable.mtu(mtu)
+    bridge = network.bridge(
+        robot,
+        pc,
+        "10.99.1.1" if version == 4 else "fd99::1",
+        {"topic": "/odom", "protocol": "udp"},
+        {"topic": "/camera", "protocol": "udp"},
+        {"topic": "/map", "protocol": "tcp"},
+        {"topic": "/goal", "protocol": "udp", "direction": "receive"},
+    )
+    bridge.robot.listen("/goal")
+    bridge.pc.listen("/odom", "/camera", "/map")
+    bridge.pc.talk("/goal", rate=5, size=_MEGABYTE, count=5)
+    said = {"/odom": 100, "/camera": 8, "/map": 3}
+    bridge.robot.talk("/odom", rate=50, count=said["/odom"])
+    bridge.robot.talk("/camera", rate=5, size=_MEGABYTE, count=said["/camera"])
+    bridge.robot.talk("/map", rate=2, size=8 * _MEGABYTE, count=said["/map"])
+
+    for topic, count in said.items():
+        eventually(lambda: len(bridge.pc.heard(topic)) == count, 15, f"all of {topic}")  # noqa: B023 — called at once
+    eventually(lambda: len(bridge.robot.heard("/goal")) == 5, what="all of /goal")
+    for topic, ledger in bridge.settled(*said).items():
+        assert (ledger.offered, ledger.delivered) == (said[topic], said[topic])
+    for host in (robot, pc):
+        assert [host.count(counter) for counter in _FRAGMENTS[version]] == [0, 0]
