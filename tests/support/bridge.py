@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
+    from rsb_bridge.ros.api import RosSide
     from rsb_bridge.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot
 
 STOPS_WITHIN = 5.0
@@ -88,9 +89,9 @@ class Bridge:
         eventually(lambda: linked(client) and linked(server), what="linked")
         return server, client
 
-    def start(self, session: Session) -> Engine:
+    def start(self, session: Session, ros: RosSide | None = None) -> Engine:
         """An engine that runs."""
-        engine = Engine(session, base=self.folder)
+        engine = Engine(session, base=self.folder, ros=ros)
         self._engines.append(engine)
         engine.start()
         return engine

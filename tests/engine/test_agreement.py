@@ -1,0 +1,201 @@
+"""Both sides agree on type, QoS and port, or say in words why they do not."""
+
+from __future__ import annotations
+
+import socket
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import Int32, String
+from tests.support.bridge import carries, eventually, find, free_port, heard, link, route, said, stage
+from tests.support.domain import BEST_EFFORT, LATCHED, text
+
+from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.qos import PROFILES, Qos, parse_qos
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+
+INT32 = "std_msgs/msg/Int32"
+
+
+def down(engine: Engine, topic: str, words: str) -> bool:
+    """Whether a topic is down, and says so."""
+    found = find(engine, topic)
+    return found is not None and words in found.reason
+
+
+def test_types_by_any_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """From the publishers, short as in the thesis, in full, and from the subscribers on the other side."""
+    names = {
+        "/auto": "auto",
+        "/short": "LaserScan",
+        "/half": "sensor_msgs/LaserScan",
+        "/full": "sensor_msgs/msg/LaserScan",
+    }
+    listeners = {topic: pc.listener(topic, LaserScan) for topic in (*names, "/theirs")}
+    publishers = {topic: robot.publisher(topic, LaserScan) for topic in names}
+    topics = [Topic(topic, "transmit", type=name) for topic, name in names.items()]
+    server, client = bridge.both(*topics, Topic("/theirs", "transmit", qos="default"))
+    eventually(lambda: route(client, "/theirs").type_name == full)
+    publishers["/theirs"] = robot.publisher("/theirs", LaserScan)
+    carries(publishers.values(), server, listeners)
+    for publisher in publishers.values():
+        publisher.publish(LaserScan())
+    for topic, listener in listeners.items():
+        heard(listener, 1)
+        assert route(server, topic).type_name == full
+
+
+def test_types_that_do_not_agree(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    robot.publisher("/mixed", String)
+    robot.publisher("/wrong", Int32)
+    other = RosNode(robot.id, "other")
+    other.start()
+    other.advertise("/mixed", INT32, "", Qos(), "other")
+    _, client = bridge.both(
+        Topic("/mixed", "transmit"),
+        Topic("/wrong", "transmit", type="String"),
+        Topic("/silent", "transmit"),
+        Topic("/unknown", "transmit", type="no_such_msgs/msg/Thing"),
+    )
+    eventually(lambda: down(client, "/mixed", "publishers disagree: std_msgs/msg/Int32, std_msgs/msg/String"))
+    eventually(lambda: down(client, "/wrong", "publishers send std_msgs/msg/Int32, not std_msgs/msg/String"))
+    eventually(lambda: down(client, "/silent", f"no publisher of /silent in domain {robot.id}"))
+    eventually(lambda: down(client, "/unknown", "no_such_msgs/msg/Thing is not installed here"))
+    other.stop()
+
+
+class OtherVersions(RosNode):
+    """A stand-in: two versions of a package cannot be installed beside each other."""
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return "RIHS01_" + "0" * 64 if type_name == INT32 else super().installed_hash(type_name)
+
+
+@pytest.mark.parametrize("direction", ["transmit", "receive"])
+def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    near = robot if direction == "transmit" else pc
+    near.publisher("/count", Int32)
+    sessions = [bridge.server_session(), bridge.client_session(Topic("/count", direction))]
+    receiving = 0 if direction == "transmit" else 1
+    nodes: list[RosNode | None] = [None, None]
+    nodes[receiving] = OtherVersions((pc if direction == "transmit" else robot).id, "other")
+    server, client = (bridge.start(session, ros) for session, ros in zip(sessions, nodes, strict=True))
+    for engine in (server, client):
+        eventually(lambda engine=engine: down(engine, "/count", f"{INT32} differs between the two sides"))
+        assert "install the same version on both" in route(engine, "/count").reason
+
+
+def test_qos_by_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """What is asked for is what both endpoints have, as the other nodes see them."""
+    asked: dict[str, Any] = {f"/{name}": name for name in PROFILES}
+    asked |= {"/depth": 7, "/mapping": {"profile": "sensor_data", "durability": "transient_local", "deadline": 2.0}}
+    bridge.both(*(Topic(topic, "transmit", type="String", qos=qos) for topic, qos in asked.items()))
+    for topic, qos in asked.items():
+        publisher = robot.publisher(topic, qos=LATCHED if topic in ("/latched", "/mapping") else BEST_EFFORT)
+        for infos in (
+            lambda topic=topic: robot.node.get_subscriptions_info_by_topic(topic),
+            lambda topic=topic: pc.node.get_publishers_info_by_topic(topic),
+        ):
+            [info] = eventually(infos, what=topic)
+            assert policies(info.qos_profile) == without_depth(parse_qos(qos))
+        robot.node.destroy_publisher(publisher)
+
+
+def policies(profile: QoSProfile) -> tuple[str, str, float]:
+    """What a graph says of an endpoint."""
+    deadline = profile.deadline.nanoseconds / 1e9
+    return profile.reliability.name.lower(), profile.durability.name.lower(), 0.0 if deadline > 1e9 else deadline
+
+
+def without_depth(qos: Qos | None) -> tuple[str, str, float]:
+    """The same of a QoS; its depth stays unknown to others."""
+    assert qos is not None
+    return qos.reliability, qos.durability, qos.deadline
+
+
+def test_qos_follows_the_publishers(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """A best-effort publisher, then a latched one in its place, then both: what is published always crosses."""
+    there = pc.listener("/chat", qos=QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT))
+    best_effort = robot.publisher("/chat", qos=BEST_EFFORT)
+    server, client = bridge.both(Topic("/chat", "transmit"))
+
+    def crosses(publisher: Any, expected: Qos) -> None:
+        eventually(lambda: (route(server, "/chat").qos, route(client, "/chat").qos) == (expected, expected))
+        carries([publisher], server, ["/chat"])
+        count = len(there.payloads)
+        publisher.publish(text("new"))
+        heard(there, count + 1)
+
+    crosses(best_effort, Qos("best_effort"))
+    robot.node.destroy_publisher(best_effort)
+    latched = robot.publisher("/chat", qos=LATCHED)
+    crosses(latched, Qos(durability="transient_local"))
+    late = pc.listener("/chat", qos=LATCHED)
+    assert heard(late, 1) == [text("new")]
+    crosses(robot.publisher("/chat", qos=BEST_EFFORT), Qos("best_effort"))
+
+
+def test_a_subscriber_that_asks_for_more(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    wants_history = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    pc.listener("/chat", qos=wants_history)
+    robot.publisher("/chat", qos=BEST_EFFORT)
+    server, _ = bridge.both(Topic("/chat", "transmit"))
+    eventually(lambda: down(server, "/chat", "the publisher is best_effort, the subscription asks for reliable"))
+    assert stage(server, "/chat", "QoS compatible") is False
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Both sides say so; once the port is free, trying again opens the topic."""
+    port, out, there = free_port(), robot.publisher("/chat"), pc.listener("/chat")
+    with socket.socket(type=socket.SOCK_STREAM if protocol == "tcp" else socket.SOCK_DGRAM) as squatter:
+        squatter.bind(("127.0.0.1", port))
+        if protocol == "tcp":
+            squatter.listen()
+        server, client = bridge.both(Topic("/chat", "transmit", protocol=protocol, port=port))
+        for engine in (server, client):
+            eventually(lambda engine=engine: down(engine, "/chat", f":{port} is taken by another process"))
+            assert "choose another port" in route(engine, "/chat").reason
+    client.retry().result(5)
+    carries([out], server, ["/chat"])
+    out.publish(text("at last"))
+    assert heard(there, 1) == [text("at last")]
+
+
+@pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
+def test_a_server_whose_port_is_taken(kind: Any, bridge: Bridge) -> None:
+    """It says so, and leaves nothing behind: another can have what it had bound before."""
+    with socket.socket(type=kind) as squatter:
+        squatter.bind(("127.0.0.1", bridge.port))
+        if kind is socket.SOCK_STREAM:
+            squatter.listen()
+        with pytest.raises(EngineError, match=f"127.0.0.1:{bridge.port} is taken by another process: stop it, or"):
+            bridge.server()
+    bridge.server()
+
+
+def test_addresses_that_will_not_do(bridge: Bridge) -> None:
+    with pytest.raises(EngineError, match=r"192\.0\.2\.1:.* is not an address of this machine"):
+        bridge.server(server_ip="192.0.2.1")
+    with pytest.raises(EngineError, match="the name is not known"):
+        bridge.server(server_ip="no-such-host.invalid")
+    client = bridge.client(server_ip="no-such-host.invalid")
+    eventually(lambda: said(client, "no-such-host.invalid"))
+    nobody = bridge.client(server_ip="localhost")
+    eventually(lambda: link(nobody).attempts > 1)
+    assert f"localhost:{bridge.port}: Connection refused: is the server running there?" in link(nobody).reason
+
+
+def test_keys_that_are_missing(bridge: Bridge) -> None:
+    with pytest.raises(EngineError, match="no key_file for robot1: make one with `rsb-console keygen`"):
+        bridge.server(key_file=None)
+    with pytest.raises(EngineError, match=r"lost\.key"):
+        bridge.client(key_file="lost.key")

@@ -1,0 +1,268 @@
+"""What an operator does while the bridge runs, from either side, and what the bridge does by itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from std_msgs.msg import String
+from tests.support.bridge import carries, eventually, find, heard, linked, route, said
+from tests.support.domain import LATCHED, text
+from tests.support.waiting import holds
+
+from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.session import Client, Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+
+@pytest.mark.parametrize("operator", ["client", "server"])
+def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """From either side; the session that a client would save follows."""
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both()
+    engine = client if operator == "client" else server
+    key = engine.add_topic(Topic("/chat", "transmit")).result(5)
+    carries([out], server, ["/chat"])
+    out.publish(text("tcp"))
+    assert heard(there, 1) == [text("tcp")]
+    with pytest.raises(EngineError, match="/chat is bridged in that direction already: edit or remove"):
+        engine.add_topic(Topic("/chat", "transmit")).result(5)
+    with pytest.raises(EngineError, match="'LaserScam' is not a known short type name"):
+        engine.edit_topic(key, Topic("/chat", "transmit", type="LaserScam")).result(5)
+
+    key = engine.edit_topic(key, Topic("/chat", "transmit", protocol="udp", qos=3)).result(5)
+    eventually(lambda: route(server, "/chat").transport == route(client, "/chat").transport == "udp")
+    carries([out], server, ["/chat"])
+    out.publish(text("udp"))
+    heard(there, 2)
+
+    for side in (client, server):
+        side.pause(route(side, "/chat").key, True).result(5)
+        eventually(lambda: {route(each, "/chat").state for each in (client, server)} == {"paused"})
+        eventually(lambda: not out.get_subscription_count())
+        side.pause(route(side, "/chat").key, False).result(5)
+        carries([out], server, ["/chat"])
+    out.publish(text("resumed"))
+    assert heard(there, 3) == [text("tcp"), text("udp"), text("resumed")]
+    ours = (Topic("/chat", "transmit", protocol="udp", qos=3),)
+    assert client.session.topics == (ours if operator == "client" else ())
+
+    engine.remove_topic(key).result(5)
+    eventually(lambda: not client.snapshot().routes and not server.snapshot().routes)
+    eventually(lambda: not out.get_subscription_count() and not there.matched)
+    with pytest.raises(EngineError, match="there is no route"):
+        engine.remove_topic(key).result(5)
+
+
+def test_a_topic_that_one_side_opened_the_other_may_remove(bridge: Bridge, robot: Domain) -> None:
+    robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    eventually(lambda: find(server, "/chat"))
+    server.remove_topic(route(server, "/chat").key).result(5)
+    eventually(lambda: not client.snapshot().routes)
+    assert client.session.topics == ()
+    assert said(client, "/chat: removed by the other side: removed by an operator")
+
+
+def test_both_sides_add_the_same_topic_while_apart(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """The client's stays: it is in its file."""
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server = bridge.server()
+    server.add_topic(Topic("/chat", "transmit", protocol="udp")).result(5)
+    client = bridge.client(Topic("/chat", "transmit", protocol="tcp"))
+    carries([out], server, ["/chat"])
+    out.publish(text("once"))
+    assert heard(there, 1) == [text("once")]
+    assert route(server, "/chat").transport == route(client, "/chat").transport == "tcp"
+
+
+def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    robot.publisher("/odom", qos=LATCHED)
+    pc.listener("/goal")
+    server, client = bridge.both()
+
+    def names(engine: Engine, link: str | None) -> dict[str, Any]:
+        return {each.topic: each for each in engine.topics(link).result(5)}
+
+    for engine, own, others in ((server, None, "robot1"), (client, "robot1", None)):
+        eventually(lambda engine=engine, own=own: "/goal" in names(engine, own))
+        eventually(lambda engine=engine, others=others: "/odom" in names(engine, others))
+        odom = names(engine, others)["/odom"]
+        assert (odom.type_name, odom.publishers, odom.subscriptions) == ("std_msgs/msg/String", 1, 0)
+        assert odom.qos.durability == "transient_local"
+        assert odom.type_hash.startswith("RIHS01_")
+        assert names(engine, own)["/goal"].qos is None
+    client.stop()
+    eventually(lambda: not linked(server))
+    with pytest.raises(EngineError, match="robot1 is not linked"):
+        server.topics("robot1").result(5)
+
+
+def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Two robots, a key each, on one server: what each may and under which name; one goes, the other stays."""
+    clients = (
+        Client("robot1", key_file=bridge.make_key("one"), use_name=True, deny=("/secret*",)),
+        Client("robot2", key_file=bridge.make_key("two"), allow=("/chat", "/back")),
+    )
+    server = bridge.server(name="pc", clients=clients, use_name=False)
+    names = ("/chat", "/secret_door", "/back")
+    topics = [Topic("/chat", "transmit"), Topic("/secret_door", "transmit"), Topic("/back", "receive")]
+    for name in names:
+        robot.publisher(name)
+        pc.publisher(name)
+    one = bridge.client(*topics, name="robot1", key_file="one.key", use_name=True)
+    two = bridge.client(*topics, name="robot2", key_file="two.key")
+    heard_one, heard_two = pc.listener("/robot1/chat"), pc.listener("/chat")
+    carries([], server, ["/robot1/chat", "/chat"])
+    out = robot.publisher("/chat")
+    eventually(lambda: out.get_subscription_count() == 2)
+    out.publish(text("both"))
+    assert heard(heard_one, 1) == heard(heard_two, 1) == [text("both")]
+    assert route(one, "/back").remote_topic == "/robot1/back"
+    assert route(two, "/back").remote_topic == "/back"
+    eventually(lambda: "the server denies /robot1/secret_door to robot1" in route(one, "/secret_door").reason)
+    eventually(lambda: "does not allow /secret_door to robot2" in route(two, "/secret_door").reason)
+    with pytest.raises(EngineError, match="say which client: one of robot1, robot2"):
+        server.add_topic(Topic("/more", "receive")).result(5)
+    server.add_topic(Topic("/more", "receive"), "robot2").result(5)
+    eventually(lambda: find(two, "/more"))
+    one.stop()
+    eventually(lambda: not linked(server, "robot1"))
+    out.publish(text("one left"))
+    heard(heard_two, 2)
+    assert linked(server, "robot2")
+    assert find(one, "/more") is None
+
+
+def test_a_topic_both_ways_does_not_loop(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """On either transport, also where the server hands one robot's words to another."""
+    names = ("/tcp", "/udp")
+    topics = [
+        Topic(name, direction, protocol=name[1:], type="String", qos="default")
+        for name in names
+        for direction in ("transmit", "receive")
+    ]
+    sides = [(domain.publisher(name), domain.listener(name)) for domain in (robot, pc) for name in names]
+    server, client = bridge.both(*topics)
+    eventually(lambda: len(server.snapshot().routes) == len(client.snapshot().routes) == 4)
+    for publisher, listener in sides:
+        eventually(lambda publisher=publisher: publisher.get_subscription_count() == 2)
+        eventually(lambda listener=listener: listener.matched == 2)
+    for publisher, _ in sides:
+        publisher.publish(text("hello"))
+    for _, listener in sides:
+        heard(listener, 2)
+    holds(lambda: all(len(listener.payloads) == 2 for _, listener in sides), 1.0)
+    assert all(each.ledger.offered <= 1 for engine in (server, client) for each in engine.snapshot().routes)
+
+
+def test_latched_topics_reach_those_who_come_late(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """A late subscriber, a late server, and both again after the link was cut."""
+    map_, goal = robot.publisher("/map", qos=LATCHED), pc.publisher("/goal", qos=LATCHED)
+    map_.publish(text("map 1"))
+    goal.publish(text("goal 1"))
+    client = bridge.client(Topic("/map", "transmit"), Topic("/goal", "receive", protocol="udp"))
+    server = bridge.server()
+    assert heard(pc.listener("/map", qos=LATCHED), 1) == [text("map 1")]
+    assert heard(robot.listener("/goal", qos=LATCHED), 1) == [text("goal 1")]
+    here, there = robot.listener("/goal", qos=LATCHED), pc.listener("/map", qos=LATCHED)
+    heard(here, 1), heard(there, 1)
+    relay.stall()
+    relay.cut()
+    eventually(lambda: not linked(client) and not linked(server))
+    map_.publish(text("map 2"))
+    goal.publish(text("goal 2"))
+    eventually(lambda: there.payloads[-1] == text("map 2") and here.payloads[-1] == text("goal 2"))
+    assert heard(pc.listener("/map", qos=LATCHED), 1) == [text("map 2")]
+
+
+def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Thesis: every `stale_after` s, `stale_warnings` times, then silence; "reinitialized" when data returns."""
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    latched = robot.publisher("/map", qos=LATCHED)
+    server, client = bridge.both(
+        Topic("/chat", "transmit"), Topic("/map", "transmit"), stale_after=0.5, stale_warnings=2
+    )
+    carries([out, latched], server, ["/chat"])
+    out.publish(text("now"))
+    heard(there, 1)
+
+    def warnings(engine: Engine) -> list[str]:
+        return [event.text for event in engine.events() if event.source == "stale"]
+
+    expected = [
+        "/chat: nothing for 0.5 s (warning 1 of 2)",
+        "/chat: nothing for 1 s (warning 2 of 2); no more will be said until data returns",
+    ]
+    for engine in (client, server):
+        eventually(lambda engine=engine: warnings(engine) == expected)
+        assert route(engine, "/chat").state == "stale"
+        assert route(engine, "/map").state != "stale"
+    holds(lambda: warnings(client) == warnings(server) == expected, 1.5)
+    out.publish(text("again"))
+    for engine in (client, server):
+        eventually(lambda engine=engine: len(warnings(engine)) == 5)
+        assert warnings(engine)[2].startswith("/chat: reinitialized: data again after")
+        assert warnings(engine)[3:] == expected
+        eventually(lambda engine=engine: route(engine, "/chat").state == "stale")
+
+
+@pytest.mark.parametrize("side", ["client", "server"])
+def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Closes the sockets on both sides; the client waits for its operator, the server takes the next init as it is."""
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    carries([out], server, ["/chat"])
+    stop = (robot if side == "client" else pc).publisher("/shutdown")
+    eventually(stop.get_subscription_count)
+    stop.publish(text("not this"))
+    stop.publish(String(data="shutdown"))
+    eventually(lambda: client.waits_for_operator)
+    eventually(lambda: not linked(server) and not linked(client))
+    engine = client if side == "client" else server
+    assert said(engine, '"shutdown" on /shutdown in domain')
+    assert said(server, "link closed" if side == "server" else "the client left")
+    holds(lambda: not linked(server) and client.waits_for_operator, 1.5)
+    client.retry().result(5)
+    eventually(lambda: linked(client) and linked(server))
+    assert not client.waits_for_operator
+    carries([out], server, ["/chat"])
+    out.publish(text("again"))
+    assert heard(there, 1) == [text("again")]
+
+
+def test_a_shutdown_while_calling(bridge: Bridge) -> None:
+    """A client that is told to stay down does not call again, though it was between two attempts."""
+    client = bridge.client()
+    eventually(lambda: said(client, "trying again"))
+    client.shut_down().result(5)
+    bridge.server()
+    eventually(lambda: client.waits_for_operator)
+    holds(lambda: not linked(client), 2.0)
+    client.retry().result(5)
+    eventually(lambda: linked(client))
+
+
+@pytest.mark.parametrize("operator", ["client", "server"])
+def test_restarting(operator: str, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"), Topic("/own", "transmit", protocol="udp"))
+    carries([out], server, ["/chat"])
+    steps: list[str] = []
+    (client if operator == "client" else server).restart(steps.append).result(10)
+    assert steps[-1] == ("2 of 2 topics open" if operator == "client" else "1 clients are back")
+    carries([out], server, ["/chat"])
+    out.publish(text("again"))
+    assert heard(there, 1) == [text("again")]
+
+
+def test_commands_after_the_end(bridge: Bridge) -> None:
+    client = bridge.client()
+    client.stop()
+    assert not client.snapshot().running
+    with pytest.raises(EngineError, match="the engine is not running"):
+        client.retry().result(5)
