@@ -53,9 +53,10 @@ class _Part:
 
     def _read(self) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            counts = json.loads(line)
-            self.published, self.received = counts["published"], counts["received"]
+        with self.process.stdout as lines:
+            for line in lines:
+                counts = json.loads(line)
+                self.published, self.received = counts["published"], counts["received"]
 
     def stop(self) -> None:
         assert self.process.stdin is not None
@@ -129,7 +130,7 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
 
                 return run_console(demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
             say(
-                f"a simulated robot, its desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}"
+                f"a simulated robot, a desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}"
             )
             engine = Engine(demo.session, base=demo.path.parent)
             engine.start()

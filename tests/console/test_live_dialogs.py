@@ -1,0 +1,128 @@
+"""The dialogs on a real engine, against a real other side in another process."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from driving import NOWHERE, drive, gone, shown, text, until
+from live import HERE, THERE, Pair, talker
+from textual.pilot import Pilot
+
+from rsb_bridge.engine import Engine
+from rsb_bridge.session import Topic
+from rsb_bridge.session_file import load
+from rsb_bridge.snapshot import Snapshot
+from rsb_console.app import ConsoleApp
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+CHATTER = f"/dialogs_{os.getpid()}/chatter"
+
+
+@pytest.fixture(autouse=True)
+def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def watch(app: ConsoleApp, steps) -> None:
+    """Run `steps` on the console; stop its engine."""
+    try:
+        drive(app, steps)
+    finally:
+        app.stop()
+
+
+def console(path: Path) -> ConsoleApp:
+    """The console on a session file."""
+    return ConsoleApp(load(path), path, config=NOWHERE, theme="dark")
+
+
+def flows(now: Snapshot, topic: str = CHATTER) -> bool:
+    """Whether a topic carries about what its talker says."""
+    return any(route.topic == topic and route.rate > 15 for route in now.routes)
+
+
+@pytest.mark.parametrize(("domain", "sign", "direction"), [(HERE, "→", "transmit"), (THERE, "←", "receive")])
+def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
+    tmp_path: Path, domain: int, sign: str, direction: str
+) -> None:
+    pair = Pair(tmp_path)
+    app = console(pair.client_path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "● LINKED", 20)
+        await pilot.press("a", *"chatter")
+        await shown(pilot, f"▌{sign} {CHATTER[:20]}", 20)
+        await pilot.press("enter")
+        await shown(pilot, "std_msgs/msg/String")
+        await pilot.press("enter")
+        await until(pilot, lambda: flows(app.snapshot()), "20 Hz", 20)
+        await pilot.press("q")
+        await shown(pilot, f"Not saved (w saves): added {CHATTER}.")
+        await pilot.press("n", "w", "y")
+        await shown(pilot, "saved:")
+
+    with pair.server(), talker(CHATTER, domain=domain):
+        watch(app, steps)
+        saved = load(pair.client_path)
+        assert saved.topics == (Topic(CHATTER, direction, "std_msgs/msg/String", qos="default"),)  # type: ignore[arg-type]
+        assert_bridges_headless(pair.client_path)
+
+
+def assert_bridges_headless(path: Path) -> None:
+    """Run a session without the console, and wait for its topic."""
+    engine = Engine(load(path), base=path.parent)
+    engine.start()
+    try:
+        deadline = time.monotonic() + 20
+        while not flows(engine.snapshot()):
+            assert time.monotonic() < deadline, [route.reason for route in engine.snapshot().routes]
+            time.sleep(0.05)
+    finally:
+        engine.stop()
+
+
+def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+    app = console(pair.client_path)
+
+    async def steps(pilot: Pilot) -> None:
+        await until(pilot, lambda: flows(app.snapshot()), "20 Hz", 20)
+        await pilot.press("R", "y")
+        await shown(pilot, "✓ restarted", 20)
+        assert "on both sides" in text(app)
+        assert "1 of 1 topics open" in text(app)
+        await pilot.press("enter")
+        await gone(pilot, "✓ restarted")
+        await until(pilot, lambda: flows(app.snapshot()), "20 Hz", 20)
+
+    with pair.server(), talker(CHATTER):
+        watch(app, steps)
+
+
+def test_a_restart_that_finds_nobody_says_so(tmp_path: Path) -> None:
+    pair = Pair(tmp_path)
+    app = console(pair.client_path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "✗ DOWN", 20)
+        await pilot.press("R", "y")
+        await shown(pilot, "✗ connecting to", 20)
+        assert "✓ restarted" not in text(app)
+
+    watch(app, steps)
+
+
+def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
+    app = ConsoleApp(None, None, config=NOWHERE, theme="dark")
+    folders: list[Path] = []
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "a simulated robot")
+        await pilot.press("d")
+        await until(pilot, lambda: flows(app.snapshot(), "/odom"), "the odometry", 30)
+        folders.append(app.base)
+        assert app.base.is_dir()
+
+    watch(app, steps)
+    assert not folders[0].exists()
