@@ -12,24 +12,7 @@ import time
 import bed
 
 SIZES = (2_500, 5_000, 10_000)
-RATES = (
-    1_000,
-    2_000,
-    3_000,
-    4_000,
-    5_000,
-    6_000,
-    7_000,
-    8_500,
-    10_000,
-    12_500,
-    15_000,
-    20_000,
-    25_000,
-    30_000,
-    35_000,
-    40_000,
-)
+FIRST_RATE = 5_000
 SECONDS = 2.0
 
 
@@ -82,19 +65,19 @@ def main() -> None:
 
 
 def _lossless(between: bed.Bed, size: int) -> float:
-    """The highest of the rates at which nothing was lost; a rate has two tries."""
-    best = 0.0
-    for rate in RATES:
-        for _ in range(2):
-            run = between.send(rate, SECONDS, size)
-            if run.received >= run.sent:
-                break
-        if run.received < run.sent:
-            break
-        if run.rate < 0.97 * rate:
-            return max(best, run.rate)
-        best = run.rate
-    return best
+    """The highest rate (Hz) at which nothing was lost, to a tenth; each rate has two tries."""
+    rate, good, bad = FIRST_RATE, 0.0, 0.0
+    while not bad or bad > 1.1 * good:
+        runs = (between.send(int(rate), SECONDS, size) for _ in range(2))
+        passed = next((run for run in runs if run.received >= run.sent), None)
+        if passed is None:
+            bad = rate
+        elif passed.rate < 0.95 * rate:
+            return passed.rate  # the talker can't do more
+        else:
+            good = passed.rate
+        rate = (good + bad) / 2 if good and bad else rate * 2 if good else rate / 2
+    return good
 
 
 def _cpu(between: bed.Bed, rate: int) -> float:
