@@ -53,10 +53,11 @@ def config_path() -> Path:
 
 
 def shipped_path() -> Path:
-    """Where the shipped themes are: installed as shared data, or beside the packages in a checkout."""
-    installed = Path(sysconfig.get_path("data")) / "share" / "rsb_console" / "themes"
-    checkout = Path(__file__).parents[2] / "themes"
-    return installed if installed.is_dir() else checkout
+    """Where the shipped themes are: in a checkout beside the packages, else installed as shared data."""
+    checkout = Path(__file__).parents[2]
+    if (checkout / "pyproject.toml").is_file():
+        return checkout / "themes"
+    return Path(sysconfig.get_path("data")) / "share" / "rsb_console" / "themes"
 
 
 def load_themes(*folders: Path) -> Themes:

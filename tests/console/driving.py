@@ -45,6 +45,16 @@ async def gone(pilot: Pilot, words: str, seconds: float = 10.0) -> None:
     await until(pilot, lambda: words not in text(pilot.app), f"{words!r} gone", seconds)
 
 
+async def settled(pilot: Pilot, seconds: float = 10.0) -> None:
+    """Wait until the screen no longer changes: scrollbars come a refresh after what they scroll."""
+    deadline = time.monotonic() + seconds
+    before, same = "", 0
+    while same < 3:
+        assert time.monotonic() < deadline, "the screen keeps changing"
+        await pilot.pause(0.05)
+        before, same = text(pilot.app), same + 1 if text(pilot.app) == before else 0
+
+
 def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tuple[int, int] = WIDE) -> None:
     """Run `app` without a terminal, and `steps` on it."""
 

@@ -1,7 +1,7 @@
 """Exact pictures, each proven to show the console and not a crash before it is compared."""
 
 import pytest
-from driving import NARROW, WIDE, scripted_app, shown
+from driving import NARROW, WIDE, scripted_app, settled, shown
 from textual.pilot import Pilot
 
 THEMES = ("dark", "light", "high-contrast", "terminal")
@@ -15,6 +15,7 @@ def after(landmark: str, *keys: str):
         await shown(pilot, "q quit")
         await pilot.press(*keys)
         await shown(pilot, landmark)
+        await settled(pilot)
 
     return steps
 
