@@ -164,6 +164,7 @@ class SessionOperationsScreen(Screen[None]):
 
         engine = self.app.engine
         if engine is None:
+            self.notify("no session runs: there is nothing to save")
             return
         begin = self.app.path or Path(f"{engine.session.name}.yaml")
         path = await self.app.push_screen_wait(SaveAsScreen(begin))

@@ -102,6 +102,8 @@ class StatusBar(LiveLines):
 
 
 def _identity(snapshot: Snapshot, view: View) -> Line:
+    if not snapshot.name:
+        return ((" rsb-console", "strong"), (f"  {view.note}", "dim"))
     pieces = [
         (" rsb-console", "strong"),
         (f"  {snapshot.role}", "dim"),
