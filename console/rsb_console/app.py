@@ -98,7 +98,7 @@ class ConsoleApp(App[None]):
         self.config = theming.config_path() if config is None else config
         self.engine: Engine | None = None
         self.base = Path()
-        self._saved: Session | None = None
+        self.saved: Session | None = None
         self._belongings = ExitStack()
         self.leaving = Leaving.QUIT
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
@@ -207,31 +207,12 @@ class ConsoleApp(App[None]):
         """What the session's file is, and what is in it."""
         from rsb_console.recents import remember  # noqa: PLC0415 -- keeps the start short
 
-        self.path, self._saved = path, session
+        self.path, self.saved = path, session
         if path is not None and path.is_file():
             try:
                 remember(path)
             except OSError as error:
                 self.notify(f"the list of recent sessions: {error}", severity="warning", markup=False)
-
-    async def may_end(self, title: str, yes: str) -> bool:
-        """Whether the session may end: asks while it is linked, or changed and not saved.
-
-        Args:
-            title: of the question.
-            yes: the label of the button that ends it.
-        """
-        from rsb_console.saving import unsaved  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
-
-        reasons = []
-        if self.linked:
-            reasons.append("The bridge is linked and stops: no topic crosses any more.")
-        if self.engine is not None and self._saved is not None:
-            changes = unsaved(self._saved, self.engine.session)
-            if changes:
-                reasons.append(f"Not saved (w saves): {changes}.")
-        return not reasons or await self.push_screen_wait(ConfirmScreen(title, "\n".join(reasons), yes))
 
     @property
     def linked(self) -> bool:
@@ -287,7 +268,7 @@ class ConsoleApp(App[None]):
     @work(exclusive=True, group="quit")
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, for it asks
         """Leave; ask first while linked, or while something is not saved."""
-        if await self.may_end("Quit?", "Quit"):
+        if await self.main.may_end("Quit?", "Quit"):
             self.leave(Leaving.QUIT)
 
     async def on_event(self, event: events.Event) -> None:

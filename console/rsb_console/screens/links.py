@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -17,12 +18,15 @@ from rsb_console.widgets.cursor_lines import CursorLines
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from textual.app import ComposeResult
 
     from rsb_bridge.snapshot import LinkSnapshot, Snapshot
     from rsb_console.app import ConsoleApp
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
+LABEL = 15  # cells of a figure's name
 
 
 class LinksTable(CursorLines):
@@ -75,6 +79,7 @@ class LinkDetail(LiveLines, can_focus=False):
 
     def __init__(self) -> None:
         super().__init__(id="link-detail")
+        self._link: LinkSnapshot | None = None
         self._lines: list[Line] = []
 
     @property
@@ -88,29 +93,36 @@ class LinkDetail(LiveLines, can_focus=False):
 
     def show(self, link: LinkSnapshot | None) -> None:
         """Show `link`."""
-        self._lines = [] if link is None else _detail(link)
+        self._link = link
+        self._lines = [] if link is None else list(_detail(link, self.size.width))
+        self.styles.height = len(self._lines)
         self.sync()
 
+    def on_resize(self) -> None:
+        """Break the lines anew."""
+        super().on_resize()
+        self.show(self._link)
 
-def _detail(link: LinkSnapshot) -> list[Line]:
-    key = (
-        ((link.fingerprint, "strong"), (f"  {link.cipher}", "dim"))
-        if link.encrypted
-        else ((" NOT ENCRYPTED ", "alarm"),)
-    )
-    domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
-    version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
-    uncertain = "" if link.clock_uncertainty is None else f" ± {formats.span(link.clock_uncertainty)}"
-    offset = "not known yet" if link.clock_offset is None else f"{_span(link.clock_offset)} against ours{uncertain}"
-    lines: list[Line] = [
-        (("  peer         ", "dim"), (link.peer, ""), (f"  {domain}{version}", "dim")),
-        (("  key          ", "dim"), *key),
-        (("  its clock    ", "dim"), (offset, "")),
-    ]
+
+def _detail(link: LinkSnapshot, width: int) -> Iterator[Line]:
     if link.state is not State.OK:
         retry = "" if link.retry_in is None else f"; attempt {link.attempts + 1} in {link.retry_in:.0f} s"
-        lines.insert(0, (("  why          ", "dim"), (f"{link.reason}{retry}", link.state.value)))
-    return lines
+        for number, words in enumerate(textwrap.wrap(f"{link.reason}{retry}", max(20, width - LABEL))):
+            yield (_label("" if number else "why"), (words, link.state.value))
+    domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
+    version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
+    yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))
+    if link.encrypted:
+        yield (_label("key"), (link.fingerprint, "strong"), (f"  {link.cipher}", "dim"))
+    else:
+        yield (_label("key"), (" NOT ENCRYPTED ", "alarm"))
+    uncertain = "" if link.clock_uncertainty is None else f" ± {formats.span(link.clock_uncertainty)}"
+    offset = "not known yet" if link.clock_offset is None else f"{_span(link.clock_offset)} against ours{uncertain}"
+    yield (_label("its clock"), (offset, ""))
+
+
+def _label(text: str) -> tuple[str, str]:
+    return (f"  {text:<{LABEL - 2}}", "dim")
 
 
 def _span(seconds: float | None) -> str:

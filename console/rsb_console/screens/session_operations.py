@@ -20,9 +20,28 @@ class SessionOperationsScreen(Screen[None]):
 
     app: ConsoleApp
 
+    async def may_end(self, title: str, yes: str) -> bool:
+        """Whether the session may end: asks while it is linked, or changed and not saved.
+
+        Args:
+            title: of the question.
+            yes: the label of the button that ends it.
+        """
+        from rsb_console.saving import unsaved  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, saved, reasons = self.app.engine, self.app.saved, []
+        if self.app.linked:
+            reasons.append("The bridge is linked and stops: no topic crosses any more.")
+        if engine is not None and saved is not None:
+            changes = unsaved(saved, engine.session)
+            if changes:
+                reasons.append(f"Not saved (w saves): {changes}.")
+        return not reasons or await self.app.push_screen_wait(ConfirmScreen(title, "\n".join(reasons), yes))
+
     async def _run(self, session: Session, path: Path) -> None:
         """Run a session in place of what runs, if the operator agrees."""
-        if await self.app.may_end(f"Run {path.name} instead?", "Run"):
+        if await self.may_end(f"Run {path.name} instead?", "Run"):
             await self.app.run_session(session, path).wait()
 
     @work(exclusive=True, group="session-dialog")
@@ -142,7 +161,7 @@ class SessionOperationsScreen(Screen[None]):
         from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- keeps the start short
         from rsb_console.demo import running_demo  # noqa: PLC0415 -- keeps the start short
 
-        if not await self.app.may_end("Run the demo instead?", "Run"):
+        if not await self.may_end("Run the demo instead?", "Run"):
             return
         self.notify("the simulated robot starts …", timeout=3)
         parts = contextlib.ExitStack()

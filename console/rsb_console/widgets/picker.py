@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
@@ -59,13 +60,17 @@ class Offers(CursorLines, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """One an offer, or why there is none."""
-        return max(1, len(self.keys))
+        """One an offer, or those that say why there is none."""
+        return len(self.keys) or len(self._empty_lines)
+
+    @property
+    def _empty_lines(self) -> list[str]:
+        return textwrap.wrap(self._empty, max(20, self.size.width - 1))
 
     def line(self, index: int) -> Line:
         """One of them."""
         if not self.keys:
-            return ((f" {self._empty}", "dim"),)
+            return ((f" {self._empty_lines[index]}", "dim"),)
         sign = CURSOR if self.is_cursor(index) else " "
         return fit(((sign, "key"), *self._offers[self.keys[index]].line), self.size.width)
 
