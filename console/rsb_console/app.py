@@ -4,31 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import os
-import signal
 import time
-import traceback
 from contextlib import ExitStack
-from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from platformdirs import user_log_path
 from textual import events, work
 from textual.app import App
 
 from rsb_bridge.snapshot import Snapshot
 from rsb_console import theming
-from rsb_console.actions import BY_ID, Action, Group, KeymapError, bindings, load_keymap, split_keys
+from rsb_console.actions import BY_ID, Action, Group, bindings
 from rsb_console.glyphs import AsciiFilter
+from rsb_console.leaving import Leaving, finish, leave_on_signals, record_crash
 from rsb_console.palette import ActionsProvider
+from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
-from rsb_console.shell import complain
 from rsb_console.terminal import ConsoleDriver, prefers_ascii
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import FrameType
 
     from textual.filter import LineFilter
     from textual.screen import Screen
@@ -40,26 +35,6 @@ if TYPE_CHECKING:
 
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
-KEY_SIGNS = {
-    "slash": "/", "question_mark": "?", "enter": "⏎", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">",
-    "plus": "+", "minus": "-", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp", "up": "↑", "down": "↓",
-}  # fmt: skip
-
-
-class Leaving(Enum):
-    """Why the app ended."""
-
-    QUIT = "quit"
-    TERMINATED = "terminated"
-    HANGUP = "hangup"
-    CRASH = "crash"
-
-
-SIGNALS = {
-    signal.SIGTERM: Leaving.TERMINATED,
-    signal.SIGINT: Leaving.TERMINATED,
-    signal.SIGHUP: Leaving.HANGUP,
-}
 
 
 class ConsoleApp(App[None]):
@@ -107,10 +82,8 @@ class ConsoleApp(App[None]):
         self._session = session
         self._make_engine = make_engine or _make_engine
         self._filters_ascii = AsciiFilter()
-        self._theme_wanted = theme
-        self._keys_of_user: dict[str, str] = {}
+        self._preferences = Preferences(self.config, theme)
         self._last_event = 0
-        self._problems: list[tuple[str, str]] = []
 
     # -- start --------------------------------------------------------------------------------------------------------
 
@@ -129,12 +102,16 @@ class ConsoleApp(App[None]):
 
     def on_mount(self) -> None:
         """Before the first picture: themes and keys."""
-        self._load_themes()
-        self._load_keys()
+        for name in self.available_themes:
+            self.unregister_theme(name)
+        for theme in self._preferences.themes.values():
+            self.register_theme(theme)
+        self.theme = self._preferences.theme
+        self.set_keymap(self._preferences.keymap)
 
     def on_ready(self) -> None:
-        """After the first picture: what was wrong so far, and the session."""
-        for title, words in self._problems:
+        """After the first picture: what was wrong with them, and the session."""
+        for title, words in self._preferences.problems:
             self.notify(words, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
@@ -142,31 +119,9 @@ class ConsoleApp(App[None]):
         else:
             self.main.action_welcome()
 
-    def _load_themes(self) -> None:
-        themes = theming.load_themes(theming.shipped_path(), self.config / "themes")
-        for name in self.available_themes:
-            self.unregister_theme(name)
-        for theme in themes.found.values():
-            self.register_theme(theme)
-        problems = list(themes.problems)
-        if self._theme_wanted and self._theme_wanted not in themes.found:
-            problems.append(f"no theme is called {self._theme_wanted!r}; there are {', '.join(themes.found)}")
-        if problems:
-            self._problems.append(("Themes left out", "\n".join(problems)))
-        known = self._theme_wanted in themes.found
-        self.theme = self._theme_wanted if self._theme_wanted and known else theming.default_theme()
-
-    def _load_keys(self) -> None:
-        try:
-            self._keys_of_user = load_keymap(self.config / "keys.yaml")
-        except KeymapError as error:
-            self._problems.append(("Keys are the default ones", str(error)))
-        self.set_keymap(self._keys_of_user)
-
     def key_labels(self, action: Action) -> list[str]:
         """The keys that do `action`, as they are written on a keyboard."""
-        keys = self._keys_of_user.get(action.id, action.keys)
-        return [KEY_SIGNS.get(key, key.replace("ctrl+", "^")) for key in split_keys(keys)]
+        return self._preferences.key_labels(action)
 
     # -- the engine ---------------------------------------------------------------------------------------------------
 
@@ -294,20 +249,13 @@ class ConsoleApp(App[None]):
 
     def _fatal_error(self) -> None:
         """An error nobody handled. Textual would print it with all local variables, which no operator can use."""
-        self.record_crash()
+        self.crashed()
         self._close_messages_no_wait()
 
-    def record_crash(self) -> None:
-        """Write the error that is being handled where it can be reported from."""
+    def crashed(self) -> None:
+        """Keep the error that is being handled, for a report."""
         self.leaving = Leaving.CRASH
-        path = crash_path()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(traceback.format_exc(), encoding="utf-8")
-
-
-def crash_path() -> Path:
-    """Where the last crash of the app is told."""
-    return user_log_path("rsb-console") / "crash.txt"
+        record_crash()
 
 
 def _make_engine(session: Session, base: Path) -> Engine:
@@ -352,31 +300,9 @@ def run_console(
         ascii_only=ascii_only or prefers_ascii(os.environ),
         theme=theme,
     )
-    for (
-        number,
-        why,
-    ) in SIGNALS.items():  # not asyncio's handlers: they would be gone with its loop, and a second SIGHUP kill
-        signal.signal(number, partial(_on_signal, app, why))
+    leave_on_signals(app)
     try:
         app.run(mouse=mouse)
     except Exception:  # noqa: BLE001 -- whatever befell the app, the bridge goes on
-        app.record_crash()
-    return _after(app, on_hangup)
-
-
-def _on_signal(app: ConsoleApp, why: Leaving, _number: int, _frame: FrameType | None) -> None:
-    app.leave_soon(why)
-
-
-def _after(app: ConsoleApp, on_hangup: str) -> int:
-    """Stop the engine, or bridge on without the app."""
-    crashed = app.leaving is Leaving.CRASH
-    if crashed:
-        complain(f"the console has crashed; please report {crash_path()}")
-    code = int(crashed)
-    if app.engine is not None and (crashed or (app.leaving is Leaving.HANGUP and on_hangup == "continue")):
-        from rsb_console.headless import bridge_on  # noqa: PLC0415 -- seldom needed
-
-        code = bridge_on(app.engine, crashed=crashed)
-    app.stop()
-    return code
+        app.crashed()
+    return finish(app, on_hangup)

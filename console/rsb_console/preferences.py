@@ -1,0 +1,62 @@
+"""What the user has set: themes and keys of their own; a mistake in them is told, and the shipped ones stand in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_console import theming
+from rsb_console.actions import Action, KeymapError, load_keymap, split_keys
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from textual.theme import Theme
+
+KEY_SIGNS = {
+    "slash": "/", "question_mark": "?", "enter": "⏎", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">",
+    "plus": "+", "minus": "-", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp", "up": "↑", "down": "↓",
+}  # fmt: skip
+
+
+class Preferences:
+    """The themes and keys to use.
+
+    Args:
+        config: the user's folder: ``themes/`` and ``keys.yaml``, which need not exist.
+        theme: the name that was asked for; None: what suits the terminal.
+
+    Attributes:
+        themes: by name.
+        theme: the name of the one to begin with.
+        keymap: action ids to the user's keys.
+        problems: what was wrong, each with a title.
+    """
+
+    def __init__(self, config: Path, theme: str | None) -> None:
+        self.problems: list[tuple[str, str]] = []
+        self.themes: dict[str, Theme] = {}
+        self.keymap: dict[str, str] = {}
+        self.theme = self._load_themes(config, theme)
+        self._load_keys(config)
+
+    def _load_themes(self, config: Path, wanted: str | None) -> str:
+        loaded = theming.load_themes(theming.shipped_path(), config / "themes")
+        self.themes = loaded.found
+        problems = list(loaded.problems)
+        if wanted is not None and wanted not in self.themes:
+            problems.append(f"no theme is called {wanted!r}; there are {', '.join(self.themes)}")
+            wanted = None
+        if problems:
+            self.problems.append(("Themes left out", "\n".join(problems)))
+        return wanted or theming.default_theme()
+
+    def _load_keys(self, config: Path) -> None:
+        try:
+            self.keymap = load_keymap(config / "keys.yaml")
+        except KeymapError as error:
+            self.problems.append(("Keys are the default ones", str(error)))
+
+    def key_labels(self, action: Action) -> list[str]:
+        """The keys that do `action`, as they are written on a keyboard."""
+        keys = self.keymap.get(action.id, action.keys)
+        return [KEY_SIGNS.get(key, key.replace("ctrl+", "^")) for key in split_keys(keys)]
