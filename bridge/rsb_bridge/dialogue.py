@@ -6,7 +6,7 @@ import asyncio
 import itertools
 from typing import TYPE_CHECKING
 
-from rsb_bridge.graph import topics_of, type_hint
+from rsb_bridge.graph import topics_of
 from rsb_bridge.incoming import IncomingRoute
 from rsb_bridge.keepalive import Keepalive
 from rsb_bridge.outgoing import OutgoingRoute
@@ -125,8 +125,7 @@ class Dialogue:
             return
         if link.control is not control or route.id != proposal.route:
             return  # it was closed while its port was being bound
-        type_name, type_hash = type_hint(link.context.ros, route.local_topic)
-        link.send(Accept(route=route.id, topic=route.local_topic, type=type_name, type_hash=type_hash))
+        link.send(Accept(route=route.id, topic=route.local_topic))
         route.paused = proposal.paused
         route.agreed()
 
@@ -138,7 +137,7 @@ class Dialogue:
         match message:
             case Accept():
                 route.named(message.topic)
-                route.agreed(message.type, message.type_hash)
+                route.agreed()
             case Refuse():
                 self._link.end_opening(route, f"refused by the other side: {message.reason}")
             case Describe() if isinstance(route, IncomingRoute):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import zstandard
 
+from rsb_bridge.graph import type_hint
 from rsb_bridge.qos import incompatible
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.route import Peer, Route
@@ -38,6 +39,7 @@ class IncomingRoute(Route):
         self._report: SentReport | None = None
         self._clash = ""
         self._subscribers = 0
+        self._hint = ("", "")
 
     # --- setting up
 
@@ -94,6 +96,7 @@ class IncomingRoute(Route):
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""
         if self._publisher is None:
+            self._hint = type_hint(self.context.ros, self.remote_topic)
             return
         if self.accepted and not self.paused and self.path is None:
             self.peer.make_path(self)
@@ -180,6 +183,8 @@ class IncomingRoute(Route):
             newest=counts.newest if counts else self._received,
             dropped=dict(self._dropped),
             subscribers=self._subscribers,
+            type=self._hint[0],
+            type_hash=self._hint[1],
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,

@@ -52,7 +52,7 @@ EXAMPLES = [
         stale_after=15.0,
         paused=True,
     ),
-    Accept(route=1, topic="/robot1/scan", type="sensor_msgs/msg/LaserScan", type_hash="RIHS01_00"),
+    Accept(route=1, topic="/robot1/scan"),
     Refuse(route=1, code="type_differs", reason="the type's hash differs"),
     Describe(route=1, type="sensor_msgs/msg/LaserScan", type_hash="RIHS01_00", qos=Qos(deadline=0.5, lifespan=2.0)),
     Ready(route=1),

@@ -109,14 +109,10 @@ class Accept(_Message, frozen=True):
     Attributes:
         route: which.
         topic: its name on the acceptor's side, which may put a prefix before what was proposed.
-        type: what the acceptor's graph knows of the topic's type; may be empty.
-        type_hash: likewise.
     """
 
     route: RouteId
     topic: str
-    type: str = ""
-    type_hash: str = ""
 
 
 class Refuse(_Message, frozen=True):
@@ -255,6 +251,8 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         newest: the highest message number seen on datagrams.
         dropped: by cause.
         subscribers: on its topic.
+        type: what the receiver's graph knows of the topic's type, as long as the sender has described none.
+        type_hash: likewise.
         latency_p50: s, one way, the clock offset taken off; None: no figure.
         latency_p99: likewise.
         jitter: s (RFC 3550, 6.4.1); None: no figure.
@@ -268,6 +266,8 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     newest: Count = 0
     dropped: dict[str, Count] = {}
     subscribers: Count = 0
+    type: str = ""
+    type_hash: str = ""
     latency_p50: Figure | None = None
     latency_p99: Figure | None = None
     jitter: Figure | None = None
