@@ -33,12 +33,8 @@ def down(engine: Engine, topic: str, words: str) -> bool:
 
 def test_types_by_any_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """From the publishers, short as in the thesis, in full, and from the subscribers on the other side."""
-    names = {
-        "/auto": "auto",
-        "/short": "LaserScan",
-        "/half": "sensor_msgs/LaserScan",
-        "/full": "sensor_msgs/msg/LaserScan",
-    }
+    full = "sensor_msgs/msg/LaserScan"
+    names = {"/auto": "auto", "/short": "LaserScan", "/half": "sensor_msgs/LaserScan", "/full": full}
     listeners = {topic: pc.listener(topic, LaserScan) for topic in (*names, "/theirs")}
     publishers = {topic: robot.publisher(topic, LaserScan) for topic in names}
     topics = [Topic(topic, "transmit", type=name) for topic, name in names.items()]

@@ -139,12 +139,15 @@ def find(engine: Engine, topic: str) -> RouteSnapshot | None:
 
 
 def stage(engine: Engine, topic: str, name: str) -> bool | None:
-    """Whether a message's way is known to lead past a stage."""
-    return (
-        next((each.done for each in found.stages if each.name == name), None)
-        if (found := find(engine, topic))
-        else None
-    )
+    """Whether a message's way is known to lead past a stage; of a topic that goes both ways, both."""
+    found = [
+        each.done
+        for route in engine.snapshot().routes
+        if route.topic == topic
+        for each in route.stages
+        if each.name == name
+    ]
+    return None if None in found or not found else all(found)
 
 
 def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[str]) -> None:
