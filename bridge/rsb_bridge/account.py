@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
+from collections import Counter, deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rsb_bridge.snapshot import Ledger
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ReceivedReport
+
+_OVERDUE_AFTER = 2.0
 
 
 @dataclass(slots=True)
@@ -20,11 +22,15 @@ class _Opening:
         route_id: names it; the other side counts by it.
         sent: to the path.
         report: what the receiver last counted.
+        overdue: of those sent, how many had more than 2 s to arrive before that was counted.
+        marks: when (s) how many were sent, the oldest first.
     """
 
     route_id: int
     sent: int = 0
     report: ReceivedReport | None = None
+    overdue: int = 0
+    marks: deque[tuple[float, int]] = field(default_factory=deque)
 
 
 class Account:
@@ -60,6 +66,11 @@ class Account:
         """Messages given to the path in the present opening."""
         return self._opening.sent
 
+    @property
+    def overdue(self) -> int:
+        """Messages of the present opening that have arrived by the receiver's last report or never will."""
+        return self._opening.overdue
+
     def drop(self, cause: str, count: int) -> None:
         """Count messages dropped here."""
         if count:
@@ -79,9 +90,13 @@ class Account:
             self._unsettled = self._opening
         self._opening = _Opening(0)
 
-    def reported(self, report: ReceivedReport) -> None:
-        """The receiver says what it counted in the present opening."""
-        self._opening.report = report
+    def reported(self, report: ReceivedReport, now: float) -> None:
+        """The receiver says, at `now` (s), what it counted in the present opening."""
+        opening = self._opening
+        opening.report = report
+        opening.marks.append((now, opening.sent))
+        while now - opening.marks[0][0] >= _OVERDUE_AFTER:
+            opening.overdue = opening.marks.popleft()[1]
 
     def settle(self, final: ReceivedReport | None) -> None:
         """The receiver says what it counted in the last opening in which it got anything; None: it knows of none."""

@@ -25,16 +25,22 @@ class Keepalive:
         self.rx_rate = 0.0
         self.tx_rate = 0.0
         self._heard = now
+        self._received = 0
         self._rx = 0
         self._tx = 0
         self._pings = 0
 
+    def look(self, received: int, now: float) -> None:
+        """As often as wanted: note whether anything has come, by the bytes received so far."""
+        if received > self._received:
+            self._heard = now
+        self._received = received
+
     def tick(self, received: int, sent: int, now: float) -> Ping:
         """Once a second: note the byte counts so far; the ping to send."""
-        if received > self._rx:
-            self._heard = now
-        self.rx_rate += 0.5 * (received - self._rx - self.rx_rate)
-        self.tx_rate += 0.5 * (sent - self._tx - self.tx_rate)
+        self.look(received, now)
+        self.rx_rate += 0.5 * (max(0, received - self._rx) - self.rx_rate)
+        self.tx_rate += 0.5 * (max(0, sent - self._tx) - self.tx_rate)
         self._rx, self._tx = received, sent
         self._pings += 1
         return Ping(n=self._pings, sent=time.time_ns())

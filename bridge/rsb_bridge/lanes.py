@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
-_SILENT = 5.0
+_SILENT = 6.0
+"""s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
 _EXPIRE = 1.0
 
 
@@ -52,7 +53,7 @@ class Lane:
     Attributes:
         socket: a client's own, connected; a server's is shared by all its links.
         over: its last route has left, or it was closed: the next one needs another.
-        trouble: the server does not answer probes: so in words; else empty.
+        trouble: nothing comes from the peer: so in words; else empty.
         received_bytes: so far.
         sent_bytes: so far.
     """
@@ -127,14 +128,19 @@ class Lane:
 
     def tick(self, now: float) -> None:
         """As often as wanted: ask the server whether it hears us, give up messages whose fragments did not come."""
+        self._asked = self._asked if self._asked is not None else now
+        quiet = now - (self._heard if self._heard is not None else self._asked)
+        self.trouble = self._silence() if quiet > _SILENT else ""
         if self._is_client:
-            self._asked = self._asked if self._asked is not None else now
-            quiet = now - (self._heard if self._heard is not None else self._asked)
-            where = f"UDP port {self._address[1]} of {self._address[0]}" if self._address else ""
-            self.trouble = f"no answer from {where}: does a firewall drop it?" if quiet > _SILENT else ""
             self.send(self._prober.write(Probe(pong=False, opaque=0), self.datagram_size()))
         for path in self._paths.values():
             path.expire(now)
+
+    def _silence(self) -> str:
+        if self._address is None:
+            return "no UDP from the client: does a firewall drop it?"
+        where = f"UDP port {self._address[1]} of {self._address[0]}"
+        return f"no answer from {where}: does a firewall drop it?" if self._is_client else f"nothing more from {where}"
 
     def close(self) -> None:
         """Free what is the lane's own: a client's socket. May be called twice."""

@@ -317,8 +317,11 @@ class Link:
         now = self.context.now()
         for lane in self.lanes.values():
             if not lane.ready and not lane.over:
-                lane.tick(now)
-        if self.linked:
+                self._tick_lane(lane, now)
+        if self.control is not None:
+            self.keepalive.look(self._carried()[0], now)
+            if self.keepalive.dead(now):
+                self.control.abort("the peer is silent")
             for route in tuple(self.routes.values()):
                 if route.id and not route.flowing:
                     route.advance()
@@ -328,27 +331,31 @@ class Link:
         now = self.context.now()
         if self.control is None:
             return
-        stream = self.control.stream
         self.lanes = {port: lane for port, lane in self.lanes.items() if not lane.over}
-        lanes = self.lanes.values()
-        self.send(
-            self.keepalive.tick(
-                stream.received_bytes + sum(lane.received_bytes for lane in lanes),
-                stream.sent_bytes + sum(lane.sent_bytes for lane in lanes),
-                now,
-            )
-        )
-        if self.keepalive.dead(now):
-            self.control.abort("the peer is silent")
-            return
-        for lane in lanes:
-            lane.tick(now)
+        self.send(self.keepalive.tick(*self._carried(), now))
+        for lane in self.lanes.values():
+            self._tick_lane(lane, now)
         self._report()
         for route in tuple(self.routes.values()):
             if route.proposed_here and not route.id and now >= route.retry_at:
                 self.propose(route)
             elif not route.proposed_here and not route.id and now - self._linked_at > _REPROPOSED_WITHIN:
                 self.forget(route, "the other side no longer asks for it")
+
+    def _carried(self) -> tuple[int, int]:
+        """Wire bytes received and sent by all that the link has now; less than before where something was closed."""
+        assert self.control is not None
+        carriers: list[Stream | Lane] = [self.control.stream, *self.lanes.values()]
+        carriers += [route.path.stream for route in self.routes.values() if isinstance(route.path, StreamPath)]
+        return sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
+
+    def _tick_lane(self, lane: Lane, now: float) -> None:
+        before = lane.trouble
+        lane.tick(now)
+        if lane.trouble and not before:
+            self.log(Level.WARNING, lane.trouble)
+        elif before and not lane.trouble:
+            self.log(Level.INFO, "UDP gets through again")
 
     def _report(self) -> None:
         routes = [route for route in self.routes.values() if route.id]

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 _QUEUE_BYTES = 32 * 1024 * 1024
 _RADIO_QUEUE_BYTES = 64 * 1024  # on Bluetooth, a second or two, of what needn't arrive: later it would be stale
 _BATCH = 16
-_SETTLE = 2.0
 _ZSTD_LEVEL = 3
 
 
@@ -60,11 +59,6 @@ class OutgoingRoute(Route):
         self._hint = ("", "")
 
     # --- setting up
-
-    def agreed(self, type_name: str = "", type_hash: str = "") -> None:
-        """Both sides want the route; the peer may say what its own graph knows of the type."""
-        self._hint = (type_name, type_hash)
-        super().agreed()
 
     def peer_ready(self, before: ReceivedReport | None) -> None:
         """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
@@ -250,7 +244,8 @@ class OutgoingRoute(Route):
 
     def reported(self, report: ReceivedReport) -> None:
         """The peer said what arrived in the present opening."""
-        self._account.reported(report)
+        self._account.reported(report, self.context.now())
+        self._hint = (report.type, report.type_hash)
         self.latency.p50, self.latency.p99, self.latency.jitter = report.latency_p50, report.latency_p99, report.jitter
 
     def ledger(self) -> Ledger:
@@ -262,8 +257,7 @@ class OutgoingRoute(Route):
         report = self._account.report
         if self.transport != "udp" or report is None:
             return 0
-        quiet = self.meter.last is not None and self.context.now() - self.meter.last > _SETTLE
-        return self._account.sent_now if quiet and not self._queue else report.newest
+        return max(report.newest, self._account.overdue)
 
     def sent_report(self) -> SentReport:
         """What the peer is told."""

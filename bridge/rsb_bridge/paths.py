@@ -64,27 +64,31 @@ class Path(Protocol):
 
 
 class StreamPath(StreamHandler):
-    """A stream of the route's own. It is the stream's handler."""
+    """A stream of the route's own. It is the stream's handler.
+
+    Attributes:
+        stream: what carries it.
+    """
 
     ready = True
 
     def __init__(self, stream: Stream, route: Route, end: DataWriter | DataReader) -> None:
-        self._stream = stream
+        self.stream = stream
         self._route = route
         self._end = end
         stream.handler = self
 
     @property
     def congested(self) -> bool:
-        return self._stream.congested
+        return self.stream.congested
 
     @property
     def batch_bytes(self) -> int:
-        return self._stream.batch_bytes
+        return self.stream.batch_bytes
 
     def send(self, batch: Sequence[Message]) -> None:
         assert isinstance(self._end, DataWriter)
-        self._stream.write(self._end.write_many(batch))
+        self.stream.write(self._end.write_many(batch))
 
     def trouble(self) -> str:
         return ""
@@ -93,8 +97,8 @@ class StreamPath(StreamHandler):
         return None
 
     def close(self, reason: str) -> None:
-        self._stream.handler = StreamHandler()
-        self._stream.abort(reason)  # the peer closes its half too: nobody would read what waits
+        self.stream.handler = StreamHandler()
+        self.stream.abort(reason)  # the peer closes its half too: nobody would read what waits
 
     def received(self, data: bytes) -> None:
         """Bytes came: on a sending route's stream there is nothing to say, so they break the format."""
@@ -118,6 +122,6 @@ class StreamPath(StreamHandler):
         self._route.path_lost(reason)
 
     def _broken(self, reason: str) -> None:
-        self._stream.handler = StreamHandler()
-        self._stream.abort(reason)
+        self.stream.handler = StreamHandler()
+        self.stream.abort(reason)
         self._route.path_lost(reason)

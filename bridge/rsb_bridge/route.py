@@ -117,8 +117,8 @@ class Route:
 
     # --- what the halves do differently
 
-    def agreed(self, type_name: str = "", type_hash: str = "") -> None:
-        """Both sides want the route; the peer may say what its own graph knows of the type."""
+    def agreed(self) -> None:
+        """Both sides want the route."""
         self.accepted = True
         self.refusals = 0
         self.advance()
@@ -230,8 +230,11 @@ class Route:
 
     def link_stage(self) -> Stage:
         """Whether the peer is there, and what carries this route gets through."""
-        trouble = self.path.trouble() if self.path is not None else ""
+        trouble = self._trouble()
         return Stage("link up", self.peer.linked and not trouble, trouble or self.peer.down_reason)
+
+    def _trouble(self) -> str:
+        return self.path.trouble() if self.path is not None else ""
 
     @property
     def is_latched(self) -> bool:
@@ -251,6 +254,8 @@ class Route:
             return State.DOWN, self.refusal
         if self.paused:
             return State.PAUSED, "paused by an operator"
+        if trouble := self._trouble():
+            return State.DOWN, trouble
         flowing = self.flowing
         stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
         if flowing and self.meter.count and not stale:
