@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.snapshot import Level
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Attach, Established, Failed, Refused
-from rsb_bridge.wire.opening import RefusalCode
+from rsb_bridge.wire.opening import Refusal, RefusalCode
 
 if TYPE_CHECKING:
     import asyncio
@@ -56,13 +56,17 @@ class Guests:
         return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
 
     def failed(self, stream: Stream, words: str) -> None:
-        """A stream was turned away."""
+        """A stream was turned away that did not do as a friend would."""
         now = self.server.context.now()
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
+        self.say(stream, words)
+
+    def say(self, stream: Stream, words: str) -> None:
+        """Tell the operator of a stream that was turned away; not more often than every 10 s."""
         if (stream.host, words) not in self._said and len(self._said) < _SAID_MOST:
-            self._said[stream.host, words] = now
+            self._said[stream.host, words] = self.server.context.now()
             self.server.context.log(Level.WARNING, "link", f"turned {stream.peer} away: {words}")
 
     def tick(self) -> None:
@@ -150,7 +154,7 @@ class _Guest(StreamHandler):
                     return
                 case Attach():
                     self._leave()
-                    self._server.attach(stream, connection, event)
+                    self._attach(stream, event)
                     return
                 case Refused(code, words, _):
                     self._refused(stream, self._for_operator(code, words))
@@ -158,6 +162,14 @@ class _Guest(StreamHandler):
                     self._refused(stream, reason)
                 case _:
                     pass
+
+    def _attach(self, stream: Stream, event: Attach) -> None:
+        try:
+            self._server.attach(stream, self._connection, event)
+        except Refusal as refusal:  # costs its host nothing: a friend's route may have been closed meanwhile
+            self._guests.say(stream, refusal.words)
+            stream.write(self._connection.refuse(refusal.code, refusal.words))
+            stream.close(refusal.words)
 
     def _refused(self, stream: Stream, words: str) -> None:
         self._leave()

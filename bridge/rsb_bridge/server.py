@@ -186,17 +186,15 @@ class Server:
         return control
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """A stream wants to be a route's own."""
+        """A stream wants to be a route's own; raises Refusal where it may not be."""
         link = self._link_of(event.link_id)
         route = link.open_route(event.route) if link is not None else None
+        if link is None or link.keys is None or route is None or route.path is not None or route.transport == "udp":
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, "no such route waits for a stream")
         try:
-            if link is None or link.keys is None or route is None or route.path is not None or route.transport == "udp":
-                raise Refusal(RefusalCode.NO_SUCH_ROUTE, "no such route waits for a stream")
             link.keys.check_attach_proof(event.header, event.route, event.proof)
-        except (Refusal, SealError) as error:
-            stream.write(connection.refuse(RefusalCode.NO_SUCH_ROUTE, str(error)))
-            stream.close(str(error))
-            return
+        except SealError as error:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
         stream.write(connection.accept_attach())
         link.attach_stream(route, stream, connection.leftover())
 

@@ -56,6 +56,10 @@ class Bridge:
         write_key(path)
         return path.name
 
+    def secret(self) -> str:
+        """What stands in the key file that both sides use."""
+        return (self.folder / self.key_file).read_text().strip()
+
     def server_session(self, **changes: Any) -> Session:
         """A server's session."""
         return self._session("server", self.pc.id, changes)

@@ -112,10 +112,16 @@ class Relay:
 
 
 class Connection:
-    """One TCP connection through the relay."""
+    """One TCP connection through the relay.
+
+    Attributes:
+        sent: what the client has sent so far.
+    """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.sent = bytearray()
         self._loop = loop
+        self._damages = False
         self._flows = asyncio.Event()
         self._flows.set()
         self._writers: list[asyncio.StreamWriter] = []
@@ -123,6 +129,10 @@ class Connection:
     def stall(self, stalled: bool = True) -> None:
         """Carry nothing more either way, or go on."""
         self._loop.call_soon_threadsafe(self._flows.clear if stalled else self._flows.set)
+
+    def damage(self, damages: bool = True) -> None:
+        """Change the last byte of whatever comes."""
+        self._damages = damages
 
     def abort(self) -> None:
         """End it, on the relay's thread."""
@@ -139,15 +149,19 @@ class Connection:
             self.abort()
             return
         self._writers.append(far_writer)
-        await asyncio.gather(self._pump(reader, far_writer), self._pump(far_reader, writer))
+        record = self.sent.extend
+        await asyncio.gather(self._pump(reader, far_writer, record), self._pump(far_reader, writer, len))
 
-    async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _pump(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, note: Callable[[bytes], object]
+    ) -> None:
         """Carry bytes one way; the end of it is the end of both."""
         with contextlib.suppress(OSError):
             await self._flows.wait()
             while data := await reader.read(_CHUNK):
                 await self._flows.wait()
-                writer.write(data)
+                note(data)
+                writer.write(data[:-1] + bytes((data[-1] ^ 1,)) if self._damages else data)
                 await writer.drain()
         self.abort()
 

@@ -1,0 +1,270 @@
+"""What comes to the server's port and is no friend: refused in words on both sides, while the others are served."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.bridge import carries, eventually, heard, link, linked, route, said, settled
+from tests.support.domain import text
+from tests.support.relay import message_number
+
+from rsb_bridge.session import Client, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+HZ = 50
+
+
+def served(engine: Engine, out: Publisher, there: Listener, seconds: float = 1.0) -> None:
+    """Publish at 50 Hz for a while: every message arrives, and none late."""
+    count = len(there.payloads)
+    sent = []
+    began = time.monotonic()
+    for number in range(int(seconds * HZ)):
+        sent.append(time.time_ns())
+        out.publish(text(f"{number}"))
+        time.sleep(max(0.0, began + (number + 1) / HZ - time.monotonic()))
+    heard(there, count + len(sent))
+    assert len(there.payloads) == count + len(sent)
+    delays = sorted((got - said_) / 1e6 for got, said_ in zip(there.received[count:], sent, strict=True))
+    assert delays[len(delays) // 2] < 25, f"ms: {delays}"
+    assert linked(engine)
+
+
+@pytest.fixture
+def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, Engine, Publisher, Listener]]:
+    """A server with two known clients, one of which, robot1, is linked and sends."""
+    bridge.make_key("other")
+    clients = (Client("robot1"), Client("robot2", key_file="other.key"))
+    there, out = pc.listener("/beat"), robot.publisher("/beat")
+    server = bridge.server(name="pc", clients=clients)
+    client = bridge.client(Topic("/beat", "transmit"))
+    carries([out], server, ["/beat"])
+    yield server, client, out, there
+    served(client, out, there)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"name": "robot2"}, "the two sides' keys for 'robot2' differ; this side's key has the fingerprint"),
+        ({"name": "robot3"}, "the server knows no client of the name 'robot3'"),
+        ({"name": "robot2", "use_encryption": False}, "the server requires encryption for 'robot2'"),
+    ],
+    ids=["wrong key", "unknown name", "no key against a key"],
+)
+def test_those_who_must_not_come_in(changes: dict[str, Any], words: str, friend: Any, bridge: Bridge) -> None:
+    server, _, out, there = friend
+    stranger = bridge.client(Topic("/beat", "transmit"), **changes)
+    eventually(lambda: said(stranger, words) and link(stranger, changes["name"]).attempts)
+    assert said(server, words)
+    for engine in (stranger, server):
+        assert bridge.secret() not in "".join(event.text for event in engine.events())
+    served(server, out, there, 0.5)
+    assert not linked(stranger, changes["name"])
+    if "fingerprint" in words:
+        assert said(stranger, link(stranger, "robot2").fingerprint)
+        assert said(server, link(server, "robot2").fingerprint)
+
+
+def test_a_key_against_none(bridge: Bridge) -> None:
+    server = bridge.server(use_encryption=False)
+    stranger = bridge.client()
+    words = "the client encrypts and the server has no key for 'robot1'"
+    eventually(lambda: said(stranger, words) and said(server, words))
+    plain = bridge.client(use_encryption=False)
+    eventually(lambda: linked(plain))
+
+
+def test_a_server_that_is_none(bridge: Bridge) -> None:
+    """Another program's port, and one that says nothing: the client says what it met and goes on trying."""
+    with socket.create_server(("127.0.0.1", bridge.port)) as other:
+        client = bridge.client()
+        connection, _ = other.accept()
+        connection.sendall(b"SSH-2.0-OpenSSH_9.2p1\r\n")
+        eventually(lambda: said(client, "the other side is not an rsb-console"))
+        connection.close()
+        silent, _ = other.accept()
+        eventually(lambda: said(client, f"127.0.0.1:{bridge.port}: timed out; trying again"))
+        silent.close()
+    server = bridge.server()
+    client.retry().result(5)
+    eventually(lambda: linked(server))
+
+
+def frame(content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + content
+
+
+NO_HANDSHAKES = [
+    (os.urandom(64) + b"\xff" * 64, "the other side is not an rsb-console"),
+    (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", "the other side is not an rsb-console"),
+    (struct.pack(">I", 2**32 - 1), "the other side is not an rsb-console"),
+    (frame(b"rsb\x09\x01whatever comes later"), "this side speaks version 1, the peer version 9"),
+    (frame(b"rsb\x01\x63"), "there is no opening frame of kind 99"),
+    (frame(b"rsb\x01\x01\x01\xffname"), "a CONTROL frame ends before its name does"),
+    (frame(b"rsb\x01\x01\x07\x01x"), "names a cipher suite that does not exist"),
+    (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(20)), "a handshake message of 20 bytes is too short"),
+    (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(200)), "the two sides' keys for 'robot1' differ"),
+    (frame(b"rsb\x01\x02short"), "a DATA frame ends before its route does"),
+    (frame(b"rsb\x01\x02" + bytes(28)), "no such route waits for a stream"),
+]
+
+
+def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
+    """Answered with a reason, closed, and logged with the same words."""
+    server, *_ = friend
+    for number, (sent, words) in enumerate(NO_HANDSHAKES, 1):
+        # each from an address of its own: five failures from one would slow the sixth down
+        answer = talk(("127.0.0.1", bridge.port), sent, source=f"127.0.1.{number}")
+        assert answer[4:9] == b"rsb\x01\x04"
+        assert words.encode() in answer
+        event = said(server, words)
+        assert event
+        assert event.text.startswith(f"turned 127.0.1.{number}:")
+
+
+def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:
+    """Send, and give back everything that comes until the other side closes."""
+    answer = b""
+    with socket.create_connection(address, timeout=5, source_address=(source, 0)) as stranger:
+        stranger.sendall(sent)
+        with contextlib.suppress(ConnectionResetError):  # it closed with something of ours unread
+            while more := stranger.recv(4096):
+                answer += more
+    return answer
+
+
+def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
+    """A hundred slow strangers, more than one host may have: the server serves on and lets a friend in among them."""
+    server, _, out, there = friend
+    with contextlib.ExitStack() as crowd:
+        strangers = [
+            crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=8)) for _ in range(100)
+        ]
+        for stranger in strangers:
+            stranger.sendall(frame(b"rsb\x01\x01")[:5])
+        eventually(lambda: said(server, "too many connections that have not shown who they are"))
+        newcomer = bridge.client(name="robot2", key_file="other.key")
+        eventually(lambda: linked(newcomer, "robot2"))
+        served(server, out, there, 0.5)
+        assert b"no handshake within 5 s" in strangers[-1].recv(4096)
+    assert said(server, "no handshake within 5 s")
+
+
+def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """A byte that changes on the way: the link is cut off with a reason, and comes back by itself."""
+    there, out = pc.listener("/beat"), robot.publisher("/beat")
+    server, client = bridge.both(Topic("/beat", "transmit"))
+    carries([out], server, ["/beat"])
+    for connection, words in ((0, "the peer broke the format"), (-1, "damaged or forged")):
+        relay.connections[connection].damage()
+        out.publish(text("hurt"))
+        eventually(lambda words=words: said(server, words) or said(client, words))
+        relay.connections[connection].damage(False)
+        eventually(lambda: linked(server) and linked(client))
+        carries([out], server, ["/beat"])
+        count = len(there.payloads)
+        out.publish(text("well"))
+        heard(there, count + 1)
+
+
+def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Each of ours ten times over, damaged, cut short, and noise between: what arrives is what was sent, once."""
+    there, out = pc.listener("/beat"), robot.publisher("/beat")
+    server, client = bridge.both(Topic("/beat", "transmit", protocol="udp", qos={"depth": 1000}))
+    carries([out], server, ["/beat"])
+
+    def forge(datagram: bytes) -> list[bytes]:
+        damaged = bytearray(datagram)
+        damaged[-1] ^= 1
+        claims = bytearray(datagram)
+        claims[18:26] = b"\xff" * 8  # its sequence number
+        return [bytes(damaged), bytes(claims), os.urandom(60), b"", datagram[:20], *[datagram] * 10]
+
+    relay.to_server = relay.to_client = forge
+    sent = [text(f"{number}") for number in range(100)]
+    for payload in sent:
+        out.publish(payload)
+    assert heard(there, 100) == sent
+    relay.to_server = relay.to_client = lambda datagram: [datagram]
+    recorded = [datagram for datagram in relay.datagrams if message_number(datagram)]
+    relay.cut()
+    eventually(lambda: said(client, "link lost") and linked(client))
+    carries([out], server, ["/beat"])
+    with socket.socket(type=socket.SOCK_DGRAM) as replayer:
+        for datagram in recorded:
+            replayer.sendto(datagram, (relay.SERVER, bridge.port))
+    out.publish(text("new"))
+    heard(there, 101)
+    assert there.payloads == [*sent, text("new")]
+    ledger = settled(client, "/beat", 101)
+    assert ledger.delivered == 101
+
+
+def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Every byte that a client sent, played again: neither the link nor the topic's stream lets it in."""
+    there, out = pc.listener("/beat"), robot.publisher("/beat")
+    server, _ = bridge.both(Topic("/beat", "transmit"))
+    carries([out], server, ["/beat"])
+    out.publish(text("once"))
+    heard(there, 1)
+    peer = link(server).peer
+    control, data = (bytes(connection.sent) for connection in relay.connections[:2])
+    for recording, words in ((control, "damaged or forged"), (data, "no such route waits for a stream")):
+        talk((relay.SERVER, bridge.port), recording)
+        assert said(server, words)
+    assert (link(server).peer, linked(server)) == (peer, True)
+    out.publish(text("twice"))
+    assert heard(there, 2) == [text("once"), text("twice")]
+
+
+def test_a_newer_connection_of_the_same_name(friend: Any, bridge: Bridge) -> None:
+    """It takes the older one's place; the older is told, and does not push back at once."""
+    server, client, _, _ = friend
+    newer = bridge.client()
+    eventually(lambda: linked(newer))
+    eventually(lambda: said(client, "replaced by a newer connection of robot1"))
+    eventually(lambda: (link(client).retry_in or 0) > 3)
+    assert linked(server)
+    newer.stop()
+    client.retry().result(5)
+    eventually(lambda: linked(client) and route(client, "/beat").state != "down")
+
+
+def test_noise_on_every_port_at_full_speed(friend: Any, bridge: Bridge) -> None:
+    server, _, out, there = friend
+    over = threading.Event()
+
+    def shout() -> None:
+        with socket.socket(type=socket.SOCK_DGRAM) as udp:
+            while not over.is_set():
+                with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", bridge.port)) as tcp:
+                    tcp.sendall(os.urandom(200))
+                for _ in range(10):
+                    udp.sendto(b"\xb5" + os.urandom(99), ("127.0.0.1", bridge.port))
+                over.wait(0.005)
+
+    shouter = threading.Thread(target=shout)
+    shouter.start()
+    try:
+        served(server, out, there)
+    finally:
+        over.set()
+        shouter.join()
+    assert len([event for event in server.events() if "turned" in event.text]) <= 300
