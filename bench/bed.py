@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 HERE = Path(__file__).parent
 NEAR, FAR = 94, 95
@@ -48,14 +48,18 @@ class Process:
         assert self._child.stdout is not None
         return self._child.stdout.readline()
 
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
     def cpu(self) -> float:
         """Processor time so far, s, all threads."""
-        fields = Path(f"/proc/{self._child.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / _TICKS
 
     def memory(self) -> float:
         """Resident memory, MB."""
-        status = Path(f"/proc/{self._child.pid}/status").read_text()
+        status = Path(f"/proc/{self.pid}/status").read_text()
         return int(status.split("VmRSS:")[1].split()[0]) / 1000
 
     def stop(self) -> None:
@@ -107,6 +111,10 @@ class Run:
     p99: float
 
     @property
+    def lossless(self) -> bool:
+        return self.received >= self.sent
+
+    @property
     def cpu_per_message(self) -> float:
         """µs."""
         return self.cpu / self.sent * 1e6
@@ -120,8 +128,8 @@ def direct(listener: str = "listen") -> Iterator[Bed]:
 
 
 @contextlib.contextmanager
-def bridged(protocol: str) -> Iterator[Bed]:
-    """Our bridge between them: two processes, encrypted."""
+def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> Iterator[Bed]:
+    """Our bridge between them: two processes, encrypted. `client` starts another client than the one without console."""
     with tempfile.TemporaryDirectory() as name, _ends(NEAR, FAR) as bed:
         folder = Path(name)
         (folder / "bench.key").write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
@@ -133,13 +141,18 @@ def bridged(protocol: str) -> Iterator[Bed]:
             f"role: client\ndomain_id: {NEAR}\n{common}topics:\n"
             f"  - {{topic: {TOPIC}, direction: transmit, type: std_msgs/msg/String, protocol: {protocol}, qos: 2000}}\n"
         )
-        for side in ("server", "client"):
-            bed.between.append(Process("-m", "rsb_console", "run", "--no-ui", str(folder / f"{side}.yaml")))
+        bed.between.append(headless(folder / "server.yaml"))
+        bed.between.append((client or headless)(folder / "client.yaml"))
         try:
             yield _ready(bed)
         finally:
             for process in bed.between:
                 process.stop()
+
+
+def headless(session: Path) -> Process:
+    """One side of our bridge."""
+    return Process("-m", "rsb_console", "run", "--no-ui", str(session))
 
 
 @contextlib.contextmanager

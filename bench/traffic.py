@@ -66,7 +66,7 @@ def _talk(node: Node, topic: str) -> None:
             due = min(count, int((time.perf_counter() - began) * rate) + 1)
             # A stamp of its own each where it costs nothing; at high rates only the count matters.
             for _ in range(due - sent):
-                publish(message(size) if rate <= 1000 else template)
+                publish(message(size) if rate <= 5000 else template)
             sent = max(sent, due)
             time.sleep(0.0005)
         _answer(rate=count / (time.perf_counter() - began))
