@@ -29,6 +29,8 @@ _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
 _LONGEST_DELAY = 1.25
 """s; a server that is back must be found within 3 s, handshake and DDS discovery included."""
+_MOVED_AND_QUIET = 1.5
+"""s without a byte, with pings every second, after which a connection from an address we no longer have is given up."""
 _LONGEST_DELAY_REFUSED = 10.0
 """s, where the server is there and said no: it won't change its mind soon."""
 
@@ -160,6 +162,17 @@ class ClientLink(Link):
         self._retry.set()
         if self.control is not None:
             self.control.shut_down(reason, retry_after=None)
+
+    def tick(self) -> None:
+        super().tick()
+        if self.control is None or self.is_bluetooth or self.keepalive.quiet(self.context.now()) < _MOVED_AND_QUIET:
+            return
+        stream = self.control.stream
+        now_from = tcp.own_address(stream.address)
+        if now_from not in ("", stream.own_address):
+            self.control.abort(
+                f"this machine's address towards {self.host} changed: {stream.own_address} to {now_from}"
+            )
 
     # --- routes
 

@@ -45,9 +45,9 @@ class Keepalive:
         self._pings += 1
         return Ping(n=self._pings, sent=time.time_ns())
 
-    def dead(self, now: float) -> bool:
-        """Whether nothing has come for too long."""
-        return now - self._heard > DEAD_AFTER
+    def quiet(self, now: float) -> float:
+        """How long (s) nothing has come."""
+        return now - self._heard
 
     @staticmethod
     def answer(ping: Ping) -> Pong:

@@ -9,7 +9,7 @@ import msgspec
 
 from rsb_bridge.dialogue import Dialogue, LinkError
 from rsb_bridge.incoming import IncomingRoute
-from rsb_bridge.keepalive import Keepalive
+from rsb_bridge.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.udp import Address
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Shutdown, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
-
-_REPROPOSED_WITHIN = 3.0
 
 
 class Link:
@@ -272,19 +270,19 @@ class Link:
         if route.transport != "udp":
             self.open_stream(route)
             return
-        assert self.keys is not None
         lane = self.lanes.get(port)
         if lane is None or lane.over:
             lane = self.open_lane(port)
         if lane is None:
             return
         self.lanes[port] = lane
-        if isinstance(route, OutgoingRoute):
-            writer = DatagramWriter(self.keys.route_sealer(route.id, self.side), self.keys.link_id, route.id)
-            route.path = DatagramPath(lane, route, writer)
-        elif isinstance(route, IncomingRoute):
-            reader = DatagramReader(self.keys.datagram_opener(route.id, self.other_side), route.id)
-            route.path = DatagramPath(lane, route, reader)
+        route.path = DatagramPath(lane, route, self._datagram_end(route))
+
+    def _datagram_end(self, route: Route) -> DatagramWriter | DatagramReader:
+        assert self.keys is not None
+        if route.outgoing:
+            return DatagramWriter(self.keys.route_sealer(route.id, self.side), self.keys.link_id, route.id)
+        return DatagramReader(self.keys.datagram_opener(route.id, self.other_side), route.id)
 
     def _share_stream(self, route: Route) -> None:
         assert self.control is not None
@@ -320,7 +318,7 @@ class Link:
                 self._tick_lane(lane, now)
         if self.control is not None:
             self.keepalive.look(self._carried()[0], now)
-            if self.keepalive.dead(now):
+            if self.keepalive.quiet(now) > DEAD_AFTER:
                 self.control.abort("the peer is silent")
             for route in tuple(self.routes.values()):
                 if route.id and not route.flowing:
@@ -339,7 +337,7 @@ class Link:
         for route in tuple(self.routes.values()):
             if route.proposed_here and not route.id and now >= route.retry_at:
                 self.propose(route)
-            elif not route.proposed_here and not route.id and now - self._linked_at > _REPROPOSED_WITHIN:
+            elif not route.proposed_here and not route.id and now > route.awaited_until(self._linked_at):
                 self.forget(route, "the other side no longer asks for it")
 
     def _carried(self) -> tuple[int, int]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from rsb_bridge.session import Topic
     from rsb_bridge.wire.framing import Message
 
+_LONGEST_PAUSE = 10.0
+_PROPOSED_WITHIN = 3.0
 LARGEST_DATAGRAM_MESSAGE = 8 * 1024 * 1024
 """Bytes of one serialized message that UDP carries."""
 
@@ -80,6 +82,7 @@ class Route:
         id: route id on the present connection; 0: not open.
         accepted: the peer said yes (or we did, to the peer's proposal).
         refusal: why there is no such route, in words; empty: nothing was refused.
+        closed_at: s, when its last opening ended; 0: it had none.
     """
 
     outgoing: ClassVar[bool]
@@ -98,6 +101,7 @@ class Route:
         self.id = 0
         self.accepted = False
         self.refusal = ""
+        self.closed_at = 0.0
         self.retry_at = 0.0
         self.refusals = 0
         self.paused = proposal.paused
@@ -171,6 +175,7 @@ class Route:
             self.release_port = None
         self.id = 0
         self.accepted = False
+        self.closed_at = self.context.now()
 
     def destroy(self) -> None:
         """End it for good: endpoints too."""
@@ -183,7 +188,13 @@ class Route:
         self.close(reason)
         self.refusal = self.last_error = reason
         self.refusals += 1
-        self.retry_at = self.context.now() + min(10.0, 0.5 * 2**self.refusals)
+        self.retry_at = self.context.now() + min(_LONGEST_PAUSE, 0.5 * 2**self.refusals)
+
+    def awaited_until(self, linked_at: float) -> float:
+        """Until when (s) the other side will have asked for the route anew, if it still wants it."""
+        if self.closed_at > linked_at:
+            return self.closed_at + _LONGEST_PAUSE + _PROPOSED_WITHIN
+        return linked_at + _PROPOSED_WITHIN
 
     def path_lost(self, reason: str) -> None:
         """What carried the route broke while the link lives: open it again."""

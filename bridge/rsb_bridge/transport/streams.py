@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 import socket
@@ -17,6 +18,12 @@ _LINGER = 2.0
 _HIGH_WATER = 256 * 1024
 _NOT_SENT_LOW_WATER = 128 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
+_IDLE, _KEEPALIVE_EVERY = 20, 5
+"""s; the stingiest NATs forget an idle connection within a minute."""
+_GIVEN_UP_AFTER_MS = 6_000
+_TCP_RTO_MAX_MS = 44
+_RETRIED_EVERY_MS = 1000
+"""The kernel alone would wait ever longer between retransmissions, and so long after the network is back."""
 # RFCOMM carries some 50 kB/s: what waits behind the scheduler (`shared`) should be well below a second of that.
 _RFCOMM_HIGH_WATER = 2048
 _RFCOMM_BUFFER = 4096
@@ -47,6 +54,7 @@ class Stream(asyncio.Protocol):
         received_bytes: so far.
         sent_bytes: so far, those still waiting included.
         address: of the other end, as the socket module has it.
+        own_address: of this end: its host or adapter.
         batch_bytes: how much to write at once, for good.
     """
 
@@ -56,6 +64,7 @@ class Stream(asyncio.Protocol):
         self.received_bytes = 0
         self.sent_bytes = 0
         self.address: tuple[Any, ...] = ("?", 0)
+        self.own_address = ""
         self.batch_bytes = BATCH_BYTES
         self._transport: asyncio.Transport | None = None
         self._reason = ""
@@ -95,13 +104,14 @@ class Stream(asyncio.Protocol):
         # What waits should wait with us, where old messages can be dropped, not in the kernel.
         if sock.family in (socket.AF_INET, socket.AF_INET6):
             self._transport.set_write_buffer_limits(high=_HIGH_WATER)
-            sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
+            _set_tcp_options(sock)
         else:
             self.batch_bytes = _RFCOMM_HIGH_WATER
             self._transport.set_write_buffer_limits(high=_RFCOMM_HIGH_WATER)
             for buffer in (socket.SO_SNDBUF, socket.SO_RCVBUF):
                 sock.setsockopt(socket.SOL_SOCKET, buffer, _RFCOMM_BUFFER)
         self.address = transport.get_extra_info("peername") or self.address
+        self.own_address = str(sock.getsockname()[0])
         self.handler.connected(self)
 
     @property
@@ -131,6 +141,17 @@ class Stream(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         self._transport = None
         self.handler.closed(self._reason or (os_words(error) if error else "closed"))
+
+
+def _set_tcp_options(sock: socket.socket) -> None:
+    """Have idle connections remembered by NATs, and those that carry nothing retried often, and given up in the end."""
+    sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
+    with contextlib.suppress(OSError):  # Linux 6.15
+        sock.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRIED_EVERY_MS)
 
 
 def address_words(address: tuple[Any, ...]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import socket
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.transport.streams import Stream, StreamHandler, os_words
 
@@ -33,6 +33,17 @@ async def connect(host: str, port: int, handler: StreamHandler) -> Stream:
             lambda: Stream(handler), host, port, happy_eyeballs_delay=_HAPPY_EYEBALLS_DELAY
         )
     return stream
+
+
+def own_address(peer: tuple[Any, ...]) -> str:
+    """The address that this machine would connect to a peer from; empty: there is no way to it now."""
+    family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:  # connecting sends nothing
+        try:
+            probe.connect(peer)
+        except OSError:
+            return ""
+        return str(probe.getsockname()[0])
 
 
 async def listen(host: str, port: int, make_handler: Callable[[], StreamHandler]) -> asyncio.Server:
