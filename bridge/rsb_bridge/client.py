@@ -46,7 +46,6 @@ class ClientLink(Link):
         self._hello = hello
         self._key = key
         self._suite = suite
-        self._connect = rfcomm.connect if session.is_bluetooth else tcp.connect
         self._ended = asyncio.Event()
         self._retry = asyncio.Event()
         self._retry_after = 0.0
@@ -86,7 +85,8 @@ class ClientLink(Link):
             self.log(Level.INFO, f"connecting to {self.address}")
         secret = self._key.secret if self._key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
-        failure = await self._open(self.port, _ControlOpening(self, connection))
+        transport = "bluetooth" if self.is_bluetooth else "tcp"
+        failure = await self._open(transport, self.port, _ControlOpening(self, connection))
         if failure is not None:
             self._failed(failure)
             return
@@ -95,14 +95,15 @@ class ClientLink(Link):
             self.control.shut_down("shut down", retry_after=None)
         await self._ended.wait()
 
-    async def _open(self, port: int, opening: _Opening) -> _Failure | None:
+    async def _open(self, transport: str, port: int, opening: _Opening) -> _Failure | None:
         """Connect, and wait for the server's answer; None: the stream is let in."""
+        host = (self.context.session.adapter if transport == "bluetooth" else None) or self.host
         try:
-            await self._connect(self.host, port, opening)
+            await (rfcomm.connect if transport == "bluetooth" else tcp.connect)(host, port, opening)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
                 return await opening.outcome
         except OSError as error:
-            return _Failure(f"{address_words((self.host, port))}: {os_words(error)}", refused=False)
+            return _Failure(f"{address_words((host, port))}: {os_words(error)}", refused=False)
         finally:
             opening.end()
 
@@ -189,7 +190,7 @@ class ClientLink(Link):
     async def _open_stream(self, route: Route, route_id: int) -> None:
         assert self.keys is not None
         opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
-        failure = await self._open(route.proposal.port or self.port, opening)
+        failure = await self._open(route.transport, route.proposal.port or self.port, opening)
         if failure is not None and route.id == route_id:
             route.path_lost(failure.reason)
 

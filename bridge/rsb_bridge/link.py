@@ -188,7 +188,7 @@ class Link:
         Raises:
             LinkError: there is such a route, or the topic has a mistake.
         """
-        for problem in validate_topic(spec, bluetooth=self.is_bluetooth):
+        for problem in validate_topic(spec, self.context.session):
             raise LinkError(str(problem))
         key = route_key(self.name, proposal)
         if key in self.routes:
@@ -264,7 +264,7 @@ class Link:
     def make_path(self, route: Route) -> None:
         """Set a route's path going."""
         port = route.proposal.port or self.shared_port()
-        if route.transport == "bluetooth" and port == self.shared_port():
+        if self.is_bluetooth and port == self.shared_port():
             self._share_stream(route)
             return
         if route.transport != "udp":

@@ -34,10 +34,12 @@ class Ports:
     def __init__(
         self,
         host: str,
+        adapter: str | None,
         make_handler: Callable[[], StreamHandler],
         received: Received,
     ) -> None:
         self._host = host
+        self._adapter = adapter
         self._make_handler = make_handler
         self._received = received
         self._ports: dict[tuple[str, int], _Port] = {}
@@ -64,8 +66,11 @@ class Ports:
     async def _bind(self, transport: str, number: int) -> _Port:
         if transport == "udp":
             return _Port(udp=await udp.bind(self._host, number, self._received))
-        listen = rfcomm.listen if transport == "bluetooth" else tcp.listen
-        return _Port(streams=await listen(self._host, number, self._make_handler))
+        if transport == "tcp":
+            return _Port(streams=await tcp.listen(self._host, number, self._make_handler))
+        if self._adapter is None:
+            raise tcp.ListenError("the server's session names no bluetooth_address: add it, or use tcp or udp")
+        return _Port(streams=await rfcomm.listen(self._adapter, number, self._make_handler))
 
     def _release(self, key: tuple[str, int], port: _Port) -> None:
         port.users -= 1

@@ -130,7 +130,7 @@ class Server:
         self._make_welcome = make_welcome
         self._aes = aes
         self._guests = Guests(self)
-        self._ports = Ports(context.session.server_ip, self._guests.arrive, self._datagrams)
+        self._ports = Ports(context.session.server_ip, context.session.adapter, self._guests.arrive, self._datagrams)
         self._entries = {entry.client.name: entry for entry in entries}
         self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
 

@@ -107,6 +107,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         role: a client connects, a server binds.
         server_ip: IPv4, IPv6, host name, or a Bluetooth MAC: then the link is RFCOMM. On a server, what to bind.
         server_port: TCP and UDP port, or RFCOMM channel 1-30.
+        bluetooth_address: MAC of the server's adapter, where the link is IP and some topics are to go over Bluetooth:
+            each of those names a channel of its own as its port.
         domain_id: ROS domain; None is ``$ROS_DOMAIN_ID``, else 0.
         use_name: prefix the topics a client sends, on the server; and so those it asks for are looked up there.
         use_encryption: off only for experiments: everything crosses in the clear.
@@ -122,6 +124,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     role: Role
     server_ip: str
     server_port: int
+    bluetooth_address: str | None = None
     domain_id: int | None = None
     use_name: bool = False
     use_encryption: bool = True
@@ -136,3 +139,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     def is_bluetooth(self) -> bool:
         """Whether the link is RFCOMM."""
         return is_mac(self.server_ip)
+
+    @property
+    def adapter(self) -> str | None:
+        """MAC of the server's Bluetooth adapter; None: it has none to do with this session."""
+        return self.server_ip if self.is_bluetooth else self.bluetooth_address

@@ -50,19 +50,19 @@ def validate(session: Session) -> list[Problem]:
     return build(msgspec.to_builtins(session))[1]
 
 
-def validate_topic(topic: Topic, *, bluetooth: bool | None = None) -> list[Problem]:
+def validate_topic(topic: Topic, session: Session | None = None) -> list[Problem]:
     """All that is wrong with a topic by itself.
 
     Args:
         topic: to look at.
-        bluetooth: whether its link is RFCOMM; None: it is not known yet.
+        session: whose it is to be, for what its link can carry; None: it is not known yet.
 
     Returns:
         The problems; a place is the key: ``protocol``.
     """
     problems: list[Problem] = []
     topic = read(msgspec.to_builtins(topic), Topic, problems)
-    return problems + _unreported(_topic(topic, "", bluetooth), problems)
+    return problems + _unreported(_topic(topic, "", session), problems)
 
 
 def _unreported(found: Iterator[Problem], reported: list[Problem]) -> list[Problem]:
@@ -88,7 +88,7 @@ def _session(session: Session) -> Iterator[Problem]:
     if session.shutdown_topic is not None:
         yield from _topic_name(session.shutdown_topic, "shutdown_topic")
     for at, topic in enumerate(session.topics):
-        yield from _topic(topic, join("topics", at), session.is_bluetooth)
+        yield from _topic(topic, join("topics", at), session)
     yield from _clashes(session)
     yield from _clients(session)
 
@@ -111,6 +111,14 @@ def _address(session: Session) -> Iterator[Problem]:
         yield Problem("server_ip", f"{address!r} is not an address (did you mean {address.replace('-', ':')}?)")
     elif not (is_mac(address) or _is_ip(address) or _is_host(address)):
         yield Problem("server_ip", f"{show(address)} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC")
+    if session.bluetooth_address is None:
+        return
+    if session.is_bluetooth:
+        yield Problem("bluetooth_address", "the whole link is Bluetooth already, as server_ip says: leave this out")
+    elif not is_mac(session.bluetooth_address):
+        yield Problem(
+            "bluetooth_address", f"{show(session.bluetooth_address)} is not a Bluetooth MAC: six pairs with : between"
+        )
 
 
 def _is_ip(address: str) -> bool:
@@ -153,14 +161,17 @@ def _key_files(session: Session) -> Iterator[Problem]:
             )
 
 
-def _topic(topic: Topic, place: str, bluetooth: bool | None) -> Iterator[Problem]:
+def _topic(topic: Topic, place: str, session: Session | None) -> Iterator[Problem]:
     yield from _topic_name(topic.topic, join(place, "topic"))
     if topic.remote_topic is not None:
         yield from _topic_name(topic.remote_topic, join(place, "remote_topic"))
     yield from _type(topic.type, join(place, "type"))
-    yield from _protocol(topic, join(place, "protocol"), bluetooth)
+    if session is not None:
+        yield from _protocol(topic, place, session)
     if topic.port is not None:
-        rfcomm = topic.protocol == "bluetooth" or (topic.protocol is None and bluetooth is True)
+        rfcomm = topic.protocol == "bluetooth" or (
+            topic.protocol is None and session is not None and session.is_bluetooth
+        )
         yield from _port(topic.port, join(place, "port"), bluetooth=rfcomm)
     try:
         parse_qos(topic.qos)
@@ -200,11 +211,20 @@ def _repaired(name: str) -> str:
     return "/".join(f"_{part}" if part[0].isdecimal() else part for part in parts)
 
 
-def _protocol(topic: Topic, place: str, bluetooth: bool | None) -> Iterator[Problem]:
-    if bluetooth is False and topic.protocol == "bluetooth":
-        yield Problem(place, "bluetooth needs a Bluetooth MAC as server_ip: this link is tcp or udp")
-    elif bluetooth is True and topic.protocol not in (None, "bluetooth"):
-        yield Problem(place, f"server_ip is a Bluetooth MAC: not {topic.protocol} but bluetooth, or leave it out")
+def _protocol(topic: Topic, place: str, session: Session) -> Iterator[Problem]:
+    if session.is_bluetooth:
+        if topic.protocol not in (None, "bluetooth"):
+            words = f"server_ip is a Bluetooth MAC: not {topic.protocol} but bluetooth, or leave it out"
+            yield Problem(join(place, "protocol"), words)
+    elif topic.protocol == "bluetooth" and session.bluetooth_address is None:
+        words = (
+            "bluetooth needs a Bluetooth MAC: as server_ip for the whole link, or as bluetooth_address for such topics"
+        )
+        yield Problem(join(place, "protocol"), words)
+    elif topic.protocol == "bluetooth" and topic.port is None:
+        yield Problem(
+            join(place, "port"), f"a bluetooth topic of an IP link has a channel of its own: 1 to {MAX_CHANNEL}"
+        )
 
 
 def _rate(rate: float | None, place: str) -> Iterator[Problem]:
@@ -222,7 +242,7 @@ def _clashes(session: Session) -> Iterator[Problem]:
     routes: dict[tuple[str, str], int] = {}
     ports: dict[tuple[str, int], str] = {}
     shared = "its server_port"
-    for protocol in ("tcp", "udp", "bluetooth"):
+    for protocol in ("bluetooth",) if session.is_bluetooth else ("tcp", "udp"):
         ports[protocol, session.server_port] = shared
     for at, topic in enumerate(session.topics):
         place = join("topics", at)

@@ -119,7 +119,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         Words by the key of the field.
     """
     if session.role == "server":
-        found = validate_topic(topic, bluetooth=session.is_bluetooth)
+        found = validate_topic(topic, session)
     else:
         others = tuple(each for each in session.topics if each != replaced)
         here = f"topics[{len(others)}]"

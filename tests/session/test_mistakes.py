@@ -11,6 +11,7 @@ FILE = Path("robot1.yaml")
 CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
 SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
 BLUETOOTH = "name: robot1\nrole: client\nserver_ip: 5C:F3:70:9A:1B:2E\nserver_port: 5\nkey_file: key.txt\n"
+MAC = "5C:F3:70:9A:1B:2E"
 
 
 def refusals(text: str) -> list[str]:
@@ -45,8 +46,12 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (topic("port: '49153'"), 7, "'49153' is not a whole number (leave out the quotes)"),
         (topic("port: 31", BLUETOOTH), 7, "31 is not an RFCOMM channel: 1 to 30"),
         (topic("port: 49152"), 7, "49152 is the server_port: leave port out to share it"),
-        (topic("protocol: bluetooth"), 7, "bluetooth needs a Bluetooth MAC as server_ip"),
+        (topic("protocol: bluetooth"), 7, "bluetooth needs a Bluetooth MAC: as server_ip"),
         (topic("protocol: udp", BLUETOOTH), 7, "not udp but bluetooth"),
+        (topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"), 8, "a channel of its own: 1 to 30"),
+        (topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"), 8, "31"),
+        (f"{CLIENT}bluetooth_address: 10.0.0.1\n", 6, "'10.0.0.1' is not a Bluetooth MAC"),
+        (f"{BLUETOOTH}bluetooth_address: {MAC}\n", 6, "the whole link is Bluetooth already"),
         (topic("max_rate: 0"), 7, "topics[0].max_rate: 0.0 is not a rate"),
         (topic("expected_rate: -1"), 7, "topics[0].expected_rate:"),
         (topic("stale_after: -1"), 7, "topics[0].stale_after:"),
@@ -207,8 +212,8 @@ def test_a_form_has_the_same_rules_as_a_file() -> None:
     assert "did you mean /scan?" in problem.words
     mistyped = Topic(topic="/scan", direction="transmit", protocol="tpc")  # type: ignore[arg-type]
     assert [problem.place for problem in validate_topic(mistyped)] == ["protocol"]
-    on_bluetooth = Topic(topic="/scan", direction="transmit", protocol="tcp")
-    assert validate_topic(on_bluetooth) == validate_topic(on_bluetooth, bluetooth=False) == []
-    assert [problem.place for problem in validate_topic(on_bluetooth, bluetooth=True)] == ["protocol"]
+    over_tcp = Topic(topic="/scan", direction="transmit", protocol="tcp")
+    assert validate_topic(over_tcp) == validate_topic(over_tcp, parse(CLIENT, FILE)) == []
+    assert [problem.place for problem in validate_topic(over_tcp, parse(BLUETOOTH, FILE))] == ["protocol"]
     session = Session(name="a", role="client", server_ip="localhost", server_port=0, topics=(mistyped,))
     assert [problem.place for problem in validate(session)] == ["topics[0].protocol", "server_port", "key_file"]

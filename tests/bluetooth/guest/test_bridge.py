@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec import structs
 
 from rsb_bridge.bluetooth import Scan, Use, held_channels, scan
 from rsb_bridge.engine import Engine
@@ -199,6 +200,23 @@ def test_a_topic_with_a_channel_of_its_own(addresses: tuple[str, str], base: Pat
         assert _channels(found, addresses[0], Use.OWN) == {_CHANNEL, 11}
         assert _channels(found, addresses[0], Use.BUSY) == {12}
     assert not _channels(asyncio.run(scan()), addresses[0], Use.BUSY)
+
+
+def test_a_topic_over_bluetooth_on_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
+    client_side, server_side = StandIn(scan=Qos(), odom=Qos()), StandIn()
+    topics = (Topic("/scan", "transmit", protocol="bluetooth", port=11), Topic("/odom", "transmit"))
+    common = {"server_port": 49152, "bluetooth_address": addresses[0]}
+    with (
+        running(structs.replace(session("server", "127.0.0.1"), **common), base, server_side),
+        running(structs.replace(session("client", "127.0.0.1", *topics), **common), base, client_side) as client,
+    ):
+        wait_until(lambda: client_side.subscribed("/scan") and client_side.subscribed("/odom"), "both open")
+        client_side.publish("/scan", b"1" * 10_000)
+        client_side.publish("/odom", b"2" * 1_000)
+        _let_arrive(server_side, "/scan", 1)
+        _let_arrive(server_side, "/odom", 1)
+        assert (route(client, "/scan").transport, route(client, "/scan").port) == ("bluetooth", 11)
+        assert (route(client, "/odom").transport, route(client, "/odom").port) == ("tcp", 49152)
 
 
 def _channels(found: Scan, address: str, use: Use) -> set[int]:
