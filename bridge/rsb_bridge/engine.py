@@ -22,7 +22,6 @@ from rsb_bridge.graph import topics_of
 from rsb_bridge.keys import KeyFileError, read_key
 from rsb_bridge.observer import Observer, in_slices
 from rsb_bridge.ros.api import RosError, RosSide, Subscription
-from rsb_bridge.route import Route
 from rsb_bridge.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.transport.streams import address_words
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from rsb_bridge.link import Link
+    from rsb_bridge.route import Route
     from rsb_bridge.session import Session, Topic
 
 _POLL = 0.25
@@ -281,7 +281,8 @@ class Engine:
                 link.poll()
             tick = polls % _POLLS_PER_TICK == 0
             if tick:
-                await in_slices([route for link in end.links() for route in link.routes.values()], Route.tick)
+                routes = [route for link in end.links() for route in link.routes.values()]
+                await in_slices(routes, lambda route: route.tick())
                 end.tick()
             if tick or self._observer.looked_at:
                 await self._observer.refresh(end)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.session import Topic
 
+_INCOMPLETE_IN_A_ROW = 3
+
 
 class IncomingRoute(Route):
     """Publishes here what the peer sends."""
@@ -39,6 +41,8 @@ class IncomingRoute(Route):
         self._report: SentReport | None = None
         self._clash = ""
         self._subscribers = 0
+        self._received_before = 0
+        self._expired_before = 0
         self._hint = ("", "")
 
     # --- setting up
@@ -138,6 +142,15 @@ class IncomingRoute(Route):
             self.latency.add((now - stamp) / 1e9 + (self.peer.clock_offset or 0.0))
             self.count(count, size)
 
+    def tick(self) -> None:
+        super().tick()
+        counts = self.path.counts() if self.path is not None else None
+        expired = counts.expired if counts else 0
+        if self._received != self._received_before:
+            self._received_before, self._expired_before = self._received, expired
+        elif expired - self._expired_before >= _INCOMPLETE_IN_A_ROW:
+            self._say("none of its messages comes whole: too large for UDP on this network: use protocol: tcp")
+
     def _decompress(self, payload: bytes) -> bytes:
         size = zstandard.frame_content_size(payload)
         if not 0 <= size <= MESSAGE_LIMIT:
@@ -207,7 +220,7 @@ class IncomingRoute(Route):
             self.link_stage(),
             Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
             Stage("sent", (report is not None and report.offered > 0) or None),
-            Stage("received", self._received > 0 or None),
+            Stage("received", self._received > 0 or None, "" if self._received else self.last_error),
             Stage("published", self._delivered > 0 or None),
             Stage(
                 "subscriber seen",

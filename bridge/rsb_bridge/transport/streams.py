@@ -15,8 +15,7 @@ BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
 _LINGER = 2.0
-_HIGH_WATER = 256 * 1024
-_NOT_SENT_LOW_WATER = 128 * 1024
+_NOT_SENT_LOW_WATER = 32 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _IDLE, _KEEPALIVE_EVERY = 20, 5
 """s; the stingiest NATs forget an idle connection within a minute."""
@@ -50,7 +49,7 @@ class Stream(asyncio.Protocol):
 
     Attributes:
         handler: gets what happens from now on.
-        congested: more than 256 KiB (RFCOMM: 2 KiB) wait for the socket: better not to write now.
+        congested: bytes (RFCOMM: 2 KiB) wait for the kernel to take them: better not to write now.
         received_bytes: so far.
         sent_bytes: so far, those still waiting included.
         address: of the other end, as the socket module has it.
@@ -103,7 +102,7 @@ class Stream(asyncio.Protocol):
         sock: socket.socket = transport.get_extra_info("socket")
         # What waits should wait with us, where old messages can be dropped, not in the kernel.
         if sock.family in (socket.AF_INET, socket.AF_INET6):
-            self._transport.set_write_buffer_limits(high=_HIGH_WATER)
+            self._transport.set_write_buffer_limits(high=0)
             _set_tcp_options(sock)
         else:
             self.batch_bytes = _RFCOMM_HIGH_WATER

@@ -21,6 +21,8 @@ _BURST_PAUSE = 0.001
 _SO_RCVBUFFORCE, _SO_SNDBUFFORCE = 33, 32
 _IP_MTU, _IPV6_MTU = 14, 24
 _HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
+_SIZE_HOLDS = 1.0
+"""s until the kernel is asked again what the path carries: ICMP may have told it meanwhile."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
 
 
@@ -42,7 +44,7 @@ class UdpSocket:
         self._received = received
         self._loop = asyncio.get_running_loop()
         self._backlog: deque[tuple[bytes, Address | None]] = deque()
-        self._mtu: dict[Address, int] = {}
+        self._sizes: dict[Address, tuple[int, float]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self.when_writable: set[Callable[[], None]] = set()
         self.received_bytes = 0
@@ -82,10 +84,12 @@ class UdpSocket:
 
     def datagram_size(self, address: Address) -> int:
         """Bytes of the largest datagram that reaches `address` without IP fragmentation, as far as the kernel knows."""
-        size = self._mtu.get(address)
-        if size is None:
-            size = self._mtu[address] = _path_mtu(self._sock.family, address) - _HEADERS[self._sock.family]
-        return min(size, _LARGEST - _HEADERS[self._sock.family])
+        now = self._loop.time()
+        size, until = self._sizes.get(address, (0, 0.0))
+        if now >= until:
+            size = min(_path_mtu(self._sock.family, address), _LARGEST) - _HEADERS[self._sock.family]
+            self._sizes[address] = (size, now + _SIZE_HOLDS)
+        return size
 
     def close(self) -> None:
         """Close it; what waits is lost."""
@@ -115,7 +119,7 @@ class UdpSocket:
         except BlockingIOError:
             return False
         except OSError:
-            self._mtu.clear()  # EMSGSIZE: the path changed; others: lost, as UDP may
+            self._sizes.clear()  # EMSGSIZE: the path changed; others: lost, as UDP may
             return True
         self.sent_bytes += len(datagram)
         return True
