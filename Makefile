@@ -10,7 +10,7 @@ EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(co
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-bluetooth lint bench clean system
+.PHONY: demo test test-bluetooth lint bench screenshots clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -43,6 +43,10 @@ $(STAMP): pyproject.toml
 	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
+
+# The README's pictures, from the running demo.
+screenshots: $(STAMP)
+	$(BIN)/python docs/screenshots.py
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

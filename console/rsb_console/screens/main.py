@@ -42,6 +42,7 @@ class MainScreen(OperationsScreen):
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
         self._frozen_since: float | None = None
         self._held: list[Event] = []
+        self._possible: tuple[bool, bool] | None = None
 
     def compose(self) -> ComposeResult:
         """Status, panes, log, keys."""
@@ -65,13 +66,13 @@ class MainScreen(OperationsScreen):
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
         """Show the engine's state; while frozen only the status line moves on."""
         self.status.show(snapshot, self._view())
-        self.show_keys()
         self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)
             self._held = []
             self.topics.show(snapshot)
             self.show_detail()
+        self.show_keys()
 
     def reset(self) -> None:
         """Another session begins: forget the old one's log."""
@@ -89,7 +90,11 @@ class MainScreen(OperationsScreen):
             self.detail.show(self.topics.selected)
 
     def show_keys(self) -> None:
-        """Show the keys that do something now."""
+        """Show the keys that do something now, if those have changed."""
+        possible = (self.app.engine is not None, self.selected is not None)
+        if possible == self._possible:
+            return
+        self._possible = possible
         self.key_bar.show(
             [
                 (

@@ -40,7 +40,7 @@ class KeyBar(LiveLines):
     def _fitting(self) -> list[tuple[str, str, str]]:
         *others, second_last, last = self._entries or [("", "", "")] * 2
         always = [second_last, last]
-        room = self.size.width - sum(width_of(_pieces(key, words)) for key, words, _ in always)
+        room = self.width - sum(width_of(_pieces(key, words)) for key, words, _ in always)
         fitting = []
         for entry in others:
             room -= width_of(_pieces(entry[0], entry[1]))

@@ -29,6 +29,9 @@ class LiveLines(ScrollView):
 
     A subclass says how many lines there are (`line_count`) and makes one (`line`); after its data changed it calls
     `sync`. The first `sticky` lines stay at the top while the rest scrolls.
+
+    Attributes:
+        width: cells; Textual's own `size` is too dear to ask for each line.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {look_class(look) for look in LOOKS} | {"line--cursor"}
@@ -38,6 +41,7 @@ class LiveLines(ScrollView):
         super().__init__(id=id, classes=classes)
         self._drawn: dict[int, tuple[Line, bool]] = {}
         self._title = ""
+        self.width = 0
 
     @property
     def line_count(self) -> int:
@@ -61,7 +65,7 @@ class LiveLines(ScrollView):
         size = Size(0, self.line_count)
         if size != self.virtual_size:
             self.virtual_size = size
-        width = self.size.width
+        self.width = width = self.size.width
         for y, (old, was_cursor) in list(self._drawn.items()):
             new, cursor = self._make(y)
             if cursor != was_cursor:
@@ -75,12 +79,17 @@ class LiveLines(ScrollView):
             return (), False
         return self.line(index), self.is_cursor(index)
 
+    def render_lines(self, crop: Region) -> list[Strip]:
+        """Draw the lines in `crop` (Textual's line API)."""
+        self.width = self.size.width
+        return super().render_lines(crop)
+
     def render_line(self, y: int) -> Strip:
         """Draw screen row `y` (Textual's line API)."""
         made, cursor = self._drawn[y] = self._make(y)
         base = self.get_component_rich_style("line--cursor") if cursor else self.rich_style
         strip = Strip([Segment(text, self._style(look, base)) for text, look in made])
-        return strip.adjust_cell_length(self.size.width, base).simplify()
+        return strip.adjust_cell_length(self.width, base).simplify()
 
     def _style(self, look: str, base: Style) -> Style:
         return base + self.get_component_rich_style(look_class(look), partial=True) if look else base

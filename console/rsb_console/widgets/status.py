@@ -60,7 +60,7 @@ class StatusBar(LiveLines):
 
     def line(self, index: int) -> Line:
         """One of them."""
-        width = self.size.width
+        width = self.width
         if index == 0:
             roomy = width >= ROOMY
             return _spread(

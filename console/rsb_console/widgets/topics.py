@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.snapshot import State
@@ -98,6 +99,20 @@ COLUMNS = (
 STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = COLUMNS[0], COLUMNS[1], COLUMNS[2], COLUMNS[3], COLUMNS[-1]
 
 
+@cache
+def layout(width: int, *, peers: bool) -> tuple[tuple[Column, int], ...]:
+    """The columns for which there is room, and their widths.
+
+    Args:
+        width: of the table, cells.
+        peers: there are several, so that theirs has a column.
+    """
+    hidden = {SIGN if width >= WIDE else STATE} | (set() if peers else {PEER})
+    shown = [column for column in COLUMNS if width >= column.from_width and column not in hidden]
+    rest = max(8, width - 1 - sum(column.width + 1 for column in shown))
+    return tuple((column, column.width or rest) for column in shown)
+
+
 class TopicsTable(CursorLines):
     """All routes of a snapshot, one a line; the cursor stays on its route."""
 
@@ -141,21 +156,9 @@ class TopicsTable(CursorLines):
         """What is shown, in its order."""
         return [self.routes[key] for key in self.keys]
 
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """The columns for which there is room."""
-        width = self.size.width
-        hidden = {SIGN if width >= WIDE else STATE} | (set() if self._peers else {PEER})
-        return tuple(column for column in COLUMNS if width >= column.from_width and column not in hidden)
-
-    @property
-    def _room(self) -> int:
-        """Cells for the column that takes what the others leave."""
-        return max(8, self.size.width - 1 - sum(column.width + 1 for column in self.columns))
-
     def sort_by(self, step: int) -> None:
         """Sort by the column `step` places to the right."""
-        columns = self.columns
+        columns = [column for column, _ in self._layout]
         at = columns.index(self.sort_column) if self.sort_column in columns else 0
         self.sort_column = columns[(at + step) % len(columns)]
         self.relist()
@@ -176,12 +179,15 @@ class TopicsTable(CursorLines):
 
     def line(self, index: int) -> Line:
         """The heading, or one route."""
-        columns, room = self.columns, self._room
         if index == 0:
-            return ((" ", ""), *(self._heading(column, column.width or room) for column in columns))
+            return ((" ", ""), *(self._heading(column, width) for column, width in self._layout))
         route = self.routes[self.keys[index - 1]]
         edge = ("▌", route.state.value) if self.is_cursor(index) else (" ", "")
-        return (edge, *(_cell(column, route, column.width or room) for column in columns))
+        return (edge, *(_cell(column, route, width) for column, width in self._layout))
+
+    @property
+    def _layout(self) -> tuple[tuple[Column, int], ...]:
+        return layout(self.width, peers=self._peers)
 
     def _heading(self, column: Column, width: int) -> tuple[str, str]:
         arrow = ("▲" if self.reversed else "▼") if column is self.sort_column else ""
@@ -191,8 +197,8 @@ class TopicsTable(CursorLines):
     def heading_clicked(self, x: int) -> None:
         """Sort by the column; by the same one again, turn the order round."""
         edge = 1
-        for column in self.columns:
-            edge += (column.width or self._room) + 1
+        for column, width in self._layout:
+            edge += width + 1
             if x < edge:
                 self.reversed = column is self.sort_column and not self.reversed
                 self.sort_column = column

@@ -1,0 +1,123 @@
+"""Prints what the console costs: alone with five hundred topics, and beside a bridge that carries 5,000 msg/s."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bed
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / "tests" / "console"))
+from terminal import Terminal  # noqa: E402 -- the tests' pseudo-terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+RATE, SIZE, SECONDS, ROUNDS = 5_000, 2_500, 10.0, 3
+KEYS = 30
+
+
+class Watched(bed.Process):
+    """A Python program in a pseudo-terminal whose reader is as fast as a terminal."""
+
+    def __init__(self, *command: str, **environ: str) -> None:
+        self.terminal = Terminal(sys.executable, *command, COLORTERM="", **environ)
+        self._stopping = threading.Event()
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def _read(self) -> None:
+        while not self._stopping.is_set():
+            self.terminal.read(0.05)
+
+    @property
+    def written(self) -> int:
+        """Bytes so far."""
+        return len(self.terminal.output)
+
+    @property
+    def pid(self) -> int:
+        """Its process."""
+        return self.terminal.pid
+
+    def until(self, condition: Callable[[], bool], seconds: float = 20.0) -> float:
+        """Wait; how long it took, s."""
+        began = time.perf_counter()
+        while not condition():
+            if time.perf_counter() - began > seconds:
+                raise SystemExit(f"the console does not answer: {self.terminal.output[-300:]!r}")
+            time.sleep(0.001)
+        return time.perf_counter() - began
+
+    def stop(self) -> None:
+        """End it."""
+        self._stopping.set()
+        self._reader.join()
+        self.terminal.__exit__()
+
+
+def main() -> None:
+    print("500 topics, each figure changing in a third of the refreshes, 120x36")
+    print(f"{'refresh':>8} {'first paint':>12} {'CPU of a core':>14} {'sent':>10} {'key p50':>8} {'key worst':>10}")
+    for rate, environ in (("4 Hz", {}), ("2 Hz", {"SSH_CONNECTION": "bench"})):
+        _alone(rate, environ)
+    print(f"\na bridge carrying {RATE} msg/s of {SIZE} bytes over TCP, {ROUNDS} x {SECONDS:.0f} s each, by turns")
+    print(f"{'client':>8} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'CPU s':>7}")
+    rounds = [(_carried(None), _carried(_console)) for _ in range(ROUNDS)]
+    headless, console = (_medians([each[side] for each in rounds]) for side in (0, 1))
+    for name, (lost, p50, p99, cpu) in (("no-ui", headless), ("console", console)):
+        print(f"{name:>8} {lost:>6.0f} {p50:>8.2f} {p99:>8.2f} {cpu:>7.2f}")
+    ratios = [above / below for above, below in zip(console[1:], headless[1:], strict=True)]
+    print(f"{'ratio':>8} {'':>6} {ratios[0]:>8.2f} {ratios[1]:>8.2f} {ratios[2]:>7.2f}")
+
+
+def _medians(runs: list[tuple[float, ...]]) -> tuple[float, ...]:
+    return tuple(statistics.median(figures) for figures in zip(*runs, strict=True))
+
+
+def _console(session: Path) -> Watched:
+    return Watched("-m", "rsb_console", "run", str(session))
+
+
+def _alone(name: str, environ: dict[str, str]) -> None:
+    console = Watched(str(HERE / "console_alone.py"), "500", **environ)
+    try:
+        painted = console.until(lambda: b"Topics" in console.terminal.output)
+        time.sleep(2.0)
+        cpu, written = console.cpu(), console.written
+        time.sleep(SECONDS)
+        cpu, written = console.cpu() - cpu, console.written - written
+        keys = sorted(_key(console, index) for index in range(KEYS))
+    finally:
+        console.stop()
+    print(
+        f"{name:>8} {painted:>10.2f} s {100 * cpu / SECONDS:>12.1f} % {written / SECONDS / 1e3:>5.1f} kB/s"
+        f" {1e3 * statistics.median(keys):>5.0f} ms {1e3 * keys[-1]:>7.0f} ms"
+    )
+
+
+def _key(console: Watched, index: int) -> float:
+    """Open or close the help; how long until it shows, s."""
+    time.sleep(0.11)  # between refreshes, at every phase of them
+    mark = console.written
+    word = b"Next line" if index % 2 == 0 else b"STATE"
+    console.terminal.type("?" if index % 2 == 0 else "q")
+    return console.until(lambda: word in console.terminal.output[mark:])
+
+
+def _carried(client: Callable[[Path], bed.Process] | None) -> tuple[float, ...]:
+    """Messages lost; p50 and p99, ms; CPU of the client, s."""
+    with bed.bridged("tcp", client) as between:
+        process = between.between[-1]
+        cpu = process.cpu()
+        run = between.send(RATE, SECONDS, SIZE)
+        return run.sent - run.received, run.p50, run.p99, process.cpu() - cpu
+
+
+if __name__ == "__main__":
+    main()
