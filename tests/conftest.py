@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
+    from tests.support.program import Programs
     from tests.support.relay import Relay
 
 _DOMAINS = range(30, 60, 2)
@@ -84,4 +85,14 @@ def relay(bridge: Bridge) -> Iterator[Relay]:
     bridge.through(made)
     yield made
     bridge.close()
+    made.close()
+
+
+@pytest.fixture
+def programs(bridge: Bridge) -> Iterator[Programs]:
+    """Starts the real program on sessions that `bridge` makes."""
+    from tests.support.program import Programs
+
+    made = Programs(bridge.folder)
+    yield made
     made.close()

@@ -46,6 +46,10 @@ class Bridge:
         self._addresses = {"server": "127.0.0.1", "client": "127.0.0.1"}
         self._engines: list[Engine] = []
 
+    def move(self) -> None:
+        """Have sessions from now on use another port."""
+        self.port = free_port()
+
     def through(self, relay: Relay) -> None:
         """Have clients call a relay instead of the server."""
         self._addresses = {"server": relay.SERVER, "client": relay.HOST}

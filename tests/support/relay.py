@@ -115,11 +115,13 @@ class Connection:
     """One TCP connection through the relay.
 
     Attributes:
-        sent: what the client has sent so far.
+        sent: what the client has sent so far, the first 64 KiB of it.
+        sent_bytes: how much it was.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.sent = bytearray()
+        self.sent_bytes = 0
         self._loop = loop
         self._damages = False
         self._flows = asyncio.Event()
@@ -149,8 +151,11 @@ class Connection:
             self.abort()
             return
         self._writers.append(far_writer)
-        record = self.sent.extend
-        await asyncio.gather(self._pump(reader, far_writer, record), self._pump(far_reader, writer, len))
+        await asyncio.gather(self._pump(reader, far_writer, self._record), self._pump(far_reader, writer, len))
+
+    def _record(self, data: bytes) -> None:
+        self.sent_bytes += len(data)
+        self.sent += data[: _CHUNK - len(self.sent)]
 
     async def _pump(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, note: Callable[[bytes], object]

@@ -1,0 +1,41 @@
+"""Forks `rsb-console run` for `tests.support.program`: a line of standard input each, their pids on standard output."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import sys
+
+
+def main() -> int:
+    """Fork until the input ends."""
+    for module in ("rsb_console.cli", "rsb_console.headless", "rsb_bridge.ros.rcl", "std_msgs.msg"):
+        importlib.import_module(module)
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
+    print("ready", flush=True)  # noqa: T201
+    for line in sys.stdin:
+        session, log = json.loads(line)
+        pid = os.fork()
+        if not pid:
+            os._exit(run(session, log))
+        print(pid, flush=True)  # noqa: T201
+    return 0
+
+
+def run(session: str, log: str) -> int:
+    """Be the program."""
+    from rsb_console.cli import main as rsb_console
+
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    for stream in (1, 2):
+        os.dup2(output, stream)
+    code = rsb_console(["run", session, "--no-ui", "--log-format", "json"])
+    sys.stdout.flush()
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

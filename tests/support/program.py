@@ -1,0 +1,108 @@
+"""The real program in a process of its own: `rsb-console run SESSION --no-ui`.
+
+An interpreter that has imported everything forks each of them, so that a test may start a hundred.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tests.support.waiting import eventually
+
+from rsb_bridge.session_file import save
+
+if TYPE_CHECKING:
+    from rsb_bridge.session import Session
+
+
+class Programs:
+    """Starts programs, and ends them all at the end."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._programs: list[Program] = []
+        self._forker = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.forker"],
+            cwd=Path(__file__).parents[2],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._forker.stdout
+        assert self._forker.stdout.readline() == "ready\n"
+
+    def start(self, session: Session) -> Program:
+        """Run a session; its key files are relative to the folder."""
+        assert self._forker.stdin
+        assert self._forker.stdout
+        number = len(self._programs)
+        path, log = self._folder / f"{session.role}{number}.yaml", self._folder / f"{session.role}{number}.log"
+        save(session, path)
+        self._forker.stdin.write(json.dumps([str(path), str(log)]) + "\n")
+        self._forker.stdin.flush()
+        program = Program(int(self._forker.stdout.readline()), log)
+        self._programs.append(program)
+        return program
+
+    def close(self) -> None:
+        """Kill them all; none may have written a traceback."""
+        for program in self._programs:
+            program.kill()
+        self._forker.communicate()
+        assert self._forker.returncode == 0
+        for program in self._programs:
+            assert "Traceback" not in program.output, program.output
+
+
+class Program:
+    """One of them.
+
+    Attributes:
+        pid: its process.
+    """
+
+    def __init__(self, pid: int, log: Path) -> None:
+        self.pid = pid
+        self._log = log
+
+    @property
+    def output(self) -> str:
+        """All that it has written so far."""
+        return self._log.read_text() if self._log.exists() else ""
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet."""
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        return True
+
+    @property
+    def said(self) -> list[str]:
+        """The texts of its events."""
+        return [line["text"] for line in self._lines() if "text" in line]
+
+    def wait_for(self, words: str) -> None:
+        """Until an event has these words."""
+        eventually(lambda: any(words in text for text in self.said), what=f"{words!r} in {self.output}")
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """kill -9, and wait until it is gone."""
+        if self.running:
+            self.signal(signal.SIGKILL)
+        eventually(lambda: not self.running)
+
+    def _lines(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.output.splitlines() if line.startswith("{") and line.endswith("}")]

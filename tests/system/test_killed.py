@@ -1,0 +1,107 @@
+"""kill -9 of either side, at any moment, again and again."""
+
+from __future__ import annotations
+
+import gc
+import os
+import random
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.support.bridge import eventually, linked
+from tests.support.domain import Domain, text
+
+from rsb_bridge.session import Topic
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Listener
+    from tests.support.program import Programs
+
+    from rsb_bridge.engine import Engine
+
+CYCLES = 50
+RESUMES_WITHIN = 3.0
+
+
+def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
+    """Two bridges at once, one whose client dies and one whose server does; the other halves live in this process.
+
+    Every third time the victims are killed while they start, else while messages cross. The bridge has 3 s to be open
+    again, each time. The messages may take longer when DDS does: a killed process leaves it shared memory to clean up
+    and peers to forget (Fast DDS 2.14.5; stock nodes alone show up to 8 s). So the robot's publisher is a new one each
+    time, and one message in four may be late.
+    """
+    chance = random.Random(1)
+    topics = (
+        Topic("/client_dies", "transmit", type="String", qos="default"),
+        Topic("/server_dies", "transmit", type="String", qos="default", protocol="udp"),
+    )
+    listeners = [pc.listener(topic.topic) for topic in topics]
+    steady = robot.publisher("/server_dies")
+    server = bridge.server()
+    mortal_client = bridge.client_session(topics[0])
+    bridge.move()
+    client = bridge.client(topics[1])
+    mortal_server = bridge.server_session()
+    seconds: list[float] = []
+
+    def cycle(number: int) -> None:
+        rebooted = Domain(robot.id)
+        publishers = [rebooted.publisher("/client_dies"), steady]
+        opened = [openings(engine) for engine in (server, client)]
+        began = time.monotonic()
+        victims = [programs.start(mortal_client), programs.start(mortal_server)]
+        if number % 3:
+            eventually(lambda: openings(server) > opened[0] and openings(client) > opened[1], RESUMES_WITHIN)
+            flow(publishers, listeners)
+            seconds.append(time.monotonic() - began)
+        end = time.monotonic() + chance.uniform(0, 0.2)
+        while time.monotonic() < end:
+            say(publishers)
+        for victim in victims:
+            victim.kill()
+        rebooted.close()
+        eventually(lambda: not linked(server) and not linked(client))
+
+    for number in range(10):
+        cycle(number)
+    before = resources()
+    for number in range(10, CYCLES):
+        cycle(number)
+    eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
+    gc.collect()
+    assert resources()[2] - before[2] < 20 << 20
+    assert sorted(seconds)[len(seconds) * 3 // 4] < RESUMES_WITHIN
+
+
+def openings(engine: Engine) -> int:
+    """How often its topic was opened, to the last step that is the bridge's own."""
+    return sum("connected (std_msgs/msg/String)" in event.text for event in engine.events())
+
+
+def say(publishers: list[Publisher]) -> None:
+    """One message on each topic."""
+    for publisher in publishers:
+        publisher.publish(text(f"{time.monotonic()}"))
+    time.sleep(0.005)
+
+
+def flow(publishers: list[Publisher], listeners: list[Listener]) -> None:
+    """Publish until all listeners have heard something new."""
+    before = [len(listener.payloads) for listener in listeners]
+
+    def all_heard() -> bool:
+        say(publishers)
+        return all(len(listener.payloads) > count for listener, count in zip(listeners, before, strict=True))
+
+    eventually(all_heard, 20)
+
+
+def resources() -> tuple[int, int, int]:
+    """Threads, file descriptors and resident bytes of this process."""
+    tasks, descriptors = (len(list(Path(f"/proc/self/{what}").iterdir())) for what in ("task", "fd"))
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return tasks, descriptors, pages * os.sysconf("SC_PAGE_SIZE")
