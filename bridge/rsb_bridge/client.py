@@ -204,7 +204,7 @@ class ClientLink(Link):
         except OSError as error:
             self.log(Level.ERROR, f"UDP to {address_words(server)}: {os_words(error)}")
             return None
-        lane = Lane(socket, self.prober, server)
+        lane = Lane(socket, self.prober, server=server)
         lane.tick(self.context.now())
         return lane
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.paths import Counts
 from rsb_bridge.transport.streams import BATCH_BYTES
+from rsb_bridge.transport.udp import Way
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, DatagramWriter, Probe
 from rsb_bridge.wire.framing import ProtocolError
 
@@ -48,7 +49,8 @@ class Prober:
 class Lane:
     """One connection on one UDP socket.
 
-    The client probes; the server sends to wherever the newest authentic probe came from (NAT, roaming).
+    The client probes; the server sends to wherever the newest authentic probe came from (NAT, roaming), and from the
+    address that the client calls, whichever else it has.
 
     Attributes:
         socket: a client's own, connected; a server's is shared by all its links.
@@ -58,7 +60,15 @@ class Lane:
         sent_bytes: so far.
     """
 
-    def __init__(self, socket: UdpSocket, prober: Prober, server: Address | None) -> None:
+    def __init__(self, socket: UdpSocket, prober: Prober, *, server: Address | None = None, own: str = "") -> None:
+        """Begin.
+
+        Args:
+            socket: to use.
+            prober: the connection's.
+            server: on a client, whom to probe.
+            own: on a server, its address that the client calls.
+        """
         self.socket = socket
         self.over = False
         self.received_bytes = 0
@@ -67,6 +77,8 @@ class Lane:
         self._prober = prober
         self._is_client = server is not None
         self._address = server
+        self._own = own
+        self._way: Way | None = None
         self._heard: float | None = None
         self._asked: float | None = None
         self._paths: dict[int, DatagramPath] = {}
@@ -93,7 +105,7 @@ class Lane:
         """Send one message's datagrams."""
         if self._address is not None:
             self.sent_bytes += sum([len(datagram) for datagram in datagrams])
-            self.socket.send(datagrams, None if self._is_client else self._address)
+            self.socket.send(datagrams, self._way)
 
     def datagram_size(self) -> int:
         """Bytes that one datagram to the peer may have."""
@@ -122,8 +134,8 @@ class Lane:
         if probe is None:
             return
         self._heard = now
-        if not probe.pong:
-            self._address = address
+        if not probe.pong and not self._is_client:
+            self._address, self._way = address, Way.between(self._own, address)
             self.send(self._prober.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
 
     def tick(self, now: float) -> None:

@@ -111,7 +111,7 @@ class ServerLink(Link):
             return
         lane = self.lanes.get(socket.port)
         if lane is None or lane.over or lane.socket is not socket:
-            lane = Lane(socket, self.prober, None)
+            lane = Lane(socket, self.prober, own=self.control.stream.own_address)
             self.lanes[socket.port] = lane
         self.datagrams(lane, datagrams)
 

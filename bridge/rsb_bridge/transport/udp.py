@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import struct
 from collections import deque
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from rsb_bridge.transport.tcp import ListenError, listen_words
 
@@ -19,11 +20,32 @@ _LARGEST = 65_535
 _BURST = 128 * 1024
 _BURST_PAUSE = 0.001
 _SO_RCVBUFFORCE, _SO_SNDBUFFORCE = 33, 32
-_IP_MTU, _IPV6_MTU = 14, 24
+_IP_PKTINFO, _IP_MTU, _IPV6_MTU = 8, 14, 24
 _HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
 _SIZE_HOLDS = 1.0
 """s until the kernel is asked again what the path carries: ICMP may have told it meanwhile."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
+
+
+class Way(NamedTuple):
+    """Where a bound socket sends to.
+
+    Attributes:
+        address: of the peer.
+        control: has the datagrams come from one address of ours, whichever the kernel would prefer (sendmsg(2)).
+    """
+
+    address: Address
+    control: list[tuple[int, int, bytes]]
+
+    @classmethod
+    def between(cls, own: str, address: Address) -> Way:
+        """From one of our addresses to a peer (ip(7) IP_PKTINFO, ipv6(7) IPV6_PKTINFO)."""
+        if len(address) == 4:
+            content = struct.pack("=16sI", socket.inet_pton(socket.AF_INET6, own), 0)
+            return cls(address, [(socket.IPPROTO_IPV6, socket.IPV6_PKTINFO, content)])
+        content = struct.pack("=I4s4x", 0, socket.inet_aton(own))
+        return cls(address, [(socket.IPPROTO_IP, _IP_PKTINFO, content)])
 
 
 Datagrams: TypeAlias = list[tuple[bytes, Address]]
@@ -43,7 +65,7 @@ class UdpSocket:
         self._sock = sock
         self._received = received
         self._loop = asyncio.get_running_loop()
-        self._backlog: deque[tuple[bytes, Address | None]] = deque()
+        self._backlog: deque[tuple[bytes, Way | None]] = deque()
         self._sizes: dict[Address, tuple[int, float]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self.when_writable: set[Callable[[], None]] = set()
@@ -60,25 +82,25 @@ class UdpSocket:
     def congested(self) -> bool:
         return bool(self._backlog)
 
-    def send(self, datagrams: list[bytes], address: Address | None) -> None:
-        """Send one message's datagrams, to `address` or, on a connected socket, None.
+    def send(self, datagrams: list[bytes], way: Way | None) -> None:
+        """Send one message's datagrams, by a way or, on a connected socket, None.
 
         A message larger than a burst is paced at 128 MB/s: the far kernel's buffer is small, and nothing on loopback or
         a fast link would slow us down.
         """
         if self._backlog:
             if sum(len(d) for d, _ in self._backlog) < _BACKLOG_LIMIT:
-                self._backlog.extend((datagram, address) for datagram in datagrams)
+                self._backlog.extend((datagram, way) for datagram in datagrams)
             return
         burst = _BURST
         for index, datagram in enumerate(datagrams):
             burst -= len(datagram)
             if burst < 0 and index:
-                self._backlog.extend((rest, address) for rest in datagrams[index:])
+                self._backlog.extend((rest, way) for rest in datagrams[index:])
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
-            if not self._send_one(datagram, address):
-                self._backlog.extend((rest, address) for rest in datagrams[index:])
+            if not self._send_one(datagram, way):
+                self._backlog.extend((rest, way) for rest in datagrams[index:])
                 self._loop.add_writer(self._sock, self._flush)
                 return
 
@@ -110,12 +132,12 @@ class UdpSocket:
             self.received_bytes += sum([len(datagram) for datagram, _ in datagrams])
             self._received(self, datagrams)
 
-    def _send_one(self, datagram: bytes, address: Address | None) -> bool:
+    def _send_one(self, datagram: bytes, way: Way | None) -> bool:
         try:
-            if address is None:
+            if way is None:
                 self._sock.send(datagram)
             else:
-                self._sock.sendto(datagram, address)
+                self._sock.sendmsg((datagram,), way.control, 0, way.address)
         except BlockingIOError:
             return False
         except OSError:
@@ -129,12 +151,12 @@ class UdpSocket:
         self._timer = None
         burst = _BURST
         while self._backlog:
-            datagram, address = self._backlog[0]
+            datagram, way = self._backlog[0]
             burst -= len(datagram)
             if burst < 0:
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
-            if not self._send_one(datagram, address):
+            if not self._send_one(datagram, way):
                 self._loop.add_writer(self._sock, self._flush)
                 return
             self._backlog.popleft()
