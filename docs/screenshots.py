@@ -11,10 +11,13 @@ from rsb_console.app import ConsoleApp
 from rsb_console.demo import running_demo
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from textual.pilot import Pilot
 
 PICTURES = Path(__file__).parent / "pictures"
 FLOWING = 4  # topics of the demo
+HISTORY = 60  # s: long enough for a curve to be worth a picture
 WIDE, NARROW = (120, 36), (80, 24)
 
 
@@ -25,13 +28,18 @@ async def take(pilot: Pilot[None], name: str, *keys: str) -> None:
     pilot.app.save_screenshot(f"{name}.svg", str(PICTURES))
 
 
-async def until_flowing(app: ConsoleApp, pilot: Pilot[None], seconds: float = 60.0) -> None:
-    """Wait until every topic flows, and long enough for its curve to be worth a picture."""
+async def until(condition: Callable[[], bool], pilot: Pilot[None], seconds: float = 90.0) -> None:
+    """Wait for it."""
     deadline = time.monotonic() + seconds
-    while sum(route.state == "ok" and len(route.history) > 30 for route in app.snapshot().routes) < FLOWING:
+    while not condition():
         if time.monotonic() > deadline:
-            raise SystemExit("the demo does not flow")
+            raise SystemExit("the demo does not do what the pictures want")
         await pilot.pause(0.5)
+
+
+def states(app: ConsoleApp) -> list[str]:
+    """How the topics are."""
+    return [route.state.value for route in app.snapshot().routes]
 
 
 async def main() -> None:
@@ -40,8 +48,12 @@ async def main() -> None:
         app = ConsoleApp(demo.session, demo.path, theme="dark", config=PICTURES)
         try:
             async with app.run_test(size=WIDE) as pilot:
-                await until_flowing(app, pilot)
-                await take(pilot, "main", "j", "j", "j")
+                await until(lambda: states(app).count("ok") == FLOWING, pilot)
+                await until(lambda: len(app.snapshot().routes[0].history) > HISTORY, pilot)
+                demo.desk.stop()
+                await pilot.press("j", "j", "p")
+                await until(lambda: "stale" in states(app), pilot)
+                await take(pilot, "main", "g")
                 await take(pilot, "add-topic", "a")
                 await take(pilot, "help", "escape", "question_mark")
                 await pilot.press("escape", "t", "t")

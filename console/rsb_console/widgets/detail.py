@@ -9,6 +9,7 @@ from rsb_bridge.snapshot import State
 from rsb_console import formats
 from rsb_console.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
 from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.topics import present_rate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -118,7 +119,7 @@ def _plot(route: RouteSnapshot, width: int) -> Iterator[Line]:
     expected = "" if route.expected_rate is None else f" of {formats.expected(route.expected_rate)}"
     yield (
         (" Rate", "head"),
-        (f"  {formats.hertz(route.rate)} Hz{expected}", "strong"),
+        (f"  {formats.hertz(present_rate(route))} Hz{expected}", "strong"),
         (f"  last {2 * cells} s", "dim"),
     )
     for line in braille_plot(shown, cells, PLOT_HEIGHT, top):

@@ -56,8 +56,13 @@ def _via(route: RouteSnapshot) -> str:
 
 
 def _rate(route: RouteSnapshot) -> str:
-    rate = formats.hertz(route.rate) if carries(route) else "-"
+    rate = formats.hertz(present_rate(route)) if carries(route) else "-"
     return rate if route.expected_rate is None else f"{rate}/{formats.expected(route.expected_rate)}"
+
+
+def present_rate(route: RouteSnapshot) -> float:
+    """Hz; 0 of a stale topic, whose rate is still a mean over times when it flowed."""
+    return 0.0 if route.state is State.STALE else route.rate
 
 
 def carries(route: RouteSnapshot) -> bool:
@@ -71,7 +76,7 @@ COLUMNS = (
     Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
     Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
     Column("VIA", 7, _via, lambda r: (r.outgoing, r.transport, r.port), right=False, from_width=40),
-    Column("HZ/EXP", 9, _rate, lambda r: -r.rate),
+    Column("HZ/EXP", 9, _rate, lambda r: -present_rate(r)),
     Column(
         "kB/s",
         6,
