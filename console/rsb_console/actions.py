@@ -8,7 +8,7 @@ A key is remapped in the user's ``keys.yaml`` by the action's id::
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,7 @@ class Action:
     words: str
     help: str
     group: Group
+    _: KW_ONLY
     changes: bool = False
     needs_topic: bool = False
     in_footer: bool = False
@@ -67,16 +68,18 @@ ACTIONS: tuple[Action, ...] = (
     Action("move_last", "G,end", "last", "Last line", Group.MOVE),
     Action("page_down", "pagedown", "page down", "One page down", Group.MOVE),
     Action("page_up", "pageup", "page up", "One page up", Group.MOVE),
-    Action("add_topic", "a", "add", "Add a topic, picked from what either side has", Group.OPERATE, True,
-           in_footer=True),
-    Action("edit_topic", "e", "edit", "Edit the topic", Group.OPERATE, True, True, True),
-    Action("remove_topic", "d", "remove", "Remove the topic", Group.OPERATE, True, True, True),
-    Action("pause", "p", "pause", "Pause or resume the topic", Group.OPERATE, True, True, True),
-    Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, True),
-    Action("restart", "R", "restart", "Close all links on both sides and begin anew", Group.OPERATE, True,
-           in_footer=True),
-    Action("filter", "slash", "filter", "Show what matches a regular expression; /! what does not", Group.VIEW,
-           in_footer=True),
+    Action("add_topic", "a", "add", "Add a topic, picked from what either side has",
+           Group.OPERATE, changes=True, in_footer=True),
+    Action("edit_topic", "e", "edit", "Edit the topic", Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
+    Action("remove_topic", "d", "remove", "Remove the topic",
+           Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
+    Action("pause", "p", "pause", "Pause or resume the topic",
+           Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
+    Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, changes=True),
+    Action("restart", "R", "restart", "Close all links on both sides and begin anew",
+           Group.OPERATE, changes=True, in_footer=True),
+    Action("filter", "slash", "filter", "Show what matches a regular expression; /! what does not",
+           Group.VIEW, in_footer=True),
     Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
     Action("previous_match", "N", "previous", "Previous match; without a filter, previous fault", Group.VIEW),
     Action("faults", "f", "faults", "Show faults only", Group.VIEW, in_footer=True),
@@ -94,17 +97,19 @@ ACTIONS: tuple[Action, ...] = (
     Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
     Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
     Action("links", "c", "links", "Look at the links: one a robot on a server", Group.SESSION, in_footer=True),
-    Action("bluetooth", "b", "bluetooth", "Look for Bluetooth adapters, devices and free channels", Group.SESSION,
-           in_footer=True),
+    Action("bluetooth", "b", "bluetooth", "Look for Bluetooth adapters, devices and free channels",
+           Group.SESSION, in_footer=True),
     Action("keys", "K", "keys", "Look at the key files, or make a key", Group.SESSION, in_footer=True),
-    Action("sessions", "o", "sessions", "Open another session", Group.SESSION, True, in_footer=True),
-    Action("save", "w", "save", "Save the session with the topics it has now", Group.SESSION, True),
-    Action("save_as", "W", "save as", "Save the session to another file", Group.SESSION, True),
-    Action("new_session", "f2", "new", "Write a new session", Group.SESSION, True),
-    Action("import_session", "f3", "import", "Import a bringup.yaml of the thesis's bridge", Group.SESSION, True),
-    Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, True),
-    Action("welcome", "f5", "welcome", "Choose how to begin, as without a session", Group.SESSION, True),
+    Action("sessions", "o", "sessions", "Open another session", Group.SESSION, changes=True, in_footer=True),
+    Action("save", "w", "save", "Save the session with the topics it has now", Group.SESSION, changes=True),
+    Action("save_as", "W", "save as", "Save the session to another file", Group.SESSION, changes=True),
+    Action("new_session", "f2", "new", "Write a new session", Group.SESSION, changes=True),
+    Action("import_session", "f3", "import", "Import a bringup.yaml of the thesis's bridge",
+           Group.SESSION, changes=True),
+    Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, changes=True),
+    Action("welcome", "f5", "welcome", "Choose how to begin, as without a session", Group.SESSION, changes=True),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
+    Action("mouse", "m", "mouse", "Leave the mouse to the terminal, or take it back", Group.CONSOLE),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
     Action("quit", "q", "quit", "Leave; the bridge stops", Group.CONSOLE, in_footer=True),

@@ -220,6 +220,14 @@ class ConsoleApp(App[None]):
         self.theme = names[(names.index(self.theme) + 1) % len(names)]
         self.notify(f"theme: {self.theme}", timeout=2)
 
+    def action_mouse(self) -> None:
+        """Leave the mouse to the terminal, or take it back."""
+        if isinstance(self._driver, ConsoleDriver):
+            self._driver.mouse = not self._driver.mouse
+            self.notify(
+                "the mouse is the console's" if self._driver.mouse else "the mouse is the terminal's", timeout=3
+            )
+
     @work(exclusive=True, group="quit")
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, for it asks
         """Leave; ask first while linked, or while something is not saved."""

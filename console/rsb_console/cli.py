@@ -114,6 +114,7 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
+    parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")
     parser.add_argument("--theme", metavar="NAME", help="colours to start with")
 
 

@@ -55,6 +55,7 @@ def run(arguments: Namespace) -> int:
         ascii_only=arguments.ascii,
         theme=arguments.theme,
         on_hangup=arguments.on_hangup,
+        mouse=not arguments.no_mouse,
     )
 
 

@@ -78,6 +78,18 @@ class ConsoleDriver(LinuxDriver):
         except Full:
             self._behind = True
 
+    @property
+    def mouse(self) -> bool:
+        """Whether the app gets the mouse; else it is the terminal's, to select text with."""
+        return self._mouse
+
+    @mouse.setter
+    def mouse(self, wanted: bool) -> None:
+        if not wanted:
+            self._disable_mouse_support()
+        self._mouse = wanted
+        self._enable_mouse_support()
+
     def run_input_thread(self) -> None:
         """Read keys until the terminal is gone; its file tells the app."""
         with contextlib.suppress(OSError):

@@ -119,5 +119,5 @@ def _check_color(key: str, value: Any) -> None:
 
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
     """The theme that looks right on this terminal: one of its own sixteen colours where it has no more."""
-    many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256" in environ.get("TERM", "")
-    return DEFAULT if many or environ.get("TERM", "").startswith(("tmux", "screen")) else SIXTEEN_COLORS
+    many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
+    return DEFAULT if many else SIXTEEN_COLORS

@@ -165,12 +165,14 @@ def test_bytes_that_are_no_utf8_are_left_out(pair: Pair) -> None:
         terminal.wait_for("Next line", after=mark)
 
 
-def test_the_mouse_can_be_left_to_the_terminal(pair: Pair, tmp_path: Path) -> None:
-    script = tmp_path / "no_mouse.py"
-    script.write_text(CRASHING.replace('on_hangup="stop"', 'on_hangup="stop", mouse=False'))
-    with Terminal(sys.executable, str(script), str(pair.client_path)) as terminal:
+def test_the_mouse_can_be_left_to_the_terminal(pair: Pair) -> None:
+    with console(pair, "--no-mouse") as terminal:
         terminal.wait_for(" quit")
-        assert b"\x1b[?1003h" not in terminal.output
+        assert b"\x1b[?1003h" not in terminal.output  # all motion tracking (xterm's control sequences, DECSET 1003)
+        terminal.type("m")
+        terminal.wait_for("\x1b[?1003h")
+        terminal.type("m")
+        terminal.wait_for("\x1b[?1003l")
 
 
 @pytest.mark.parametrize(
@@ -231,6 +233,10 @@ def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Pat
         picture = tmux.wait_for("● LINKED")
         assert len(picture.rstrip("\n").splitlines()) == 36
         assert "┌─ /console_" in tmux.wait_for("● ok")
+
+        tmux("send-keys", "y")
+        tmux.wait_for("copied to tmux")
+        assert tmux("show-buffer") == CHATTER
 
         tmux("send-keys", "/", "nothing")
         tmux.wait_for("0 of 1")

@@ -121,7 +121,8 @@ def test_an_unknown_theme_falls_back_and_is_named() -> None:
     [
         ({"TERM": "xterm-256color"}, "dark"),
         ({"TERM": "xterm", "COLORTERM": "truecolor"}, "dark"),
-        ({"TERM": "tmux"}, "dark"),
+        ({"TERM": "tmux-256color"}, "dark"),
+        ({"TERM": "screen"}, "terminal"),
         ({"TERM": "linux"}, "terminal"),
         ({"TERM": "xterm"}, "terminal"),
         ({}, "terminal"),
