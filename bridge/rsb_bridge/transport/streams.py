@@ -110,7 +110,7 @@ class Stream(asyncio.Protocol):
             for buffer in (socket.SO_SNDBUF, socket.SO_RCVBUF):
                 sock.setsockopt(socket.SOL_SOCKET, buffer, _RFCOMM_BUFFER)
         self.address = transport.get_extra_info("peername") or self.address
-        self.own_address = str(sock.getsockname()[0])
+        self.own_address = str((sock.getsockname() or [""])[0])  # a socketpair has no name
         self.handler.connected(self)
 
     @property
