@@ -90,13 +90,16 @@ class Bed:
         return Run(count, int(report["count"]), reached, used, report["p50"] / 1e6, report["p99"] / 1e6)
 
     def _settled(self, count: int) -> dict[str, float]:
-        before = -1.0
-        while True:
-            report = self.listener.ask("report")
-            if report["count"] >= count or report["count"] == before:
-                return report
-            before = report["count"]
-            time.sleep(0.3)
+        """Wait until all have come, or none has for a second."""
+        report = self.listener.ask("report")
+        grown = time.monotonic()
+        while report["count"] < count and time.monotonic() - grown < 1.0:
+            time.sleep(0.1)
+            newer = self.listener.ask("report")
+            if newer["count"] > report["count"]:
+                grown = time.monotonic()
+            report = newer
+        return report
 
 
 @dataclass(frozen=True, slots=True)
