@@ -121,7 +121,7 @@ class ConsoleApp(App[None]):
 
     def key_labels(self, action: Action) -> list[str]:
         """The keys that do `action`, as they are written on a keyboard."""
-        return self._preferences.key_labels(action)
+        return self._preferences.key_labels(action, ascii_only=self.ascii_only)
 
     # -- the engine ---------------------------------------------------------------------------------------------------
 
@@ -209,6 +209,10 @@ class ConsoleApp(App[None]):
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
 
         self.push_screen(HelpScreen())
+
+    def action_help_quit(self) -> None:
+        """Ctrl+C, which Textual only explains, means quit to an operator."""
+        self.action_quit()
 
     def action_palette(self) -> None:
         """Open the command palette."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import traceback
 from enum import Enum
@@ -54,10 +55,11 @@ def crash_path() -> Path:
 
 
 def record_crash() -> None:
-    """Write the error that is being handled where it can be reported from."""
+    """Write the error that is being handled where it can be reported from, if it can be written there."""
     path = crash_path()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(traceback.format_exc(), encoding="utf-8")
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(traceback.format_exc(), encoding="utf-8")
 
 
 def finish(app: ConsoleApp, on_hangup: str) -> int:

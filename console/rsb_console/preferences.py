@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from textual.theme import Theme
 
 KEY_SIGNS = {
-    "slash": "/", "question_mark": "?", "enter": "⏎", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">",
-    "plus": "+", "minus": "-", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp", "up": "↑", "down": "↓",
+    "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
+    "minus": "-", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
 }  # fmt: skip
+UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 
 
 class Preferences:
@@ -56,7 +57,8 @@ class Preferences:
         except KeymapError as error:
             self.problems.append(("Keys are the default ones", str(error)))
 
-    def key_labels(self, action: Action) -> list[str]:
+    def key_labels(self, action: Action, *, ascii_only: bool) -> list[str]:
         """The keys that do `action`, as they are written on a keyboard."""
+        signs = KEY_SIGNS if ascii_only else KEY_SIGNS | UNICODE_KEY_SIGNS
         keys = self.keymap.get(action.id, action.keys)
-        return [KEY_SIGNS.get(key, key.replace("ctrl+", "^")) for key in split_keys(keys)]
+        return [signs.get(key, key.replace("ctrl+", "^")) for key in split_keys(keys)]

@@ -301,10 +301,11 @@ async def test_quitting_while_linked_asks_with_the_focus_on_no(app, pilot) -> No
     assert app.focused is app.screen.query_one("#no", Button)
     await pilot.press("enter")
     await gone(pilot, "Quit?")
-    await pilot.press("ctrl+q")
-    await shown(pilot, "Quit?")
-    await pilot.press("escape")
-    await gone(pilot, "Quit?")
+    for key in ("ctrl+q", "ctrl+c"):
+        await pilot.press(key)
+        await shown(pilot, "Quit?")
+        await pilot.press("escape")
+        await gone(pilot, "Quit?")
     assert app.is_running
     await pilot.press("q", "y")
     await until(pilot, lambda: app._exit, "the end")
@@ -340,6 +341,7 @@ async def test_a_servers_links_are_counted_and_peers_have_a_column(app, pilot) -
 @on_main(ascii_only=True)
 async def test_ascii_is_what_goes_out(app, pilot) -> None:
     assert text(app).isascii()
+    assert "enter detail" in text(app)
     await pilot.press("question_mark")
     await shown(pilot, "Next line")
     assert text(app).isascii()
