@@ -10,7 +10,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each contex
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
 if TYPE_CHECKING:
@@ -84,6 +84,10 @@ class Listener:
         """Every serialized message heard so far, oldest first."""
         self._take()
         return self._payloads
+
+    def texts(self, last: int) -> list[str]:
+        """The newest std_msgs/String's words. Between processes DDS pads payloads to four bytes."""
+        return [deserialize_message(payload, self._kind).data for payload in self.payloads[-last:]]
 
     @property
     def received(self) -> list[int]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import gc
-import os
 import random
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tests.support.bridge import eventually, linked
 from tests.support.domain import Domain, text
+from tests.support.resources import resources
 
 from rsb_bridge.session import Topic
 
@@ -73,7 +72,7 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
         cycle(number)
     eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
     gc.collect()
-    assert resources()[2] - before[2] < 20 << 20
+    assert resources().resident - before.resident < 20 << 20
     assert sorted(seconds)[len(seconds) * 3 // 4] < RESUMES_WITHIN
 
 
@@ -98,10 +97,3 @@ def flow(publishers: list[Publisher], listeners: list[Listener]) -> None:
         return all(len(listener.payloads) > count for listener, count in zip(listeners, before, strict=True))
 
     eventually(all_heard, 20)
-
-
-def resources() -> tuple[int, int, int]:
-    """Threads, file descriptors and resident bytes of this process."""
-    tasks, descriptors = (len(list(Path(f"/proc/self/{what}").iterdir())) for what in ("task", "fd"))
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return tasks, descriptors, pages * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,141 @@
+"""The end: in time whatever the peer does, and nothing is left."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import socket
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, linked, said
+from tests.support.domain import text
+from tests.support.resources import resources
+
+from rsb_bridge.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.program import Programs
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+
+def stops(engine: Engine) -> None:
+    """Stop it, in time; a second stop does nothing."""
+    began = time.monotonic()
+    engine.stop()
+    engine.stop()
+    assert time.monotonic() - began < STOPS_WITHIN
+    assert not engine.snapshot().running
+
+
+def test_the_peer_is_told(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    stops(client)
+    eventually(lambda: said(server, "the client left: the client stops"))
+    again = bridge.client()
+    eventually(lambda: linked(again))
+    stops(server)
+    eventually(lambda: said(again, "the server closed the link: the server stops"))
+
+
+@pytest.mark.parametrize("stopped", ["server", "client"])
+def test_a_peer_that_is_frozen(stopped: str, bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
+    """SIGSTOP, with messages that wait for it in queues and sockets."""
+    topic = Topic("/chat", "transmit" if stopped == "server" else "receive", type="String", qos=100)
+    near, far = (robot, pc) if stopped == "server" else (pc, robot)
+    there, out = far.listener("/chat"), near.publisher("/chat")
+    sessions = {"server": bridge.server_session(), "client": bridge.client_session(topic)}
+    peer = programs.start(sessions[stopped])
+    engine = bridge.start(sessions["client" if stopped == "server" else "server"])
+
+    def crosses() -> bool:
+        out.publish(text("hello"))
+        time.sleep(0.02)
+        return bool(there.payloads)
+
+    eventually(crosses)
+    peer.signal(signal.SIGSTOP)
+
+    def full() -> bool:
+        out.publish(text("x" * 500_000))
+        found = find(engine, "/chat")
+        return found is not None and "queue full" in found.ledger.dropped
+
+    eventually(full)
+    stops(engine)
+
+
+def test_a_line_that_is_stalled(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    carries([out], server, ["/chat"])
+    relay.stall()
+    for _ in range(20):
+        out.publish(text("x" * 500_000))
+    stops(client)
+    stops(server)
+    assert len(there.payloads) < 20
+
+
+def test_while_calling(bridge: Bridge) -> None:
+    """Somebody accepts the connection and says nothing; nobody takes it at all."""
+    with socket.create_server(("127.0.0.1", bridge.port), backlog=1) as silent:
+        client = bridge.client()
+        connection, _ = silent.accept()
+        stops(client)
+        connection.close()
+        fillers = [socket.socket() for _ in range(4)]
+        for filler in fillers:
+            filler.setblocking(False)
+            filler.connect_ex(("127.0.0.1", bridge.port))
+        other = bridge.client()
+        eventually(lambda: said(other, "connecting to"))
+        stops(other)
+        for filler in fillers:
+            filler.close()
+
+
+def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Threads and descriptors after five more bridges are what they were after the first; ports are free at once."""
+    port = bridge.port
+    topics = (
+        Topic("/tcp", "transmit", type="String", qos="default"),
+        Topic("/udp", "receive", type="String", qos="default", protocol="udp"),
+    )
+
+    def once() -> None:
+        server, client = bridge.both(*topics)
+        eventually(
+            lambda: all(r.state != "down" and r.type_hash for e in (server, client) for r in e.snapshot().routes)
+        )
+        stops(client)
+        stops(server)
+        for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+            with socket.socket(type=kind) as free:
+                free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                free.bind(("127.0.0.1", port))
+
+    once()
+    before = resources()
+    for _ in range(5):
+        once()
+    gc.collect()
+    eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
+
+
+def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
+    from rsb_bridge.engine import EngineError
+
+    before = resources()[:2]
+    with socket.socket(type=socket.SOCK_DGRAM) as squatter:
+        squatter.bind(("127.0.0.1", bridge.port))
+        for _ in range(3):
+            with pytest.raises(EngineError, match="is taken by another process"):
+                bridge.server()
+    gc.collect()
+    eventually(lambda: resources()[:2] <= before, what=f"threads and descriptors {resources()} as {before}")

@@ -1,0 +1,113 @@
+"""One topic's trouble is not another's: the real programs, a hundred topics, and some that cannot keep up."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from rclpy.qos import QoSHistoryPolicy, QoSProfile
+from tests.support.bridge import eventually
+from tests.support.domain import BEST_EFFORT, text
+from tests.support.waiting import holds
+
+from rsb_bridge.session import Topic
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+    from tests.support.program import Program, Programs
+    from tests.support.relay import Relay
+
+DEPTH = {"depth": 1000}
+SENSOR = {"profile": "sensor_data", "depth": 1000}
+BIG = "x" * 100_000
+
+
+def crosses(publisher: Publisher, listener: Listener, words: str = "hello") -> None:
+    """Publish until it arrives."""
+
+    def heard() -> bool:
+        publisher.publish(text(words))
+        time.sleep(0.02)
+        return listener.texts(1) == [words]
+
+    eventually(heard, 20)
+
+
+def worst(fast: Publisher, there: Listener, slow: Publisher | None = None) -> float:
+    """The p99 of the latency, s, of 300 messages at 100 Hz, while `slow` publishes 10 MB/s.
+
+    They are best effort: a reliable one that DDS loses on this machine waits up to 3 s for DDS to send it again.
+    """
+    before, began = len(there.payloads), time.monotonic()
+    sent = []
+    for number in range(300):
+        sent.append(time.time_ns())
+        fast.publish(text(f"{number}"))
+        if slow is not None:
+            slow.publish(text(BIG))
+        time.sleep(max(0.0, began + (number + 1) / 100 - time.monotonic()))
+    eventually(lambda: len(there.payloads) >= before + 290)
+    heard = [int(words) for words in there.texts(len(there.payloads) - before)]
+    delays = sorted((got - sent[number]) / 1e9 for number, got in zip(heard, there.received[before:], strict=True))
+    return delays[len(delays) * 99 // 100]
+
+
+@pytest.fixture
+def both(bridge: Bridge, relay: Relay, programs: Programs) -> tuple[Program, Program]:
+    """A server and a client with a fast topic and a slow one."""
+    topics = Topic("/fast", "transmit", qos=SENSOR), Topic("/slow", "transmit", qos=DEPTH)
+    return programs.start(bridge.server_session()), programs.start(bridge.client_session(*topics))
+
+
+@pytest.mark.usefixtures("both")
+def test_a_topic_whose_stream_is_stuck(relay: Relay, robot: Domain, pc: Domain) -> None:
+    """Nothing gets through on its connection any more, while its messages go on coming."""
+    fast, slow = robot.publisher("/fast", qos=BEST_EFFORT), robot.publisher("/slow")
+    there, slow_there = pc.listener("/fast", qos=BEST_EFFORT), pc.listener("/slow", qos=QoSProfile(depth=5))
+    crosses(fast, there)
+    crosses(slow, slow_there, BIG)
+    usual = worst(fast, there)
+    stuck = max(relay.connections, key=lambda connection: connection.sent_bytes)
+    stuck.stall()
+    assert worst(fast, there, slow) < usual + 0.01
+    heard = len(slow_there.payloads)
+    holds(lambda: len(slow_there.payloads) == heard, 0.2)
+    stuck.stall(False)
+    eventually(lambda: len(slow_there.payloads) > heard)
+
+
+@pytest.mark.usefixtures("both")
+def test_a_topic_whose_subscriber_never_takes(robot: Domain, pc: Domain) -> None:
+    """A reliable subscriber that asks for all and reads nothing: DDS must not make the bridge wait for it."""
+    fast, slow = robot.publisher("/fast", qos=BEST_EFFORT), robot.publisher("/slow")
+    there, slow_there = pc.listener("/fast", qos=BEST_EFFORT), pc.listener("/slow", qos=QoSProfile(depth=5))
+    crosses(fast, there)
+    crosses(slow, slow_there, BIG)
+    usual = worst(fast, there, slow)
+    pc.listener("/slow", qos=QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_ALL))
+    assert worst(fast, there, slow) < usual + 0.01
+
+
+def test_a_hundred_topics_at_20_hz(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
+    """Half of them over TCP, half over UDP: all of it arrives, in order, at the rate at which it was published."""
+    names = [f"/topic{number}" for number in range(100)]
+    publishers, listeners = [robot.publisher(name) for name in names], [pc.listener(name) for name in names]
+    topics = [Topic(name, "transmit", qos=DEPTH, protocol=("tcp", "udp")[n % 2]) for n, name in enumerate(names)]
+    programs.start(bridge.server_session())
+    programs.start(bridge.client_session(*topics))
+    for publisher, listener in zip(publishers, listeners, strict=True):
+        crosses(publisher, listener)
+    before = [len(listener.payloads) for listener in listeners]
+    began = time.monotonic()
+    for number in range(60):
+        for publisher in publishers:
+            publisher.publish(text(f"{number}"))
+        time.sleep(max(0.0, began + (number + 1) / 20 - time.monotonic()))
+    assert time.monotonic() - began < 3.5
+    for listener, count in zip(listeners, before, strict=True):
+        eventually(lambda listener=listener, count=count: len(listener.payloads) >= count + 60)
+        assert listener.texts(60) == [f"{number}" for number in range(60)]
+        assert 2.7e9 < listener.received[-1] - listener.received[-60] < 3.5e9
