@@ -48,7 +48,7 @@ class StatusBar(LiveLines):
         super().__init__(id="status")
         self._identity: Line = ()
         self._view: Line = ()
-        self._totals: Line = ()
+        self._totals: list[Line] = []
         self._received: deque[float] = deque(maxlen=HISTORY)
         self._sent: deque[float] = deque(maxlen=HISTORY)
         self._sampled = 0.0
@@ -62,11 +62,10 @@ class StatusBar(LiveLines):
         """One of them."""
         width = self.width
         if index == 0:
-            roomy = width >= ROOMY
-            return _spread(
-                self._identity if roomy else self._identity[2:], self._view if roomy else self._view[-1:], width
-            )
-        return fit(tuple(piece for piece in self._totals if width >= ROOMY or piece[1] != "plot"), width)
+            if width >= ROOMY:
+                return _spread(self._identity, self._view, width)
+            return _spread(self._identity[2:], self._view[-1:], width)
+        return _as_many(self._totals, width)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the totals of `snapshot`."""
@@ -78,27 +77,38 @@ class StatusBar(LiveLines):
         self._totals = self._sum(snapshot)
         self.sync()
 
-    def _sum(self, snapshot: Snapshot) -> Line:
+    def _sum(self, snapshot: Snapshot) -> list[Line]:
         counts = Counter(route.state for route in snapshot.routes)
-        pieces: list[tuple[str, str]] = [(f" {len(snapshot.routes)} topics", "strong")]
-        pieces += [
+        topics = tuple(
             (f"  {STATE_SIGN[state]} {counts[state]} {STATE_WORD[state].lower()}", state.value)
             for state in State
             if counts[state]
-        ]
+        )
         drops = sum(route.ledger.dropped_total for route in snapshot.routes)
-        pieces += [(" │ ", "dim"), (f"drops {formats.thousands(drops)}", "stale" if drops else "")]
+        groups: list[Line] = [
+            ((f" {len(snapshot.routes)} topics", "strong"), *topics),
+            ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
+        ]
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
         if rtts:
-            pieces += [(" │ ", "dim"), (f"rtt {formats.span(max(rtts))}", "")]
+            groups.append(((f"rtt {formats.span(max(rtts))}", ""),))
         for name, history in (("RX", self._received), ("TX", self._sent)):
             if history:
-                pieces += [
-                    (" │ ", "dim"),
-                    (f"{name} {formats.byte_rate(history[-1]):>8} ", ""),
-                    (sparkline(list(history), HISTORY), "plot"),
-                ]
-        return tuple(pieces)
+                bars = sparkline(list(history), HISTORY)
+                groups.append(((f"{name} {formats.byte_rate(history[-1]):>8} ", ""), (bars, "plot")))
+        return groups
+
+
+def _as_many(groups: list[Line], width: int) -> Line:
+    """As many of `groups` as fit, the first always; narrow ones go without their charts."""
+    line: Line = ()
+    for group in groups:
+        shown = tuple(piece for piece in group if width >= ROOMY or piece[1] != "plot")
+        longer = (*line, (" │ ", "dim"), *shown) if line else shown
+        if line and width_of(longer) > width:
+            break
+        line = longer
+    return fit(line, width)
 
 
 def _identity(snapshot: Snapshot, view: View) -> Line:
