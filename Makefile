@@ -32,11 +32,14 @@ lint: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python bench/run.py
 
+PACKAGES := tmux qemu-system-x86 iproute2 nftables
+
 # The tests drive a real terminal, real network namespaces and a machine with Bluetooth.
 system:
-	@{ command -v tmux && command -v qemu-system-x86_64; } >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
-	  && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends tmux qemu-system-x86 >/dev/null; } \
-	  || echo "tmux or QEMU is missing: the terminal or the Bluetooth tests will be skipped (apt install tmux qemu-system-x86)"
+	@{ command -v tmux && command -v qemu-system-x86_64 && command -v tc && command -v nft; } >/dev/null \
+	  || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq \
+	  && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PACKAGES) >/dev/null; } \
+	  || echo "some tests will be skipped, for want of tools (apt install $(PACKAGES))"
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; say which with PYTHON=..."; exit 1; }

@@ -3,38 +3,47 @@
 from __future__ import annotations
 
 import json
+import resource
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import yaml
+from tests.network.node import Heard, Node
+from tests.support.bridge import balance
+from tests.support.waiting import eventually
 
 from rsb_bridge.keys import write_key
 from rsb_bridge.snapshot import Ledger
-from tests.network.node import Node
-from tests.support.bridge import balance
-from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
     from tests.network.hosts import Host
 
 PORT = 49152
+EACH_WAY = (
+    {"topic": "/scan", "protocol": "udp"},
+    {"topic": "/odom", "protocol": "tcp"},
+    {"topic": "/cmd", "protocol": "udp", "direction": "receive"},
+    {"topic": "/goal", "protocol": "tcp", "direction": "receive"},
+)
+"""Topics by either protocol, to the PC and to the robot."""
 _COMMAND = Path(sys.executable).with_name("rsb-console")
 _STOPS_WITHIN = 6.0
+_MEMORY = 256 << 20
+"""Bytes: what waits is bounded, whatever the network does (a program that bridges nothing has 65 MiB)."""
 _LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped", "lost_in_dds")
 
 
 class Program:
-    """The program on a host; its log is read from a file.
-
-    Attributes:
-        pid: its process id.
-    """
+    """The program on a host; its log is read from a file."""
 
     def __init__(self, host: Host, session: Path) -> None:
+        self._host = host
+        self._session = session
         self._log = session.with_suffix(".log")
         self._seen = self._log.stat().st_size if self._log.exists() else 0
         with self._log.open("a") as log:
@@ -44,7 +53,6 @@ class Program:
                 stdout=log,
                 stderr=subprocess.STDOUT,
             )
-        self.pid = self._process.pid
 
     @property
     def log(self) -> list[dict[str, Any]]:
@@ -63,7 +71,10 @@ class Program:
 
     def says(self, words: str, within: float = 10.0, since: float = 0.0) -> float:
         """Wait until it says so. Returns when it did, in s since the epoch."""
-        when: float = eventually(lambda: self.said(words, since), within, f"{words!r}: {self._words()}")["time"]
+        try:
+            when: float = eventually(lambda: self.said(words, since), within)["time"]
+        except AssertionError:
+            raise AssertionError(f"not said within {within:g} s: {words!r}, but:\n{self._words()}") from None
         return when
 
     def status(self) -> dict[str, Any]:
@@ -82,30 +93,34 @@ class Program:
         assert balance(ledger) == ledger.offered, ledger
         return ledger
 
-    @property
-    def memory(self) -> int:
-        """Resident bytes."""
-        return int(Path(f"/proc/{self.pid}/statm").read_text().split()[1]) * 4096
-
     def kill(self) -> None:
-        """As a power loss does: no goodbye, no clean-up."""
+        """End it as a power loss does: no goodbye, no clean-up."""
         self._process.kill()
         self._process.communicate()
+
+    def again(self) -> Program:
+        """The same program, started anew."""
+        return Program(self._host, self._session)
 
     def close(self) -> None:
         """Stop it: in time, cleanly, without ever having failed inside."""
         if self._process.returncode is not None:
             return
+        assert self._memory() < _MEMORY
         self._process.send_signal(signal.SIGTERM)
         code = self._process.communicate(timeout=_STOPS_WITHIN) and self._process.returncode
         assert code == 0, self._words()
         assert not self.said("internal error"), self._words()
 
+    def _memory(self) -> int:
+        return int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1]) * resource.getpagesize()
+
     def _words(self) -> str:
         return "\n".join(f"{each['time']:.3f} {each['text']}" for each in self.log if "text" in each)
 
 
-class Bridge(NamedTuple):
+@dataclass
+class Bridge:
     """Two programs with a node beside each.
 
     Attributes:
@@ -120,32 +135,55 @@ class Bridge(NamedTuple):
     robot: Node
     pc: Node
 
-    def settled(self, *topics: str, within: float = 10.0) -> dict[str, Ledger]:
+    def all_talk(self) -> None:
+        """Have each topic of `EACH_WAY` talked on at 20 Hz and listened to; all flow when this returns."""
+        self.pc.listen("/scan", "/odom")
+        self.robot.listen("/cmd", "/goal")
+        for talker, topics in ((self.robot, ("/scan", "/odom")), (self.pc, ("/cmd", "/goal"))):
+            for topic in topics:
+                talker.talk(topic, rate=20)
+        self.all_flow()
+
+    def all_flow(self, within: float = 10.0) -> None:
+        """Wait until something that is published from now on has come on each topic of `EACH_WAY`."""
+        deadline, now = time.monotonic() + within, time.time()
+        for listener, topic in ((self.pc, "/scan"), (self.pc, "/odom"), (self.robot, "/cmd"), (self.robot, "/goal")):
+            listener.hears(topic, deadline - time.monotonic(), after=now)
+
+    def settled(self, *topics: str, since: float = 0.0, within: float = 10.0) -> dict[str, Ledger]:
         """Wait until a robot's topics have nothing in flight, and as much delivered as the PC's node has heard.
+
+        Args:
+            topics: their names.
+            since: what was published from then on (s since the epoch) is the client's.
+            within: s.
 
         Returns:
             Their ledgers, which balance.
         """
 
-        def ledgers() -> dict[str, Ledger]:
-            return {topic: self.client.ledger(topic) for topic in topics}
-
         def done() -> bool:
             return all(
-                not ledger.in_flight and ledger.delivered == len(self.pc.heard(topic))
-                for topic, ledger in ledgers().items()
+                not ledger.in_flight and ledger.delivered == len(self._heard_once(topic, since))
+                for topic in topics
+                for ledger in (self.client.ledger(topic),)
             )
 
         try:
             eventually(done, within)
         except AssertionError:
-            heard = {topic: len(self.pc.heard(topic)) for topic in topics}
-            raise AssertionError(f"not settled: {heard} heard, {ledgers()}") from None
-        return ledgers()
+            found = {topic: (len(self._heard_once(topic, since)), self.client.ledger(topic)) for topic in topics}
+            raise AssertionError(f"not settled; heard, and the ledger's: {found}") from None
+        return {topic: self.client.ledger(topic) for topic in topics}
+
+    def _heard_once(self, topic: str, since: float) -> list[Heard]:
+        heard = [each for each in self.pc.heard(topic) if each.sent > since * 1e9]
+        assert len({each.number for each in heard}) == len(heard), f"something came twice on {topic}"
+        return heard
 
     def close(self) -> None:
         """End all four."""
-        for each in self:
+        for each in (self.client, self.server, self.robot, self.pc):
             each.close()
 
 
@@ -163,7 +201,7 @@ class Sessions:
         common = {"name": "robot1", "server_port": PORT, "key_file": "robot1.key"}
         told = [{"direction": "transmit", "type": "String", "qos": {"depth": 200}} | topic for topic in topics]
         client = {"role": "client", "server_ip": address, "domain_id": domains[0], "topics": told}
-        anywhere = "::" if ":" in address else "0.0.0.0"  # noqa: S104 — of a host that only other hosts of ours reach
+        anywhere = "::" if ":" in address else "0.0.0.0"
         server = {"role": "server", "server_ip": anywhere, "domain_id": domains[1]}
         self.client, self.server = folder / "client.yaml", folder / "server.yaml"
         self.client.write_text(yaml.safe_dump(common | client))

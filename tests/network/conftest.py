@@ -6,7 +6,6 @@ import shutil
 from typing import TYPE_CHECKING, Any
 
 import pytest
-
 from tests.network.hosts import Cable, Host, NoHostError
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ class Network:
 
     def bridge(self, robot: Host, pc: Host, address: str, *topics: dict[str, Any]) -> Bridge:
         """A client on the robot and a server on the PC, which it reaches by `address`; linked."""
-        from tests.network.bridging import Sessions  # noqa: PLC0415 — needs ROS
+        from tests.network.bridging import Sessions
 
         bridge = Sessions(self._folder, address, *topics, domains=_DOMAINS).run(robot, pc)
         self._bridges.append(bridge)

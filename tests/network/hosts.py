@@ -124,10 +124,8 @@ class Cable:
     def cut(self) -> None:
         """Carry nothing, and tell nobody: as a cable behind a switch, or a machine without power."""
         for host, device in self.ends:
-            host.nft(
-                f"add table netdev cut_{device};"
-                f"add chain netdev cut_{device} in {{ type filter hook ingress device {device} priority 0; policy drop; }}"
-            )
+            everything = f"type filter hook ingress device {device} priority 0; policy drop;"
+            host.nft(f"add table netdev cut_{device}; add chain netdev cut_{device} in {{ {everything} }}")
 
     def mend(self) -> None:
         """Carry again."""

@@ -15,7 +15,6 @@ import time
 import zlib
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from tests.network.hosts import ROOT
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
@@ -68,10 +67,15 @@ class Node:
         """
         self._ask(do="talk", topic=topic, rate=rate, size=size, count=count)
 
-    def hush(self) -> dict[str, int]:
-        """Stop all talkers. Returns how many messages each topic's has published."""
-        said: dict[str, int] = self._ask(do="hush")
+    def said(self) -> dict[str, int]:
+        """How many messages have been published, by topic."""
+        said: dict[str, int] = self._ask(do="count")
         return said
+
+    def hush(self) -> dict[str, int]:
+        """Stop all talkers. Returns what each has `said`."""
+        self._ask(do="hush")
+        return self.said()
 
     def listen(self, *topics: str) -> None:
         """Subscribe, and wait for publishers."""
@@ -122,7 +126,7 @@ class _Talker:
 
     def work(self) -> None:
         """Publish if it is time."""
-        from tests.support.domain import text  # noqa: PLC0415 — only the node's process has ROS
+        from tests.support.domain import text
 
         now = time.monotonic()
         if now < self.due:
@@ -131,7 +135,7 @@ class _Talker:
         if self._left > 0 and self._publisher.get_subscription_count():
             self.number += 1
             self._left -= 1
-            filler = random.Random(self.number).randbytes(self._size // 2).hex()  # noqa: S311 — filler, no secret
+            filler = random.Random(self.number).randbytes(self._size // 2).hex()
             checksum = zlib.crc32(filler.encode())
             self._publisher.publish(text(f"{self.number} {time.time_ns()} {checksum} {filler}"))
 
@@ -159,7 +163,7 @@ class _Ear:
 
 
 def _main(domain_id: int) -> None:
-    from tests.support.domain import Domain  # noqa: PLC0415 — only the node's process has ROS
+    from tests.support.domain import Domain
 
     domain = Domain(domain_id)
     talkers: dict[str, _Talker] = {}
@@ -169,11 +173,11 @@ def _main(domain_id: int) -> None:
         match request.pop("do"):
             case "talk":
                 talkers[request["topic"]] = _Talker(domain, **request)
+            case "count":
+                return {topic: talker.number for topic, talker in talkers.items()}
             case "hush":
-                said = {topic: talker.number for topic, talker in talkers.items()}
                 for talker in talkers.values():
                     talker.due = float("inf")
-                return said
             case "listen":
                 ears[request["topic"]] = _Ear(domain, request["topic"])
             case "matched":

@@ -1,0 +1,76 @@
+"""A cable that is cut and mended, and firewalls that eat a part of what crosses."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from tests.network.bridging import EACH_WAY
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from tests.network.conftest import Network
+    from tests.network.hosts import Cable, Host
+
+_PC = "10.99.1.1"
+_BACK_WITHIN = 4.0
+
+
+def test_a_short_cut_is_survived_and_a_long_one_comes_back(
+    network: Network, robot: Host, pc: Host, cable: Cable
+) -> None:
+    bridge = network.bridge(robot, pc, _PC, *EACH_WAY)
+    bridge.all_talk()
+
+    cable.cut()
+    time.sleep(3.5)
+    cable.mend()
+    bridge.all_flow(_BACK_WITHIN)
+    for side, topic in ((bridge.client, "/scan"), (bridge.server, "/cmd")):  # what is lost is known by a report
+        eventually(lambda: side.ledger(topic).dropped.get("lost on the way"), what=f"{topic} lost some")  # noqa: B023
+    assert not bridge.client.said("link lost")
+
+    began = time.time()
+    cable.cut()
+    for side in (bridge.client, bridge.server):
+        assert 4.5 < side.says("link lost: the peer is silent") - began < 6.5
+    bridge.client.says("timed out; trying again")
+    cable.mend()
+    bridge.all_flow(_BACK_WITHIN)
+
+    said = bridge.robot.hush()
+    ledgers = bridge.settled("/scan", "/odom")
+    assert set(ledgers["/odom"].dropped) == {"link lost"}  # TCP lost nothing in the short one
+    for topic, ledger in ledgers.items():
+        # What is published between link and subscription is nobody's.
+        assert ledger.offered <= said[topic]
+
+
+def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
+    network: Network, robot: Host, pc: Host, cable: Cable
+) -> None:
+    """UDP is dropped, and one of the TCP connections: by a firewall that has forgotten it, without a word."""
+    scan, odom, *others = EACH_WAY
+    bridge = network.bridge(robot, pc, _PC, scan, odom | {"port": 49153}, *others)
+    bridge.all_talk()
+    own_end = robot.run("ss", "--tcp", "--numeric", "--no-header", "dst", ":49153").split()[3]
+    pc.nft(
+        "add table inet wall;"
+        "add chain inet wall in { type filter hook input priority 0; };"
+        f"add rule inet wall in iif eth0 tcp sport {own_end.rpartition(':')[2]} drop;"
+        "add rule inet wall in iif eth0 meta l4proto udp drop"
+    )
+    bridge.client.says("/odom: data connection: ")
+    bridge.client.says("no answer from UDP port 49152 of 10.99.1.1: does a firewall drop it?")
+    bridge.server.says("nothing more from UDP port")
+    eventually(lambda: bridge.client.route("/scan")["state"] == "down", what="/scan is shown as down")
+    bridge.pc.hears("/odom", _BACK_WITHIN)  # on another connection
+    assert bridge.client.ledger("/scan").dropped["lost on the way"] > 0
+
+    pc.nft("delete table inet wall")
+    bridge.client.says("UDP gets through again")
+    bridge.all_flow(_BACK_WITHIN)
+    assert not bridge.client.said("link lost")
+    assert not bridge.server.said("no longer asks for it")
+    bridge.robot.hush()
+    bridge.settled("/scan", "/odom")

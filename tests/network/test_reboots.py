@@ -1,0 +1,38 @@
+"""Machines that lose power and come back."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from tests.network.bridging import EACH_WAY
+
+if TYPE_CHECKING:
+    from tests.network.conftest import Network
+    from tests.network.hosts import Cable, Host
+
+_BACK_WITHIN = 4.0
+
+
+def test_either_side_loses_power_and_comes_back(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
+    """The server's machine is up again at once; the client's stays away, and nothing tells the server."""
+    bridge = network.bridge(robot, pc, "10.99.1.1", *EACH_WAY)
+    bridge.all_talk()
+
+    bridge.server.kill()
+    bridge.client.says("link lost: ")
+    bridge.client.says("is the server running there?; trying again")
+    bridge.server = bridge.server.again()
+    bridge.server.says("listening on")
+    bridge.all_flow(_BACK_WITHIN)
+
+    cable.cut()
+    bridge.client.kill()
+    off = time.time()
+    assert bridge.server.says("link lost: the peer is silent", since=off) - off < 6.5
+    cable.mend()
+    bridge.client = bridge.client.again()
+    bridge.client.says("connecting to")
+    bridge.all_flow(_BACK_WITHIN)
+    bridge.robot.hush()
+    bridge.settled("/scan", "/odom", since=off)

@@ -1,0 +1,52 @@
+"""A link that can't carry what is wanted of it: 1 Mbit/s."""
+
+from __future__ import annotations
+
+from statistics import quantiles
+from typing import TYPE_CHECKING
+
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from tests.network.conftest import Network
+    from tests.network.hosts import Cable, Host
+
+_FRAMES = 60
+
+
+def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
+    network: Network, robot: Host, pc: Host, cable: Cable
+) -> None:
+    """4 Mbit/s of pictures by TCP beside a control topic and a scan; then as much by UDP."""
+    cable.slow("1mbit", queue="50ms")
+    bridge = network.bridge(
+        robot,
+        pc,
+        "10.99.1.1",
+        {"topic": "/cmd", "protocol": "tcp"},
+        {"topic": "/scan", "protocol": "udp"},
+        {"topic": "/camera", "protocol": "tcp", "qos": {"depth": 2}},
+        {"topic": "/cloud", "protocol": "udp"},
+    )
+    bridge.pc.listen("/cmd", "/scan", "/camera", "/cloud")
+    bridge.robot.talk("/camera", rate=10, size=50_000, count=_FRAMES)
+    bridge.pc.hears("/camera")
+    bridge.robot.talk("/cmd", rate=20)
+    bridge.robot.talk("/scan", rate=10, size=1_000)
+    eventually(lambda: bridge.client.ledger("/camera").offered == _FRAMES, 15, "all frames taken")
+
+    for topic in ("/cmd", "/scan"):
+        latencies = [each.latency for each in bridge.pc.heard(topic)]
+        assert len(latencies) > 40
+        assert quantiles(latencies, n=100)[98] < 0.3, topic
+    camera = bridge.settled("/camera")["/camera"]
+    assert set(camera.dropped) == {"queue full"}
+    assert max(each.latency for each in bridge.pc.heard("/camera")) < 3.0  # the oldest were dropped, not the newest
+
+    bridge.robot.talk("/cloud", rate=10, size=50_000, count=_FRAMES)
+    bridge.server.says("/cloud: none of its messages comes whole: too large for UDP on this network: use protocol: tcp")
+    bridge.pc.hears("/cmd")
+    said = bridge.robot.hush()
+    ledgers = bridge.settled("/cmd", "/scan", "/cloud")
+    assert ledgers["/cmd"].delivered == ledgers["/cmd"].offered == said["/cmd"]
+    assert not bridge.client.said("link lost")
