@@ -177,7 +177,7 @@ class OutgoingRoute(Route):
             messages = self._throttle(messages)
         if self._compressor is not None:
             messages = [self._compress(message) for message in messages]
-        if not self.flowing:
+        if not self.connected:
             self._account.drop("link lost", len(messages))
             return
         self.count(len(messages), sum([len(message[0]) for message in messages]))

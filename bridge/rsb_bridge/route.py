@@ -253,9 +253,14 @@ class Route:
         return self.never_stale and self.qos is not None and self.qos.durability == "transient_local"
 
     @property
+    def connected(self) -> bool:
+        """Whether there is a way for messages; those that are under way when the route is paused still go it."""
+        return self.accepted and self.path is not None and self.path.ready
+
+    @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
-        return self.accepted and not self.paused and self.path is not None and self.path.ready
+        return self.connected and not self.paused
 
     def _state(self, stages: tuple[Stage, ...]) -> tuple[State, str]:
         """Its state and, where that is not OK, why."""
