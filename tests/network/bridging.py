@@ -96,7 +96,7 @@ class Program:
     def kill(self) -> None:
         """End it as a power loss does: no goodbye, no clean-up."""
         self._process.kill()
-        self._process.communicate()
+        self._process.wait()
 
     def again(self) -> Program:
         """The same program, started anew."""
@@ -108,8 +108,7 @@ class Program:
             return
         assert self._memory() < _MEMORY
         self._process.send_signal(signal.SIGTERM)
-        code = self._process.communicate(timeout=_STOPS_WITHIN) and self._process.returncode
-        assert code == 0, self._words()
+        assert self._process.wait(_STOPS_WITHIN) == 0, self._words()
         assert not self.said("internal error"), self._words()
 
     def _memory(self) -> int:
@@ -208,8 +207,6 @@ class Sessions:
         self.server.write_text(yaml.safe_dump(common | server))
 
     def run(self, robot: Host, pc: Host) -> Bridge:
-        """Start both programs, and nodes in their domains; linked when this returns."""
+        """Start both programs, and nodes in their domains."""
         server, client = Program(pc, self.server), Program(robot, self.client)
-        bridge = Bridge(client, server, Node(robot, self.domains[0]), Node(pc, self.domains[1]))
-        client.says("linked with", 20)
-        return bridge
+        return Bridge(client, server, Node(robot, self.domains[0]), Node(pc, self.domains[1]))

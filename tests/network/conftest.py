@@ -43,6 +43,7 @@ class Network:
 
         bridge = Sessions(self._folder, address, *topics, domains=_DOMAINS).run(robot, pc)
         self._bridges.append(bridge)
+        bridge.client.says("linked with", 20)
         return bridge
 
     def close(self) -> None:
