@@ -57,4 +57,14 @@ def running(*command: str) -> Iterator[subprocess.Popen]:
         try:
             yield process
         finally:
-            process.kill()
+            end(process)
+
+
+def end(process: subprocess.Popen) -> None:
+    """Let it go, by force only if need be: what is killed leaves its shared memory behind."""
+    process.terminate()
+    try:
+        process.wait(5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -93,7 +93,13 @@ class Terminal:
 
     def __exit__(self, *_: object) -> None:
         if self.alive:
-            os.kill(self.pid, signal.SIGKILL)
+            self.kill(signal.SIGTERM)
+            deadline = time.monotonic() + 5
+            while self.alive and time.monotonic() < deadline:
+                if not self.hung_up:
+                    self.read(0.02)
+        if self.alive:
+            self.kill(signal.SIGKILL)
             os.waitpid(self.pid, 0)
         if not self.hung_up:
             os.close(self.fd)

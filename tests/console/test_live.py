@@ -83,8 +83,9 @@ def test_the_peer_dies_and_comes_back(tmp_path: Path) -> None:
 
     async def steps(app: ConsoleApp, pilot: Pilot) -> None:
         with talker(CHATTER):
-            with pair.server():
+            with pair.server() as server:
                 await flowing(app, pilot)
+                server.kill()
             await shown(pilot, "✗ DOWN")
             await until(pilot, lambda: state(app) is not State.OK, "the topic not ok")
             with pair.server():

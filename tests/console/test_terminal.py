@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from live import Pair, talker
+from live import Pair, end, talker
 from terminal import COMMAND, Terminal
 
 from rsb_bridge.session import Topic
@@ -52,8 +52,7 @@ class FarSide:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self.process.wait()
+        end(self.process)
 
     def lines(self) -> list[dict]:
         return [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
