@@ -170,8 +170,10 @@ async def test_faults_only_and_from_fault_to_fault(app, pilot) -> None:
     await pilot.press("f")
     assert listed(app) == FAULTY
     await shown(pilot, "faults only ▸ 2 of 8")
+    put(app, *ROUTES, route("/worse", State.DOWN))
+    await shown(pilot, "faults only ▸ 3 of 9")
     await pilot.press("f")
-    assert len(listed(app)) == 8
+    assert len(listed(app)) == 9
 
 
 @on_main()

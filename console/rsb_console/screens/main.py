@@ -40,6 +40,7 @@ class MainScreen(OperationsScreen):
         super().__init__()
         self.status, self.prompt, self.key_bar = StatusBar(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
+        self._filtered: TopicsTable | LogPane = self.topics
         self._frozen_since: float | None = None
         self._held: list[Event] = []
         self._possible: tuple[bool, bool] | None = None
@@ -71,6 +72,7 @@ class MainScreen(OperationsScreen):
             self.log_pane.add(self._held)
             self._held = []
             self.topics.show(snapshot)
+            self._show_title()
             self.show_detail()
         self.show_keys()
 
