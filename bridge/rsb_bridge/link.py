@@ -208,7 +208,6 @@ class Link:
 
     def forget(self, route: Route, reason: str) -> None:
         """End a route on this side."""
-        self._by_id.pop(route.id, None)
         self.routes.pop(route.key, None)
         route.destroy()
         route.log(Level.INFO, reason)
@@ -232,8 +231,11 @@ class Link:
 
     def end_opening(self, route: Route, reason: str) -> None:
         """There is no such route for now, as one of the sides says; it is tried again if it was proposed here."""
-        self._by_id.pop(route.id, None)
         route.refuse(reason)
+
+    def closed(self, route_id: int) -> None:
+        """An opening is over."""
+        self._by_id.pop(route_id, None)
 
     def open_route(self, route_id: int) -> Route | None:
         """The open route of that id."""
@@ -256,7 +258,6 @@ class Link:
 
     def reopen(self, route: Route, route_id: int) -> None:
         """Begin a route's opening of that id."""
-        self._by_id.pop(route.id, None)
         route.close("opened anew")
         route.open(route_id)
         self._by_id[route_id] = route

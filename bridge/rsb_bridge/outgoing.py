@@ -15,7 +15,7 @@ from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.route import LARGEST_DATAGRAM_MESSAGE, Peer, Route
 from rsb_bridge.snapshot import Ledger, Level, Stage
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
-from rsb_bridge.wire.messages import Close, Describe, Propose, ReceivedReport, SentReport
+from rsb_bridge.wire.messages import Describe, Propose, ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,6 +74,10 @@ class OutgoingRoute(Route):
         self._publishers = self.context.ros.publishers(self.topic)
         described = self._resolve()
         if described is None:
+            return
+        if self._described is not None and described.type_hash != self._described.type_hash:
+            # A new opening, so that no message of the old type comes where the new one is published.
+            self.begin_anew(f"its type has become {described.type}")
             return
         if described != self._described:
             self._unsubscribe()
@@ -138,9 +142,7 @@ class OutgoingRoute(Route):
                 origin=self.peer.name,
             )
         except RosError as error:
-            route_id = self.id
-            self.refuse(str(error))
-            self.peer.send(Close(route=route_id, reason=str(error)))
+            self.begin_anew(str(error))
             return
         self.stale.rearm(self.context.now())
         self.log(Level.INFO, f"→ {self.transport} connected ({described.type})")

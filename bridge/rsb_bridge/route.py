@@ -68,6 +68,10 @@ class Peer(Protocol):
         """The port or channel of the link itself."""
         ...
 
+    def closed(self, route_id: int) -> None:
+        """An opening is over: what is said of it from now on is about nothing."""
+        ...
+
 
 class Route:
     """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
@@ -173,6 +177,7 @@ class Route:
         if self.release_port is not None:
             self.release_port()
             self.release_port = None
+        self.peer.closed(self.id)
         self.id = 0
         self.accepted = False
         self.closed_at = self.context.now()
@@ -198,9 +203,13 @@ class Route:
 
     def path_lost(self, reason: str) -> None:
         """What carried the route broke while the link lives: open it again."""
+        self.begin_anew(f"data connection: {reason}")
+
+    def begin_anew(self, reason: str) -> None:
+        """Close the route on both sides; its proposer opens it again."""
         if self.id:
             route_id = self.id
-            self.refuse(f"data connection: {reason}")
+            self.refuse(reason)
             self.peer.send(Close(route=route_id, reason=reason))
 
     def set_paused(self, paused: bool) -> None:

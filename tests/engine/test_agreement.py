@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
 from tests.support.bridge import carries, eventually, find, free_port, heard, link, route, said, stage
@@ -195,3 +196,20 @@ def test_keys_that_are_missing(bridge: Bridge) -> None:
         bridge.server(key_file=None)
     with pytest.raises(EngineError, match=r"lost\.key"):
         bridge.client(key_file="lost.key")
+
+
+def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """The robot's program is replaced by one that publishes another type: the topic is opened anew with that."""
+    words, out = pc.listener("/state"), robot.publisher("/state")
+    server, client = bridge.both(Topic("/state", "transmit"))
+    carries([out], server, ["/state"])
+    out.publish(text("on"))
+    heard(words, 1)
+    pc.clear()
+    robot.node.destroy_publisher(out)
+    numbers, out = pc.listener("/state", Int32), robot.publisher("/state", Int32)
+    eventually(lambda: said(client, f"/state: its type has become {INT32}"))
+    carries([out], server, ["/state"])
+    out.publish(Int32(data=7))
+    assert heard(numbers, 1) == [serialize_message(Int32(data=7))]
+    assert route(server, "/state").type_name == INT32

@@ -62,7 +62,8 @@ def test_a_peer_that_is_frozen(stopped: str, bridge: Bridge, programs: Programs,
     peer.signal(signal.SIGSTOP)
 
     def full() -> bool:
-        out.publish(text("x" * 500_000))
+        for _ in range(5):
+            out.publish(text("x" * 500_000))
         found = find(engine, "/chat")
         return found is not None and "queue full" in found.ledger.dropped
 

@@ -5,6 +5,8 @@ An interpreter that has imported everything forks each of them, so that a test m
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import signal
@@ -56,6 +58,7 @@ class Programs:
             program.kill()
         self._forker.communicate()
         assert self._forker.returncode == 0
+        _free_shared_memory()
         for program in self._programs:
             assert "Traceback" not in program.output, program.output
 
@@ -105,4 +108,18 @@ class Program:
         eventually(lambda: not self.running)
 
     def _lines(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.output.splitlines() if line.startswith("{") and line.endswith("}")]
+        return [json.loads(line) for line in self.output.splitlines(keepends=True) if line[0] + line[-1] == "{\n"]
+
+
+def _free_shared_memory() -> None:
+    """Remove what DDS participants that were killed left: half a megabyte each, which nothing else ever frees.
+
+    Fast DDS holds a lock on a file beside each segment as long as its process lives.
+    """
+    for path in Path("/dev/shm").glob("fastrtps_*_el"):
+        if "port" in path.name:
+            continue  # shared by those who send there
+        with contextlib.suppress(FileNotFoundError), path.open() as lock, contextlib.suppress(BlockingIOError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
+            path.unlink()
