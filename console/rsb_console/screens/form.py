@@ -91,8 +91,16 @@ class FormScreen(ModalScreen[T | None]):
         return self.dismiss(result)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Accept or leave."""
-        if event.button.id == "yes":
+        """A button. Not to be overridden: Textual calls the handler of every class, not only of the last."""
+        self.press(event.button.id or "")
+
+    def press(self, button: str) -> None:
+        """Accept or leave; a subclass with more buttons handles those first.
+
+        Args:
+            button: its id.
+        """
+        if button == "yes":
             self.submit()
         else:
             self.dismiss(None)

@@ -136,12 +136,12 @@ class NewSessionScreen(FormScreen[NewSession]):
             )  # fmt: skip
         self.dismiss(result)
 
-    def on_button_pressed(self, event: Button.Pressed) -> None:
+    def press(self, button: str) -> None:
         """Pick a server by Bluetooth."""
-        if event.button.id == "bluetooth":
+        if button == "bluetooth":
             self._pick_bluetooth()
         else:
-            super().on_button_pressed(event)
+            super().press(button)
 
     @work
     async def _pick_bluetooth(self) -> None:

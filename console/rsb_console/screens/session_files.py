@@ -105,12 +105,12 @@ class SessionsScreen(FormScreen[Opened | str]):
         except SessionError as error:
             self.form.show_problems({"path": str(error)})
 
-    def on_button_pressed(self, event: Button.Pressed) -> None:
+    def press(self, button: str) -> None:
         """The other ways."""
-        if event.button.id in MORE:
-            self.dismiss(event.button.id)
+        if button in MORE:
+            self.dismiss(button)
         else:
-            super().on_button_pressed(event)
+            super().press(button)
 
 
 class SaveAsScreen(FormScreen[Path]):

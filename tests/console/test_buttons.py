@@ -1,0 +1,68 @@
+"""Every button of every dialog, pressed as an operator does: each does its thing once, and the console goes on."""
+
+from pathlib import Path
+
+import pytest
+from driving import drive, fill, scripted_app, shown, text, until
+from scripted import SESSION
+from textual.pilot import Pilot
+from textual.widgets import Button
+
+from rsb_bridge.session_file import save
+
+BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in it
+    "Sessions": ("o", "↑ ↓ and ⏎"),
+    "New session": ("f2", "Encryption"),
+    "Import": ("f3", "config/bringup.yaml"),
+    "Save as": ("W", "Key files are named"),
+    "Add a topic": ("a", "Direction"),
+    "Edit": ("e", "Direction"),
+    "Remove": ("d", "It stops crossing"),
+    "Restart?": ("R", "Every link is closed"),
+    "Quit?": ("q", "The bridge is linked"),
+}
+LABELS = {
+    "Sessions": ["Open", "Cancel", "New…", "Import…", "Save", "Save as…"],
+    "New session": ["Bluetooth…", "Create", "Cancel"],
+    "Import": ["Import", "Cancel"],
+    "Save as": ["Save", "Cancel"],
+    "Add a topic": ["Add", "Cancel"],
+    "Edit": ["Change", "Cancel"],
+    "Remove": ["Remove", "No"],
+    "Restart?": ["Restart", "No"],
+    "Quit?": ["Quit", "No"],
+}
+FILLED = {
+    "Sessions": {"path": "nav2.yaml"},
+    "New session": {"name": "robot7", "server_ip": "10.0.0.20"},
+    "Save as": {"path": "other.yaml"},
+    "Add a topic": {"topic": "/added"},
+}
+PRESSES = [(dialog, label) for dialog, labels in LABELS.items() for label in labels]
+
+
+@pytest.mark.parametrize(("dialog", "label"), PRESSES)
+def test_every_button_with_enter(dialog: str, label: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    save(SESSION, tmp_path / "nav2.yaml")
+    app = scripted_app(path=tmp_path / "nav2.yaml")
+    key, words = BEGINNINGS[dialog]
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press(key)
+        await shown(pilot, words)
+        await fill(pilot, **FILLED.get(dialog, {}))
+        screen = app.screen
+        buttons = {str(button.label): button for button in screen.query(Button)}
+        assert list(buttons) == LABELS[dialog]
+        buttons[label].focus()
+        await pilot.press("enter")
+        if label == "Import":  # nothing is filled in
+            await shown(pilot, "missing: name the file")
+        else:
+            await until(pilot, lambda: app.screen is not screen or app._exit, f"{label} to do something")
+        await pilot.pause()  # what is dismissed twice fails now
+        assert app._exception is None, text(app)
+
+    drive(app, steps)
