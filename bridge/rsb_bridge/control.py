@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.shared import SharedPath, SharedStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
+from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import ControlMessage, Shutdown
 from rsb_bridge.wire.sealing import SealError
@@ -39,7 +40,7 @@ class Control(StreamHandler):
 
     def shut_down(self, reason: str, *, retry_after: float | None) -> None:
         """Tell the peer that this ends on purpose, and end it."""
-        self.send(Shutdown(reason=reason, retry_after=retry_after))
+        self.send(Shutdown(reason=plain(reason), retry_after=retry_after))
         self._goodbye = reason
         self.stream.close(reason)
         self._over(reason)

@@ -12,8 +12,10 @@ from rsb_bridge.keepalive import Keepalive
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.proposals import same_route, topic_of
 from rsb_bridge.route import Route, route_key
+from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.snapshot import Level, TopicInfo
 from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.wire.fields import NAME_LIMIT, RefuseCode, plain
 from rsb_bridge.wire.messages import (
     Accept,
     Close,
@@ -26,7 +28,6 @@ from rsb_bridge.wire.messages import (
     Propose,
     Ready,
     Refuse,
-    RefuseCode,
     Report,
     Shutdown,
     TopicEntry,
@@ -36,6 +37,8 @@ from rsb_bridge.wire.messages import (
 if TYPE_CHECKING:
     from rsb_bridge.link import Link
 
+MOST_ROUTES = 1000
+"""On one link: what a peer may make this side keep is bounded."""
 _ANSWER_WITHIN = 5.0
 _MOST_TOPICS = 2000
 """In one list: a control frame holds about three times as many of usual names (PROTOCOL.md section 1)."""
@@ -53,6 +56,7 @@ class Dialogue:
         self._numbers = itertools.count(1)
         self._newest_route = 0  # of those that the peer has proposed on this connection
         self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
+        self._listing = False
 
     def end(self) -> None:
         """The connection is over: nobody will answer."""
@@ -73,8 +77,11 @@ class Dialogue:
                 self._link.keepalive.answered(message)
             case Report():
                 self._take_report(message)
-            case ListTopics():
+            case ListTopics() if not self._listing:
+                self._listing = True
                 self._link.spawn(self._list_topics(message.request))
+            case ListTopics():
+                pass  # one at a time: it costs more than the question
             case TopicList():
                 future = self._requests.get(message.request)
                 if future is not None and not future.done():
@@ -103,7 +110,14 @@ class Dialogue:
     def _taken_up(self, proposal: Propose) -> Route:
         """This side's half of what the peer proposes; LinkError where it may not be."""
         link = self._link
+        for problem in validate_topic(topic_of(proposal)):  # before a prefix could make a name of what is none
+            raise LinkError(str(problem))
         admitted = link.admit(proposal)
+        incoming = admitted.from_client != link.is_client
+        if incoming and admitted.remote_topic == link.context.session.shutdown_topic:
+            raise LinkError(f"{admitted.remote_topic} shuts this side down: only its own programs may say so")
+        if len(link.routes) >= MOST_ROUTES:
+            raise LinkError(f"this link has {MOST_ROUTES} topics already, and no more are let in")
         known = link.routes.get(route_key(link.name, admitted))
         if known is not None and known.proposed_here and link.is_client:
             raise LinkError(f"{admitted.topic} is bridged in that direction already")
@@ -131,7 +145,7 @@ class Dialogue:
 
     def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
         self._link.log(Level.WARNING, f"refused {proposal.topic}: {reason}", source="route", topic=proposal.topic)
-        self._link.send(Refuse(route=proposal.route, code=code, reason=reason))
+        self._link.send(Refuse(route=proposal.route, code=code, reason=plain(reason)))
 
     def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
         match message:
@@ -162,10 +176,14 @@ class Dialogue:
                 route.reported(received)
 
     async def _list_topics(self, request: int) -> None:
-        topics = await asyncio.to_thread(topics_of, self._link.context.ros)
+        try:
+            topics = await asyncio.to_thread(topics_of, self._link.context.ros)
+        finally:
+            self._listing = False
         entries = tuple(
             TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions)
             for t in topics[:_MOST_TOPICS]
+            if max(len(t.topic), len(t.type_name)) <= NAME_LIMIT
         )
         self._link.send(TopicList(request=request, topics=entries))
 

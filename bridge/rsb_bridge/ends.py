@@ -49,7 +49,7 @@ class End(Protocol):
         ...
 
     def tick(self) -> None:
-        """Once a second."""
+        """Once a second, before the links' own ticks."""
         ...
 
     def add(self, topic: Topic, link: str) -> Route:
@@ -99,7 +99,7 @@ class ClientEnd:
         return [self._link]
 
     def tick(self) -> None:
-        self._link.tick()
+        """There is nothing but the link."""
 
     def add(self, topic: Topic, link: str) -> Route:
         session = self._context.session
@@ -158,8 +158,6 @@ class ServerEnd:
 
     def tick(self) -> None:
         self._server.tick()
-        for link in self.links():
-            link.tick()
 
     def add(self, topic: Topic, link: str) -> Route:
         robot = self._chosen(link)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route import Route
     from rsb_bridge.session import Session, Topic
 
+_ERROR_SAID_EVERY = 10.0
 _POLL = 0.25
 _POLLS_PER_TICK = 4
 
@@ -62,6 +63,7 @@ class Engine:
         self._ros = ros
         self._events = EventLog()
         self._stopping = asyncio.Event()
+        self._errors_said: dict[str, float] = {}
         self._thread: threading.Thread | None = None
         self._context: Context | None = None
         self._end: End | None = None
@@ -247,9 +249,12 @@ class Engine:
     def _run_thread(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
         try:
             asyncio.run(self._main(ros, domain, keys, started))
-        finally:
+        except Exception as error:
+            _logger.exception("the engine failed inside")
+            words = f"the engine failed inside, please report it: {error}"
+            self._events.add(Level.ERROR, "engine", words)
             if not started.done():
-                started.set_exception(EngineError("the engine failed inside; please report the traceback"))
+                started.set_exception(EngineError(words))
 
     async def _main(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
@@ -278,12 +283,12 @@ class Engine:
         while not self._stopping.is_set():
             polls += 1
             for link in end.links():
-                link.poll()
+                self._guarded(link, link.poll)
             tick = polls % _POLLS_PER_TICK == 0
             if tick:
-                routes = [route for link in end.links() for route in link.routes.values()]
-                await in_slices(routes, lambda route: route.tick())
                 end.tick()
+                for link in end.links():
+                    await self._tick(link)
             if tick or self._observer.looked_at:
                 await self._observer.refresh(end)
             try:
@@ -304,11 +309,32 @@ class Engine:
 
         return watch_shutdown_topic(context.ros, topic, lambda: context.call(act))
 
+    async def _tick(self, link: Link) -> None:
+        def each(route: Route) -> None:
+            self._guarded(link, route.tick)
+
+        await in_slices(tuple(link.routes.values()), each)
+        self._guarded(link, link.tick)
+
+    def _guarded(self, link: Link, work: Callable[[], None]) -> None:
+        """Do a link's regular work; what fails in it ends that link's connection, not the others'."""
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001 — whatever it is, it is one link's
+            self._internal_error(link.context.loop, {"exception": error})
+            if link.control is not None:
+                link.control.abort("internal error")
+
     def _internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         error = details.get("exception")
+        words = f"internal error, please report it: {error or details.get('message')}"
+        now = time.monotonic()
+        if now - self._errors_said.get(words, -_ERROR_SAID_EVERY) < _ERROR_SAID_EVERY:
+            return
+        self._errors_said = {words: now}
         exc_info = (type(error), error, error.__traceback__) if isinstance(error, BaseException) else None
-        _logger.error("internal error: %s", details.get("message"), exc_info=exc_info)
-        self._events.add(Level.ERROR, "engine", f"internal error, please report it: {error or details.get('message')}")
+        _logger.error("%s", words, exc_info=exc_info)
+        self._events.add(Level.ERROR, "engine", words)
 
     # --- before starting
 

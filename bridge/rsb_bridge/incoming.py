@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from typing import TYPE_CHECKING, ClassVar
 
+import msgspec
 import zstandard
 
 from rsb_bridge.graph import type_hint
@@ -13,6 +14,7 @@ from rsb_bridge.qos import incompatible
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.route import Peer, Route
 from rsb_bridge.snapshot import Ledger, Level, Stage
+from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
 from rsb_bridge.wire.messages import Describe, Propose, Ready, ReceivedReport, Refuse, SentReport
 
@@ -20,9 +22,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from rsb_bridge.context import Context
+    from rsb_bridge.qos import Qos
     from rsb_bridge.session import Topic
 
 _INCOMPLETE_IN_A_ROW = 3
+
+
+_MOST_KEPT, _MOST_LATCHED = 10_000, 100  # messages
 
 
 class IncomingRoute(Route):
@@ -69,7 +75,7 @@ class IncomingRoute(Route):
                     self.remote_topic,
                     description.type,
                     description.type_hash,
-                    description.qos,
+                    _bounded(description.qos),
                     origin=self.peer.name,
                 )
             except RosError as error:
@@ -95,7 +101,7 @@ class IncomingRoute(Route):
     def _refuse_type(self, reason: str) -> None:
         route_id = self.id
         self.refuse(reason)
-        self.peer.send(Refuse(route=route_id, code="type_differs", reason=reason))
+        self.peer.send(Refuse(route=route_id, code="type_differs", reason=plain(reason)))
 
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""
@@ -203,7 +209,7 @@ class IncomingRoute(Route):
             jitter=self.latency.jitter,
         )
 
-    def stages(self) -> tuple[Stage, ...]:
+    def _stages(self) -> tuple[Stage, ...]:
         """From the publisher there to the subscriber here."""
         report = self._report
         known = bool(self.type_name)
@@ -230,3 +236,9 @@ class IncomingRoute(Route):
                 else f"nobody subscribes to {self.remote_topic} in domain {self.context.domain_id}",
             ),
         )
+
+
+def _bounded(qos: Qos) -> Qos:
+    """What a publisher here keeps for late joiners and slow readers, whatever the peer asks for."""
+    most = _MOST_LATCHED if qos.durability == "transient_local" else _MOST_KEPT
+    return qos if qos.depth <= most else msgspec.structs.replace(qos, depth=most)

@@ -19,6 +19,7 @@ from rsb_bridge.shared import SharedPath
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
+from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import DataReader, DataWriter
 from rsb_bridge.wire.messages import Close, Pause, Report
 
@@ -203,7 +204,7 @@ class Link:
     def remove(self, route: Route, reason: str) -> None:
         """End a route on both sides."""
         if route.id:
-            self.send(Close(route=route.id, reason=reason, removed=True))
+            self.send(Close(route=route.id, reason=plain(reason), removed=True))
         self.forget(route, reason)
 
     def forget(self, route: Route, reason: str) -> None:

@@ -9,6 +9,7 @@ from statistics import median
 HISTORY = 120
 """Seconds of history a route keeps: what the console plots."""
 _WINDOWS = (3, 10, 30)
+_BUSY_SECONDS = 5
 _LATENCIES = 512
 _PINGS = 16
 
@@ -21,7 +22,8 @@ class RateMeter:
         bytes: of them all.
         last: s, when the last one came; None: none yet.
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages.
-        usual_rate: Hz: the median second of the history, quiet ones left out; None until five seconds had messages.
+        usual_rate: Hz: the median second from the first busy one to the last, their mean where most were quiet; None
+            until five seconds had messages.
         bytes_per_second: smoothed over about two seconds.
         history: messages in each of the last seconds, oldest first.
     """
@@ -61,11 +63,21 @@ class RateMeter:
         self._at_tick = self.count
         self.bytes_per_second += 0.5 * (self.bytes - self._bytes_at_tick - self.bytes_per_second)
         self._bytes_at_tick = self.bytes
+        self.usual_rate = self._usual_rate()
         self.rate = self._rate()
-        busy = [count for count in self.history if count]
-        self.usual_rate = float(median(busy)) if len(busy) >= 5 else None
+
+    def _usual_rate(self) -> float | None:
+        busy = [index for index, count in enumerate(self.history) if count]
+        if len(busy) < _BUSY_SECONDS:
+            return None
+        span = list(islice(self.history, busy[0], busy[-1] + 1))
+        return float(median(span)) or sum(span) / len(span)
 
     def _rate(self) -> float:
+        # What is due and did not come is no rate any more, whatever the longer windows still hold.
+        missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
+        if not any(islice(reversed(self.history), int(missed))):
+            return 0.0
         messages = seconds = 0
         for window in _WINDOWS:
             seconds = min(window, len(self.history))

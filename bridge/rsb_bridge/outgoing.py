@@ -14,6 +14,7 @@ from rsb_bridge.ros.api import Endpoint, RosError, Subscription, Taken
 from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.route import LARGEST_DATAGRAM_MESSAGE, Peer, Route
 from rsb_bridge.snapshot import Ledger, Level, Stage
+from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
 from rsb_bridge.wire.messages import Describe, Propose, ReceivedReport, SentReport
 
@@ -182,9 +183,10 @@ class OutgoingRoute(Route):
         if not self.connected:
             self._account.drop("link lost", len(messages))
             return
-        self.count(len(messages), sum([len(message[0]) for message in messages]))
-        self._enqueue(messages)
-        self.flush()
+        if messages:
+            self.count(len(messages), sum([len(message[0]) for message in messages]))
+            self._enqueue(messages)
+            self.flush()
 
     def flush(self) -> None:
         """Send from the queue while the path takes it."""
@@ -222,7 +224,7 @@ class OutgoingRoute(Route):
         for message in messages:
             stamp = message[1]
             late = stamp - self._due
-            if late >= 0:
+            if late >= 0 or late < -self._interval:  # so far ahead only if the clock was set back
                 # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
                 self._due = (self._due if late < self._interval else stamp) + self._interval
                 kept.append(message)
@@ -275,10 +277,10 @@ class OutgoingRoute(Route):
             lost_in_dds=ledger.lost_in_dds,
             publishers=len(self._publishers),
             subscribed=self._subscription is not None,
-            problem=self.problem,
+            problem=plain(self.problem),
         )
 
-    def stages(self) -> tuple[Stage, ...]:
+    def _stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""
         report = self._account.report
         known = self._described is not None

@@ -13,6 +13,7 @@ import msgspec
 
 from rsb_bridge.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.snapshot import Ledger, Level, RouteSnapshot, Stage, State
+from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.messages import Close, ControlMessage, Propose
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 _LONGEST_PAUSE = 10.0
 _PROPOSED_WITHIN = 3.0
+LINK_STAGE = "link up"
 LARGEST_DATAGRAM_MESSAGE = 8 * 1024 * 1024
 """Bytes of one serialized message that UDP carries."""
 
@@ -105,6 +107,7 @@ class Route:
         self.id = 0
         self.accepted = False
         self.refusal = ""
+        self.opened_at = 0.0
         self.closed_at = 0.0
         self.retry_at = 0.0
         self.refusals = 0
@@ -146,7 +149,13 @@ class Route:
         raise NotImplementedError
 
     def stages(self) -> tuple[Stage, ...]:
-        """The steps of a message's way."""
+        """The steps of a message's way; without a link, nothing is known of the others."""
+        steps = self._stages()
+        if self.peer.linked:
+            return steps
+        return tuple(step if step.name == LINK_STAGE else Stage(step.name, None) for step in steps)
+
+    def _stages(self) -> tuple[Stage, ...]:
         raise NotImplementedError
 
     def named(self, topic: str) -> None:
@@ -166,6 +175,7 @@ class Route:
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
         self.id = route_id
+        self.opened_at = self.context.now()
         self.refusal = ""
         self.stale.rearm(self.context.now())
 
@@ -210,7 +220,7 @@ class Route:
         if self.id:
             route_id = self.id
             self.refuse(reason)
-            self.peer.send(Close(route=route_id, reason=reason))
+            self.peer.send(Close(route=route_id, reason=plain(reason)))
 
     def set_paused(self, paused: bool) -> None:
         """Stop or resume carrying messages; the route stays set up."""
@@ -251,7 +261,7 @@ class Route:
     def link_stage(self) -> Stage:
         """Whether the peer is there, and what carries this route gets through."""
         trouble = self._trouble()
-        return Stage("link up", self.peer.linked and not trouble, trouble or self.peer.down_reason)
+        return Stage(LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
 
     def _trouble(self) -> str:
         return self.path.trouble() if self.path is not None else ""
@@ -283,9 +293,12 @@ class Route:
             return State.DOWN, trouble
         flowing = self.flowing
         stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
-        if flowing and self.meter.count and not stale:
+        came = self.meter.last is not None and self.meter.last >= self.opened_at
+        if flowing and came and not stale:
             return State.OK, ""
-        reason = self.problem or next((s.detail or s.name for s in stages if not s.done), "")
+        waiting = [stage for stage in stages if not stage.done]
+        first = next((stage for stage in waiting if stage.done is False), next(iter(waiting), None))
+        reason = self.problem or (first.detail or first.name if first else "")
         return (State.STALE, reason or "nothing comes") if stale else (State.WAITING, reason or "no message yet")
 
     def snapshot(self) -> RouteSnapshot:

@@ -18,6 +18,7 @@ from rsb_bridge.link import Link
 from rsb_bridge.ports import Ports
 from rsb_bridge.snapshot import Level
 from rsb_bridge.transport.streams import address_words
+from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.connection import Credential, ServerConnection
 from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
     from rsb_bridge.wire.events import Attach, Established
 
+_FIRST_PORT, _MOST_PORTS = 1024, 64
 _REPLACED_PAUSE = 10.0
 """s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
 
@@ -94,6 +96,12 @@ class ServerLink(Link):
         port, route_id = route.proposal.port, route.id
         if not port or port == self.shared_port():
             return
+        if route.transport != "bluetooth" and port < _FIRST_PORT:
+            raise ListenError(f"port {port}: topics may have ports from {_FIRST_PORT} up")
+        if sum(other.release_port is not None for other in self.routes.values()) >= _MOST_PORTS:
+            raise ListenError(
+                f"{self.name} has {_MOST_PORTS} ports of its topics' own already: let more share the link's"
+            )
         release = await self._ports.open(route.transport, port)
         if route.id == route_id and route.release_port is None:
             route.release_port = release

@@ -2,6 +2,7 @@
 
 import itertools
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,7 +24,7 @@ from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConne
 from rsb_bridge.wire.events import Established, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
-from rsb_bridge.wire.messages import Close, Hello, Ping, Pong, Ready, encode
+from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicEntry, TopicList, encode
 from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, opening, refuse_frame
 from rsb_bridge.wire.sealing import Sealer, Suite
 
@@ -242,12 +243,22 @@ def test_nothing_is_sent_before_the_connection_is_established():
         make_client().send(Ping(1, 1))
 
 
+def topic_list_of(size):
+    """A TopicList that takes so many bytes: many long names, and the last ones as long as is left."""
+    entry = TopicEntry("x" * 255, "", "", None, 0, 0)
+    one = len(encode(TopicList(1, (entry,) * 1000))) - len(encode(TopicList(1, (entry,) * 999)))
+    entries = (entry,) * (size // one - 1)
+    left = size - len(encode(TopicList(1, (*entries, entry, entry)))) + 2 * 255
+    last = (msgspec.structs.replace(entry, topic="x" * length) for length in (left // 2, left - left // 2))
+    return TopicList(1, (*entries, *last))
+
+
 @SUITES
 def test_a_message_may_fill_a_control_frame_and_no_more(suite):
     client, server, _, _ = established(suite)
-    room = CONTROL_LIMIT - 14 - 16 - len(encode(Close(route=1, reason="x" * 70_000))) + 70_000
-    message = Close(route=1, reason="x" * room)
+    room = CONTROL_LIMIT - 14 - 16
+    message = topic_list_of(room)
     assert server.receive_data(client.send(message)) == [Received(message)]
-    with pytest.raises(ValueError, match="a Close of"):
-        client.send(Close(route=1, reason="x" * (room + 1)))
+    with pytest.raises(ValueError, match="a TopicList of"):
+        client.send(topic_list_of(room + 1))
     assert server.receive_data(client.send(Ping(1, 1))) == [Received(Ping(1, 1))]

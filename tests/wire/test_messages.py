@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import (
     Accept,
@@ -89,9 +90,30 @@ def test_the_handshake_s_messages_read_as_they_were_written():
 
 
 @given(reason=st.text(), route=st.integers(1, 2**32 - 1))
-def test_any_text_crosses(reason, route):
-    message = Close(route=route, reason=reason)
+def test_any_text_crosses_made_plain(reason, route):
+    message = Close(route=route, reason=plain(reason))
     assert decode(encode(message)) == message
+    assert plain(message.reason) == message.reason
+
+
+@pytest.mark.parametrize("reason", ["\x1b[2J", "two\nlines", "end\n", "\x9b1m", "\u202egnp", "x" * 501, "\0"])
+def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason):
+    with pytest.raises(ProtocolError):
+        decode(encode(Close(route=1, reason=reason)))
+    assert plain(reason) != reason
+    with pytest.raises(ProtocolError):
+        decode_hello(encode(msgspec.structs.replace(HELLO, version=reason)))
+
+
+def test_a_rate_that_is_none_is_refused():
+    for rate in (1e-310, 0.0009, 1e7, math.inf, math.nan):
+        with pytest.raises(ProtocolError):
+            decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | {"max_rate": rate}))
+
+
+def test_a_deadline_that_storms_is_refused():
+    with pytest.raises(ProtocolError):
+        decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | {"qos": {"deadline": 1e-9}}))
 
 
 def test_unknown_fields_are_ignored_and_missing_ones_have_their_defaults():

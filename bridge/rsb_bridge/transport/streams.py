@@ -70,7 +70,7 @@ class Stream(asyncio.Protocol):
 
     def write(self, data: bytes) -> None:
         """Send, or keep until the socket takes it. Nothing happens on a stream that is over."""
-        if self._transport is not None:
+        if self._transport is not None and not self._transport.is_closing():
             self.sent_bytes += len(data)
             self._transport.write(data)
 

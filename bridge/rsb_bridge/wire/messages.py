@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import msgspec
-from msgspec import Meta
 
 from rsb_bridge.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.wire.fields import (
+    DEEPEST,
+    LOWEST_RATE,
+    Causes,
+    Compression,
+    Count,
+    Features,
+    Figure,
+    Hertz,
+    LinkId,
+    Name,
+    Nanoseconds,
+    Port,
+    RefuseCode,
+    RouteId,
+    Seconds,
+    Transport,
+    Words,
+)
 from rsb_bridge.wire.framing import ProtocolError
-
-RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
-LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]
-Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-Port: TypeAlias = Annotated[int, Meta(ge=0, le=65535)]
-Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
-Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
-Figure: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
-"""s; a latency may be negative within the clock offset's uncertainty."""
-
-Transport = Literal["tcp", "udp", "bluetooth"]
-Compression = Literal["none", "zstd"]
-RefuseCode = Literal["no_such_type", "type_differs", "denied", "port_taken", "bad_request"]
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="message", tag=str.lower):
@@ -39,11 +44,11 @@ class Hello(_Message, frozen=True):
         features: what it can beyond version 1; none yet.
     """
 
-    version: str
-    name: str
-    instance: str
+    version: Name
+    name: Name
+    instance: Name
     domain_id: Count
-    features: tuple[str, ...] = ()
+    features: Features = ()
 
 
 class Welcome(_Message, frozen=True):
@@ -58,12 +63,12 @@ class Welcome(_Message, frozen=True):
         features: what it can beyond version 1; none yet.
     """
 
-    version: str
-    name: str
+    version: Name
+    name: Name
     link_id: LinkId
-    instance: str
+    instance: Name
     domain_id: Count
-    features: tuple[str, ...] = ()
+    features: Features = ()
 
 
 class Propose(_Message, frozen=True, kw_only=True):
@@ -86,10 +91,10 @@ class Propose(_Message, frozen=True, kw_only=True):
     """
 
     route: RouteId
-    topic: str
-    remote_topic: str
+    topic: Name
+    remote_topic: Name
     from_client: bool
-    type: str = ""
+    type: Name = ""
     transport: Transport = "tcp"
     port: Port = 0
     qos: Qos | None = None
@@ -101,6 +106,8 @@ class Propose(_Message, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         _check_qos(self.qos)
+        if any(0 < rate < LOWEST_RATE for rate in (self.max_rate, self.expected_rate)):
+            raise ValueError(f"a rate is 0 or at least {LOWEST_RATE} Hz")
 
 
 class Accept(_Message, frozen=True):
@@ -112,7 +119,7 @@ class Accept(_Message, frozen=True):
     """
 
     route: RouteId
-    topic: str
+    topic: Name
 
 
 class Refuse(_Message, frozen=True):
@@ -126,7 +133,7 @@ class Refuse(_Message, frozen=True):
 
     route: RouteId
     code: RefuseCode
-    reason: str
+    reason: Words
 
 
 class Describe(_Message, frozen=True):
@@ -140,8 +147,8 @@ class Describe(_Message, frozen=True):
     """
 
     route: RouteId
-    type: str
-    type_hash: str
+    type: Name
+    type_hash: Name
     qos: Qos
 
     def __post_init__(self) -> None:
@@ -170,7 +177,7 @@ class Close(_Message, frozen=True):
     """
 
     route: RouteId
-    reason: str
+    reason: Words
     removed: bool = False
 
 
@@ -190,7 +197,7 @@ class Ping(_Message, frozen=True):
     """
 
     n: Count
-    sent: Count
+    sent: Nanoseconds
 
 
 class Pong(_Message, frozen=True):
@@ -204,9 +211,9 @@ class Pong(_Message, frozen=True):
     """
 
     n: Count
-    sent: Count
-    received: Count
-    answered: Count
+    sent: Nanoseconds
+    received: Nanoseconds
+    answered: Nanoseconds
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -232,11 +239,11 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     throttled: Count = 0
     expired: Count = 0
     in_flight: Count = 0
-    dropped: dict[str, Count] = {}
+    dropped: Causes = {}
     lost_in_dds: Count = 0
     publishers: Count = 0
     subscribed: bool = False
-    problem: str = ""
+    problem: Words = ""
 
 
 class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -264,10 +271,10 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     expired: Count = 0
     incomplete: Count = 0
     newest: Count = 0
-    dropped: dict[str, Count] = {}
+    dropped: Causes = {}
     subscribers: Count = 0
-    type: str = ""
-    type_hash: str = ""
+    type: Name = ""
+    type_hash: Name = ""
     latency_p50: Figure | None = None
     latency_p99: Figure | None = None
     jitter: Figure | None = None
@@ -297,9 +304,9 @@ class TopicEntry(msgspec.Struct, frozen=True):
         subscriptions: how many.
     """
 
-    topic: str
-    type: str
-    type_hash: str
+    topic: Name
+    type: Name
+    type_hash: Name
     qos: Qos | None
     publishers: Count
     subscriptions: Count
@@ -329,7 +336,7 @@ class Shutdown(_Message, frozen=True):
         retry_after: s until the client may come back by itself; None: it waits for its operator.
     """
 
-    reason: str
+    reason: Words
     retry_after: Seconds | None = 0.0
 
 
@@ -390,5 +397,10 @@ def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
 
 def _check_qos(qos: Qos | None) -> None:
     # A peer's, not a session file's: nothing else has looked at it. An unknown depth is 0.
-    if qos is not None and not (0 <= qos.depth < 2**31 and 0 <= qos.deadline < 1e9 and 0 <= qos.lifespan < 1e9):
+    if qos is not None and not (0 <= qos.depth <= DEEPEST and _sensible(qos.deadline) and _sensible(qos.lifespan)):
         raise ValueError("qos: depth, deadline or lifespan is out of range")
+
+
+def _sensible(seconds: float) -> bool:
+    """None at all, or a time that costs no timer storm."""
+    return seconds == 0 or 0.001 <= seconds < 1e9

@@ -88,17 +88,18 @@ def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
 def _stages(route: RouteSnapshot, width: int) -> Iterator[Line]:
     """Why it isn't flowing: what is passed in short, what isn't on a line of its own, what comes after it in short."""
     stages = route.stages
-    at = next((index for index, stage in enumerate(stages) if not stage.done), None)
+    waiting = [index for index, stage in enumerate(stages) if not stage.done]
+    at = next((index for index in waiting if stages[index].done is False), next(iter(waiting), None))
     yield ((" Stages" if at is None or route.state is State.OK else " Why it isn't flowing", "head"),)
     if at is None:
         yield ((f" {DONE} ", "ok"), (f"all {len(stages)} passed", ""))
         return
     failed = stages[at]
-    yield from _listed(DONE, "ok", stages[:at], width)
+    yield from _listed(DONE, "ok", [stage for stage in stages if stage.done], width)
     sign, look = (UNKNOWN, "waiting") if failed.done is None else (FAILED, "down")
     yield ((f" {sign} ", look), (failed.name, "strong"))
     yield from _wrapped(failed.detail, width, look)
-    yield from _listed(UNKNOWN, "dim", stages[at + 1 :], width)
+    yield from _listed(UNKNOWN, "dim", [stages[index] for index in waiting if index != at], width)
 
 
 def _listed(sign: str, look: str, stages: Sequence[Stage], width: int) -> Iterator[Line]:
