@@ -6,11 +6,12 @@ import base64
 import binascii
 import hashlib
 import os
+import re
 import stat
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from rsb_bridge.files import replace_file
+from rsb_bridge.files import kind_of_file, replace_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 KEY_BYTES = 32
 DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45
+# The second: one whose padding was lost on the way.
+_LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
 
 
 class KeyFileError(Exception):
@@ -48,6 +51,17 @@ def generate() -> bytes:
 def is_key(text: str) -> bool:
     """Whether a text is itself a key."""
     return _decode(text) is not None
+
+
+def is_key_file(text: str) -> bool:
+    """Whether a file's text is that of a key file: its last line is a key, and nothing else."""
+    lines = text.split("\n")
+    return is_key(next((line.strip() for line in reversed(lines) if line.strip()), ""))
+
+
+def conceal(text: str) -> str:
+    """A text for a message or a log, with each key in it left out."""
+    return _LIKE_A_KEY.sub("<a key>", text)
 
 
 def fingerprint(key: Key) -> str:
@@ -88,7 +102,7 @@ def read_key(path: Path) -> Key:
     try:
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode):
-            raise KeyFileError(f"{path}: is not a file")
+            raise KeyFileError(f"{path}: is {kind_of_file(mode)}, not a key file")
         with path.open("rb") as file:
             content = file.read(_MAX_FILE + 1)
     except FileNotFoundError:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import yaml
 
-from rsb_bridge.files import replace_file
+from rsb_bridge.files import kind_of_file, replace_file
+from rsb_bridge.keys import conceal, is_key_file
 from rsb_bridge.session import Problem, Session
 from rsb_bridge.session_rules import build, validate, validate_topic
 from rsb_bridge.session_shape import join
@@ -114,7 +115,8 @@ def read_text(path: Path) -> str:
     """
     try:
         if not path.is_file():
-            raise SessionError(path, [Problem("", "is not a file" if path.exists() else "no such file")])
+            found = f"is {kind_of_file(path.stat().st_mode)}, not a file" if path.exists() else "no such file"
+            raise SessionError(path, [Problem("", found)])
         with path.open("rb") as file:
             content = file.read(MAX_FILE + 1)
     except OSError as error:
@@ -155,6 +157,8 @@ def read_yaml(text: str, path: Path) -> Document:
     Raises:
         SessionError: it is not YAML at all.
     """
+    if is_key_file(text):
+        raise SessionError(path, [Problem("", "this is a key file, not a session")])
     loader = None
     try:
         loader = _Loader(text)
@@ -164,7 +168,9 @@ def read_yaml(text: str, path: Path) -> Document:
         raise SessionError(path, [Problem("", f"character U+{error.character:04X} has no place here", line)]) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        words = ", ".join(part for part in (error.context, error.problem) if part)
+        words = conceal(", ".join(part for part in (error.context, error.problem) if part))
+        if mark is not None and _begins_with_tab(text, mark.line):
+            words = "begins with a tab: use spaces"
         raise SessionError(path, [Problem("", words, mark.line + 1 if mark else None)]) from None
     finally:
         if loader is not None:
@@ -175,10 +181,18 @@ def read_yaml(text: str, path: Path) -> Document:
     return document._replace(data=_plain(node, "", document))
 
 
+def _begins_with_tab(text: str, line: int) -> bool:
+    """Whether a line, counted from 0, is indented with a tab."""
+    indented = text.split("\n")[line : line + 1]
+    return any("\t" in each[: len(each) - len(each.lstrip())] for each in indented)
+
+
 def _plain(node: yaml.Node, place: str, document: Document) -> Any:
     """What a node says, with its lines and problems noted in the document."""
     if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
-        document.problems.append(Problem(place, f"tag {node.tag} is not for session files", node.start_mark.line + 1))
+        document.problems.append(
+            Problem(place, f"tag {conceal(node.tag)} is not for session files", node.start_mark.line + 1)
+        )
     if isinstance(node, yaml.MappingNode):
         return _mapping(node, place, document)
     if isinstance(node, yaml.SequenceNode):
@@ -192,7 +206,7 @@ def _plain(node: yaml.Node, place: str, document: Document) -> Any:
 def _mapping(node: yaml.MappingNode, place: str, document: Document) -> dict[str, Any]:
     data: dict[str, Any] = {}
     for key_node, value_node in node.value:
-        key = key_node.value if isinstance(key_node, yaml.ScalarNode) else "?"
+        key = conceal(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "?"
         here = join(place, key)
         line = key_node.start_mark.line + 1
         if key in data:

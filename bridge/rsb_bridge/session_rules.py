@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ipaddress
-import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rsb_bridge.keys import is_key
-from rsb_bridge.qos import AUTO, PROFILES, parse_qos
+from rsb_bridge.keys import conceal
+from rsb_bridge.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.session import Client, Problem, Session, Topic, is_mac
 from rsb_bridge.session_shape import did_you_mean, join, read, show
@@ -22,6 +21,10 @@ MAX_PORT = 65535
 MAX_CHANNEL = 30  # RFCOMM: Bluetooth Core specification, RFCOMM section 5.4
 MAX_DOMAIN = 232  # the last whose ports fit below 65536: DDSI-RTPS 2.5, section 9.6.1
 MAX_TOPIC = 247  # rmw/validate_full_topic_name.h, RMW_TOPIC_MAX_NAME_LENGTH
+MIN_RATE, MAX_RATE = 0.001, 1e6  # Hz
+MIN_STALE, MAX_STALE = 0.1, 1e6  # s; the least is some looks of the engine's, the most eleven days
+MAX_DEPTH = 1_000_000  # messages
+MAX_QOS_TIME = 1e9  # s, as on the wire
 MAX_NAME = 255  # bytes: PROTOCOL.md section 1.1 gives a name's length one byte
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
@@ -147,10 +150,7 @@ def _key_files(session: Session) -> Iterator[Problem]:
     if session.clients:
         owners += [(f"clients[{at}].key_file", client.key_file) for at, client in enumerate(session.clients)]
     for place, key_file in owners:
-        if key_file is not None and is_key(key_file):
-            # Not quoted: messages end up in logs.
-            yield Problem(place, "is a key itself: put it in a file, mode 0600, and name that file here")
-        elif key_file is not None and not (key_file.strip() and key_file.isprintable()):
+        if key_file is not None and not (key_file.strip() and key_file.isprintable()):
             yield Problem(place, f"{show(key_file)} is not a file name: name the key file")
     if not session.use_encryption or session.key_file is not None:
         return
@@ -173,15 +173,32 @@ def _topic(topic: Topic, place: str, session: Session | None) -> Iterator[Proble
             topic.protocol is None and session is not None and session.is_bluetooth
         )
         yield from _port(topic.port, join(place, "port"), bluetooth=rfcomm)
-    try:
-        parse_qos(topic.qos)
-    except ValueError as error:
-        hint = did_you_mean(topic.qos, [AUTO, *PROFILES]) if isinstance(topic.qos, str) else ""
-        yield Problem(join(place, "qos"), f"{error}{hint}")
+    yield from _qos(topic.qos, join(place, "qos"))
     yield from _rate(topic.max_rate, join(place, "max_rate"))
     yield from _rate(topic.expected_rate, join(place, "expected_rate"))
     if topic.stale_after is not None:
         yield from _seconds(topic.stale_after, join(place, "stale_after"))
+
+
+def _qos(value: str | int | dict[str, Any], place: str) -> Iterator[Problem]:
+    if isinstance(value, dict):
+        problems: list[Problem] = []
+        read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, place)
+        yield from problems
+        if problems:
+            return
+    try:
+        qos = parse_qos(value)
+    except ValueError as error:
+        name = value.get("profile") if isinstance(value, dict) else value
+        options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
+        hint = did_you_mean(name, options) if isinstance(name, str) else ""
+        yield Problem(place, conceal(f"{error}{hint}"))
+        return
+    if qos is not None and qos.depth > MAX_DEPTH:
+        yield Problem(place, f"a depth is at most {MAX_DEPTH}, not {show(qos.depth)}")
+    if qos is not None and not max(qos.deadline, qos.lifespan) <= MAX_QOS_TIME:
+        yield Problem(place, f"deadline and lifespan are at most {MAX_QOS_TIME:g} s; 0 is none")
 
 
 def _type(name: str, place: str) -> Iterator[Problem]:
@@ -228,13 +245,14 @@ def _protocol(topic: Topic, place: str, session: Session) -> Iterator[Problem]:
 
 
 def _rate(rate: float | None, place: str) -> Iterator[Problem]:
-    if rate is not None and not (0 < rate < math.inf):
-        yield Problem(place, f"{rate} is not a rate: Hz, more than 0; leave it out for no figure")
+    if rate is not None and not MIN_RATE <= rate <= MAX_RATE:
+        words = f"{rate} is not a rate: {MIN_RATE:g} to {MAX_RATE:.0f} Hz; leave it out for no figure"
+        yield Problem(place, words)
 
 
 def _seconds(seconds: float, place: str) -> Iterator[Problem]:
-    if not 0 <= seconds < math.inf:
-        yield Problem(place, f"{seconds} is not a time: seconds, 0 or more; 0 never warns")
+    if seconds and not MIN_STALE <= seconds <= MAX_STALE:
+        yield Problem(place, f"{seconds} is not a time: {MIN_STALE:g} to {MAX_STALE:.0f} s; 0 never warns")
 
 
 def _clashes(session: Session) -> Iterator[Problem]:

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec.structs import fields
 
+from rsb_bridge.keys import conceal, is_key
 from rsb_bridge.session import Problem
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -43,7 +44,8 @@ def read(data: object, model: type[T], problems: list[Problem], place: str = "")
     known = {field.name: field for field in fields(model)}
     values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
-        problems.append(Problem(place, f"{show(data)} is not a mapping of {', '.join(values)}, ..."))
+        shown = f"{show(data)} is" if place else "is"  # a whole file that is none of ours may be anything
+        problems.append(Problem(place, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
         return model(**values)
     problems.extend(
         Problem(join(place, str(key)), f"no such key{_key_hint(str(key), list(known))}")
@@ -66,8 +68,8 @@ def join(place: str, key: str | int) -> str:
 
 
 def show(value: object) -> str:
-    """A value as a message quotes it: on one line, and not too long."""
-    text = repr(value)
+    """A value as a message quotes it: on one line, not too long, and without a key that was put there by mistake."""
+    text = conceal(repr(value))
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
@@ -92,6 +94,10 @@ def _value(name: str, value: object, kind: Any, problems: list[Problem], place: 
 def _entry(value: object, kind: Any, problems: list[Problem], place: str) -> Any:
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         return read(value, kind, problems, place)
+    if isinstance(value, str) and is_key(value.rpartition("/")[2]):
+        # Not quoted: messages end up in logs.
+        problems.append(Problem(place, "is a key itself: put it in a file, mode 0600, and name that file as key_file"))
+        return msgspec.UNSET
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError:

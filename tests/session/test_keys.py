@@ -110,11 +110,13 @@ def test_what_is_no_key_is_refused_in_words_that_do_not_quote_it(tmp_path: Path,
 def test_files_that_cannot_be_are_named(tmp_path: Path) -> None:
     with pytest.raises(KeyFileError, match=r"no such key file.*rsb-console keygen"):
         read_key(tmp_path / "key.txt")
-    with pytest.raises(KeyFileError, match="is not a file"):
+    with pytest.raises(KeyFileError, match="is a folder, not a key file"):
         read_key(tmp_path)
     os.mkfifo(tmp_path / "fifo")
-    with pytest.raises(KeyFileError, match="is not a file"):
+    with pytest.raises(KeyFileError, match="is a FIFO, not a key file"):
         read_key(tmp_path / "fifo")
+    with pytest.raises(KeyFileError, match="is a device, not a key file"):
+        read_key(Path("/dev/null"))
     with pytest.raises(KeyFileError, match="cannot be written: No such file or directory"):
         write_key(tmp_path / "folder" / "key.txt")
 

@@ -38,6 +38,19 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (topic("qos: sensor-data"), 7, "(did you mean sensor_data?)"),
         (topic("qos: 0"), 7, "topics[0].qos: a depth is at least 1"),
         (topic("qos: {depth: -1}"), 7, "topics[0].qos: depth: at least 1"),
+        (
+            topic("qos: {reliability: reliabel}"),
+            7,
+            "qos.reliability: 'reliabel' is not one of reliable, best_effort (did",
+        ),
+        (topic("qos: {realiability: reliable}"), 7, "qos.realiability: no such key (did you mean reliability?)"),
+        (
+            topic("qos: {profile: sensor-data}"),
+            7,
+            "topics[0].qos: profile: 'sensor-data' is not one of default, sensor",
+        ),
+        (topic("qos: {deadline: 1e400}"), 7, "topics[0].qos: deadline and lifespan are at most 1e+09 s"),
+        (topic("qos: 99999999999999999999"), 7, "topics[0].qos: a depth is at most 1000000"),
         (topic("qos: [1]"), 7, "topics[0].qos: [1] is not text or a whole number or a mapping"),
         (topic("type: LaserScann"), 7, "did you mean sensor_msgs/msg/LaserScan"),
         (topic("type: sensor_msgs.msg.LaserScan"), 7, "topics[0].type:"),
@@ -53,8 +66,17 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (f"{CLIENT}bluetooth_address: 10.0.0.1\n", 6, "'10.0.0.1' is not a Bluetooth MAC"),
         (f"{BLUETOOTH}bluetooth_address: {MAC}\n", 6, "the whole link is Bluetooth already"),
         (topic("max_rate: 0"), 7, "topics[0].max_rate: 0.0 is not a rate"),
+        (topic("max_rate: 1e-310"), 7, "topics[0].max_rate: 1e-310 is not a rate: 0.001 to 1000000 Hz"),
+        (topic("max_rate: 1e7"), 7, "topics[0].max_rate: 10000000.0 is not a rate"),
         (topic("expected_rate: -1"), 7, "topics[0].expected_rate:"),
+        (topic("expected_rate: 1e-310"), 7, "topics[0].expected_rate: 1e-310 is not a rate"),
         (topic("stale_after: -1"), 7, "topics[0].stale_after:"),
+        (
+            topic("stale_after: 1e-300"),
+            7,
+            "topics[0].stale_after: 1e-300 is not a time: 0.1 to 1000000 s; 0 never warns",
+        ),
+        (CLIENT + "stale_after: 1e300\n", 6, "stale_after: 1e+300 is not a time"),
         (topic("paused: yes"), 7, "topics[0].paused: 'yes' is not true or false"),
         (topic("remote_topic: scan"), 7, "topics[0].remote_topic: 'scan' is not an absolute topic name"),
         (topic("remote_topic: ~/scan"), 7, "(did you mean /scan?)"),
@@ -150,11 +172,46 @@ def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() 
     assert "topics[1].port: tcp 5000 is taken by topics[0]" in refusal
 
 
-def test_a_key_in_place_of_its_file_is_refused_without_being_quoted() -> None:
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("KEY\n", "robot1.yaml: this is a key file, not a session"),
+        ("Key generated at 01/06/2021 12:00:00:\n\nKEY", "robot1.yaml: this is a key file, not a session"),
+        ("KEY  # ours\n", "robot1.yaml:1: is not a mapping of name, role"),
+        ("the key is\nKEY\nkeep it", "robot1.yaml:1: is not a mapping of name, role"),
+        ("[KEY]", "robot1.yaml:1: is not a mapping of name, role"),
+        ("KEY: x", "robot1.yaml:1: <a key>: no such key"),
+        (CLIENT.replace("key.txt", "KEY"), "robot1.yaml:5: key_file: is a key itself"),
+        (CLIENT.replace("key.txt", "keys/KEY"), "robot1.yaml:5: key_file: is a key itself"),
+        (CLIENT.replace("robot1", "KEY") + "use_name: true\n", "robot1.yaml:1: name: is a key itself"),
+        (CLIENT + "domain_id: KEY\n", "robot1.yaml:6: domain_id: is a key itself"),
+        (CLIENT + "stale_after: key KEY\n", "robot1.yaml:6: stale_after: 'key <a key>' is not a number"),
+        (CLIENT + "stale_after: [KEY]\n", "robot1.yaml:6: stale_after: ['<a key>'] is not a number"),
+        (CLIENT + "topics: [KEY]\n", "robot1.yaml:6: topics[0]: '<a key>' is not a mapping"),
+        (CLIENT + "topics: [{topic: KEY, direction: receive}]\n", "robot1.yaml:6: topics[0].topic: is a key itself"),
+        (topic("qos: KEY"), "robot1.yaml:7: topics[0].qos: is a key itself"),
+        (topic("qos: {profile: KEY}"), "robot1.yaml:7: topics[0].qos: profile: '<a key>' is not one of"),
+        (topic("type: KEY"), "robot1.yaml:7: topics[0].type: is a key itself"),
+        (SERVER + "clients:\n  - {name: a, allow: [KEY]}\n", "robot1.yaml:7: clients[0].allow[0]: is a key itself"),
+        ("name: !!KEY x\n", "robot1.yaml:1: name: tag tag:yaml.org,2002:<a key> is not for session files"),
+        ("name: !KEY! x\n", "robot1.yaml:1: while scanning a tag"),
+        ("name: *KEY\n", "robot1.yaml:1: while scanning an alias"),
+    ],
+)
+def test_a_key_in_a_wrong_place_is_refused_without_being_quoted(text: str, words: str) -> None:
     key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM="
-    (refusal,) = refusals(CLIENT.replace("key.txt", key))
-    assert "robot1.yaml:5: key_file: is a key itself" in refusal
-    assert key not in refusal
+    found = refusals(text.replace("KEY", key))
+    assert any(refusal.startswith(words) for refusal in found), found
+    assert key[:20] not in "".join(found)
+
+
+def test_a_key_that_lost_its_padding_is_not_quoted_either_and_long_names_are() -> None:
+    key = "VdzT2kwMacThZWkBigjbtte9iRjW8djEJ10JiemVwLM"
+    (refusal,) = refusals(CLIENT + f"domain_id: {key}\n")
+    assert "domain_id: '<a key>' is not a whole number" in refusal
+    long_name = "~/camera/front/left/depth/points/and/others"
+    (refusal,) = refusals(topic(f"remote_topic: {long_name}"))
+    assert long_name in refusal
 
 
 @pytest.mark.parametrize(
@@ -162,9 +219,11 @@ def test_a_key_in_place_of_its_file_is_refused_without_being_quoted() -> None:
     [
         ("", "robot1.yaml: is empty"),
         ("# nothing\n", "robot1.yaml: is empty"),
-        ("5", "robot1.yaml:1: 5 is not a mapping of name, role"),
+        ("5", "robot1.yaml:1: is not a mapping of name, role"),
         ("name: [1,\n", "robot1.yaml:2: while parsing a flow node"),
-        ("name: a\n\trole: b\n", "robot1.yaml:2: while scanning"),
+        ("name: a\n\trole: b\n", "robot1.yaml:2: begins with a tab: use spaces"),
+        ("topics:\n\t- {topic: /a}\n", "robot1.yaml:2: begins with a tab: use spaces"),
+        ("topics:\n  - topic: /a\n  \tdirection: receive\n", "robot1.yaml:3: begins with a tab: use spaces"),
         ("name: a: b\n", "robot1.yaml:1: mapping values are not allowed here"),
         ("name: &a x\nrole: *a\n", "robot1.yaml:2: aliases (*) are not read"),
         ("a: &a [*a]\n", "robot1.yaml:1: aliases (*) are not read"),
@@ -185,7 +244,8 @@ def test_files_that_cannot_be_read_are_refused_in_words(tmp_path: Path) -> None:
     huge.write_text("#" * (1 << 20) + "\n")
     for path, words in [
         (tmp_path / "none.yaml", ": no such file"),
-        (tmp_path, ": is not a file"),
+        (tmp_path, ": is a folder, not a file"),
+        (Path("/dev/null"), ": is a device, not a file"),
         (binary, ":2: is not UTF-8 text"),
         (huge, ": larger than 1048576 bytes"),
     ]:

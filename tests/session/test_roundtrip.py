@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from rsb_bridge.keys import KeyFileError, write_key
 from rsb_bridge.qos import PROFILES
 from rsb_bridge.session import Client, Session, Topic
 from rsb_bridge.session_file import SessionError, dump, load, parse, save, validate, validate_topic
@@ -23,8 +24,8 @@ SESSION = Session(name="robot1", role="client", server_ip="127.0.0.1", server_po
 words = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=20)
 names = st.one_of(words, st.sampled_from(["no", "1e5", "12:30:45", "null", "~", "0x1F", "- a", "*a", "a: b", "'", '"']))
 topic_names = st.from_regex(r"(/[A-Za-z_][A-Za-z0-9_]{0,5}){1,3}", fullmatch=True)
-rates = st.none() | st.floats(min_value=1e-9, max_value=1e9)
-waits = st.floats(min_value=0, max_value=1e9)
+rates = st.none() | st.floats(min_value=0.001, max_value=1e6)
+waits = st.just(0.0) | st.floats(min_value=0.1, max_value=1e6)
 macs = st.from_regex(r"[0-9A-F]{2}(:[0-9A-F]{2}){5}", fullmatch=True).filter(lambda mac: mac != "00:00:00:00:00:00")
 qos = st.one_of(
     st.sampled_from(["auto", *PROFILES]),
@@ -116,6 +117,20 @@ def test_a_session_with_mistakes_is_not_saved(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="server_port: 0 is not a port"):
         save(bad, path)
     assert load(path) == SESSION
+
+
+@pytest.mark.parametrize("name", ["fifo", "link", "folder"])
+def test_what_is_no_file_is_not_replaced_by_one(tmp_path: Path, name: str) -> None:
+    """Here a FIFO, a link to one, and a folder; a device node, like /dev/null, is refused by the same rule."""
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "link").symlink_to(tmp_path / "fifo")
+    (tmp_path / "folder").mkdir()
+    before = {path: path.lstat().st_ino for path in tmp_path.iterdir()}
+    with pytest.raises(SessionError, match=r"cannot be written: is a (FIFO|folder), not a file"):
+        save(SESSION, tmp_path / name)
+    with pytest.raises(KeyFileError, match=r"cannot be written: is a (FIFO|folder), not a file"):
+        write_key(tmp_path / name, force=True)
+    assert {path: path.lstat().st_ino for path in tmp_path.iterdir()} == before
 
 
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
