@@ -16,11 +16,11 @@ from rsb_bridge.snapshot import Snapshot
 from rsb_console import theming
 from rsb_console.actions import BY_ID, Action, Group, bindings
 from rsb_console.glyphs import AsciiFilter
-from rsb_console.leaving import Leaving, finish, leave_on_signals, record_crash
+from rsb_console.leaving import Leaving, finish, leave_on_signals, output_path, record_crash
 from rsb_console.palette import ActionsProvider
 from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
-from rsb_console.terminal import ConsoleDriver, prefers_ascii
+from rsb_console.terminal import ConsoleDriver, prefers_ascii, terminal_to_itself
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -76,6 +76,7 @@ class ConsoleApp(App[None]):
         self.saved: Session | None = None
         self._belongings = ExitStack()
         self.leaving = Leaving.QUIT
+        self.terminal = 1
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.note = "no session"
         self.main = MainScreen()
@@ -314,7 +315,8 @@ def run_console(
     )
     leave_on_signals(app)
     try:
-        app.run(mouse=mouse)
+        with terminal_to_itself(output_path()) as app.terminal:
+            app.run(mouse=mouse)
     except Exception:  # noqa: BLE001 -- whatever befell the app, the bridge goes on
         app.crashed()
     return finish(app, on_hangup)

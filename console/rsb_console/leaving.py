@@ -54,6 +54,11 @@ def crash_path() -> Path:
     return user_log_path("rsb-console") / "crash.txt"
 
 
+def output_path() -> Path:
+    """Where libraries' own output goes while the app has the terminal."""
+    return user_log_path("rsb-console") / "output.txt"
+
+
 def record_crash() -> None:
     """Write the error that is being handled where it can be reported from, if it can be written there."""
     path = crash_path()

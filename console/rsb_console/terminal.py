@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from codecs import getincrementaldecoder
 from functools import partial
 from queue import Full
@@ -13,7 +14,8 @@ from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
     from queue import Queue
 
 # Textual 8 dies of bytes that are no UTF-8, like the legacy mouse reports that tmux sends: its issue 6668.
@@ -21,6 +23,35 @@ _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
 CLOSE_TIMEOUT = 1.0  # s until a terminal that does not read is given up
+
+
+@contextlib.contextmanager
+def terminal_to_itself(log: Path) -> Iterator[int]:
+    """Give the terminal to the app alone: what else writes to descriptors 1 and 2, as Fast DDS does, goes to `log`.
+
+    Args:
+        log: what was in it before is lost; where it cannot be written, nothing is kept.
+
+    Yields:
+        A descriptor of the terminal. It is never closed: a thread may be stuck in a write to it.
+    """
+    sys.stdout.flush()
+    terminal, errors = os.dup(1), os.dup(2)
+    try:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        target = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
+    except OSError:
+        target = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(target, 1)
+    os.dup2(target, 2)
+    os.close(target)
+    try:
+        yield terminal
+    finally:
+        sys.stdout.flush()
+        os.dup2(terminal, 1)
+        os.dup2(errors, 2)
+        os.close(errors)
 
 
 class TerminalFile:
@@ -60,8 +91,16 @@ class ConsoleDriver(LinuxDriver):
 
     def __init__(self, app: Any, **options: Any) -> None:
         super().__init__(app, **options)
-        self._file: Any = TerminalFile(self._file.fileno(), app.terminal_gone)
+        self._file: Any = TerminalFile(app.terminal, app.terminal_gone)
         self._behind = False
+
+    def _get_terminal_size(self) -> tuple[int, int]:
+        """Columns and lines; Textual would ask standard output, which need not be the terminal."""
+        with contextlib.suppress(OSError):
+            columns, lines = os.get_terminal_size(self._file.fileno())
+            if columns and lines:
+                return columns, lines
+        return super()._get_terminal_size()
 
     @property
     def _queue(self) -> Queue[str | None]:

@@ -28,6 +28,17 @@ path = Path(sys.argv[1])
 sys.exit(app.run_console(path, readonly=False, ascii_only=False, theme=None, on_hangup="stop"))
 """
 
+NOISY = """
+import os, sys
+from pathlib import Path
+from rsb_console import app
+ready = app.ConsoleApp.on_ready
+app.ConsoleApp.on_ready = lambda self: [ready(self)] + [os.write(fd, b"[RTPS Error] no port") for fd in (1, 2)]
+code = app.run_console(None, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
+[os.write(fd, b"itself again %d" % fd) for fd in (1, 2)]
+sys.exit(code)
+"""
+
 
 @pytest.fixture
 def pair(tmp_path: Path) -> Pair:
@@ -153,6 +164,21 @@ def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair
             assert terminal.exit_code() == 1
     (crash,) = (tmp_path / "state").rglob("crash.txt")
     assert "ZeroDivisionError" in crash.read_text()
+
+
+def test_what_libraries_print_is_kept_off_the_picture(tmp_path: Path) -> None:
+    script, state = tmp_path / "noisy.py", tmp_path / "state"
+    script.write_text(NOISY)
+    with Terminal(sys.executable, str(script), size=(100, 30), XDG_STATE_HOME=str(state)) as terminal:
+        terminal.wait_for("Open a session")
+        terminal.type("q")
+        terminal.wait_for("itself again 1")
+        terminal.wait_for("itself again 2")
+        assert terminal.exit_code() == 0
+    (log,) = state.rglob("output.txt")
+    assert log.read_text() == 2 * "[RTPS Error] no port"
+    assert b"RTPS" not in terminal.output
+    assert b"\x1b[30;" in terminal.output, "as high as the terminal"
 
 
 def test_bytes_that_are_no_utf8_are_left_out(pair: Pair) -> None:
