@@ -68,6 +68,9 @@ def import_bringup(
     role = role or ("server" if "server" in node else "client")
     bringup = _Bringup(join(node, "ros__parameters"), parameters)
     if role == "client":
+        if not any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
+            words = f"no topics: a client's are in the lists {' and '.join(f'{each}_topics' for each in _DIRECTIONS)}"
+            bringup.problems.append(Problem(bringup.place, words))
         bringup.add_topics()
     elif any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
         bringup.notes.append("the topics are left out: on a server they come from its clients")
@@ -110,13 +113,14 @@ class _Bringup:
         topics: as a session file has them.
         notes: what became different, in an operator's words.
         problems: found on the way; places are the thesis file's.
+        place: of the node's parameters in that file.
     """
 
     def __init__(self, place: str, parameters: dict[str, Any]) -> None:
         self.topics: list[dict[str, Any]] = []
         self.notes: list[str] = []
         self.problems: list[Problem] = []
-        self._place = place
+        self.place = place
         self._parameters = parameters
         self._origins: dict[str, str] = {
             key: join(place, key) for key in ("server_ip", "server_port") if key in parameters
@@ -148,7 +152,7 @@ class _Bringup:
             elif column and isinstance(topics, list) and len(column) != len(topics):
                 faults[key] = f"{len(column)} for {len(topics)} {direction}_topics: one each"
         self.problems += [
-            Problem(join(self._place, f"{direction}_{_LISTS[key]}"), words) for key, words in faults.items()
+            Problem(join(self.place, f"{direction}_{_LISTS[key]}"), words) for key, words in faults.items()
         ]
         return columns if not faults else {key: [] for key in _LISTS}
 
@@ -161,7 +165,7 @@ class _Bringup:
             del topic["port"]
             self.notes.append(f"{name}: {port} is not an RFCOMM channel; it shares the link's")
         here = join("topics", len(self.topics))
-        lists = {key: join(self._place, f"{topic['direction']}_{suffix}") for key, suffix in _LISTS.items()}
+        lists = {key: join(self.place, f"{topic['direction']}_{suffix}") for key, suffix in _LISTS.items()}
         self._origins |= {join(here, key): join(place, at) for key, place in lists.items()}
         self._origins[here] = join(lists["topic"], at)
         self.topics.append(topic)

@@ -33,8 +33,7 @@ def run(arguments: Namespace) -> int:
     try:
         session = load(path) if path is not None else None
     except SessionError as error:
-        complain(f"not started: a session file with mistakes\n{error}")
-        return USAGE
+        return _refuse(error)
     if arguments.no_ui and path is not None and session is not None:
         from rsb_console.headless import run_headless  # noqa: PLC0415 (needs ROS)
 
@@ -65,13 +64,19 @@ def check(arguments: Namespace) -> int:
     try:
         session = load(path)
     except SessionError as error:
-        complain(f"a session file with mistakes\n{error}")
-        return USAGE
+        return _refuse(error)
     for line in _summary(session):
         say(line)
     for warning in warnings(session, path):
         say(f"warning: {warning}")
     return OK
+
+
+def _refuse(error: SessionError) -> int:
+    """Say what is wrong with a session file: with the file as a whole, or in its lines."""
+    in_lines = any(problem.line for problem in error.problems)
+    complain(f"a session file with mistakes\n{error}" if in_lines else str(error))
+    return USAGE
 
 
 def keygen(arguments: Namespace) -> int:
@@ -161,21 +166,32 @@ def _key_warnings(session: Session, path: Path) -> Iterator[str]:
         try:
             yield from read_key(key_path(path, name)).warnings
         except KeyFileError as error:
-            yield str(error)
+            yield f"{error}; without it the bridge does not start"
 
 
 def _summary(session: Session) -> Iterator[str]:
     where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
     domain = "of $ROS_DOMAIN_ID, else 0" if session.domain_id is None else str(session.domain_id)
     yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, ROS domain {domain}"
-    yield f"encryption {'on' if session.use_encryption else 'OFF'}, prefix {'on' if session.use_name else 'off'}"
+    yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     for topic in session.topics:
         yield f"  {_route(topic, session)}"
     for client in session.clients:
         allowed = ", ".join(client.allow) or "all topics"
-        yield f"  lets in {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}"
+        prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
+        yield f"  lets in {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}{prefix}"
     if session.role == "server" and not session.clients:
         yield f"  lets in {session.name}: all topics"
+
+
+def _prefix(session: Session) -> str:
+    if session.role == "client" and not session.use_name:
+        return f"prefix /{session.name} where the server has use_name on"
+    return _prefix_of("<name>" if session.clients else session.name, use_name=session.use_name)
+
+
+def _prefix_of(name: str, *, use_name: bool) -> str:
+    return f"prefix /{name}" if use_name else "no prefix"
 
 
 def _route(topic: Topic, session: Session) -> str:
@@ -183,10 +199,17 @@ def _route(topic: Topic, session: Session) -> str:
     details = [f"type {topic.type}", f"qos {topic.qos}"]
     if topic.port is not None:
         details.append(f"port {topic.port}")
+    compression = topic.compression or ("zstd" if carrier == "bluetooth" else "none")
+    if compression != "none":
+        details.append(f"{compression} compression")
     if topic.remote_topic is not None:
-        details.append(f"as {topic.remote_topic}")
+        details.append(f"{topic.remote_topic} on the server")
     if topic.max_rate is not None:
         details.append(f"at most {topic.max_rate:g} Hz")
+    if topic.expected_rate is not None:
+        details.append(f"expected {topic.expected_rate:g} Hz")
+    if topic.stale_after is not None:
+        details.append(f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale")
     if topic.paused:
         details.append("paused")
     return f"{topic.direction} {topic.topic} over {carrier}: {', '.join(details)}"

@@ -80,11 +80,45 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert run.returncode == 0
     assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
     assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
+    assert "encryption on, prefix /robot1 where the server has use_name on" in run.stdout
     assert "warning: key.txt: no such key file" in run.stdout
     rsb_console("keygen")
     assert "warning" not in rsb_console("check", "robot1.yaml").stdout
     Path("key.txt").chmod(0o644)
     assert "others may read this key (mode 0644)" in rsb_console("check", "robot1.yaml").stdout
+
+
+def test_check_leaves_out_nothing_that_a_topic_says() -> None:
+    Path("full.yaml").write_text(
+        SESSION.replace(
+            "max_rate: 5", "max_rate: 5, expected_rate: 4, compression: zstd, stale_after: 0, remote_topic: /far"
+        )
+    )
+    (line,) = [line for line in rsb_console("check", "full.yaml").stdout.splitlines() if "/scan" in line]
+    for words in ("zstd compression", "/far on the server", "at most 5 Hz", "expected 4 Hz", "never stale"):
+        assert words in line
+    Path("fleet.yaml").write_text(
+        "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nkey_file: key.txt\nuse_name: true\n"
+        "clients: [{name: robot1}, {name: robot2, use_name: false, deny: [/map]}]\n"
+    )
+    fleet = rsb_console("check", "fleet.yaml").stdout
+    assert "prefix /<name>" in fleet
+    assert "lets in robot1: all topics\n" in fleet
+    assert "lets in robot2: all topics, not /map, no prefix" in fleet
+
+
+def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
+    rsb_console("keygen")
+    key = Path("key.txt").read_text().strip()
+    refused = rsb_console("check", "key.txt")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr == "rsb-console: key.txt: this is a key file, not a session\n"
+    Path("key.txt").unlink()
+    os.mkfifo("key.txt")
+    run = rsb_console("check", "robot1.yaml")
+    assert "warning: key.txt: is a FIFO, not a key file; without it the bridge does not start" in run.stdout
+    assert key not in run.stdout + run.stderr
+    assert "is a FIFO, not a file" in rsb_console("keygen", "--force").stderr
 
 
 def test_check_warns_of_what_is_allowed_but_unwise() -> None:
@@ -108,7 +142,7 @@ def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]
         "bad.yaml:4: server_port: 0 is not a port: 1 to 65535",
         "bad.yaml:7: topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
     ]
-    assert rsb_console(*arguments, "none.yaml").stderr.endswith("none.yaml: no such file\n")
+    assert rsb_console(*arguments, "none.yaml").stderr == "rsb-console: none.yaml: no such file\n"
 
 
 def test_keygen_makes_key_txt_and_never_prints_it() -> None:

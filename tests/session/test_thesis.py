@@ -123,6 +123,11 @@ def test_what_changed_is_said(bringup: Path) -> None:
         ("12006", "12004", "14: client_node.ros__parameters.transmit_ports[2]: tcp 12004 is taken by"),
         ("'192.168.10.250'", "'192.168.10'", "3: client_node.ros__parameters.server_ip: '192.168.10' is not"),
         ("ros__parameters", "parameters", " not a bringup.yaml of ros2_socket_bridge"),
+        (
+            CLIENT,
+            "client_node:\n  ros__parameters:\n    server_ip: '10.0.0.1'\n    server_port: 3000\n    topics: [scan]\n",
+            "2: client_node.ros__parameters: no topics: a client's are in the lists transmit_topics and receive_topics",
+        ),
         (CLIENT, "- a list\n", " not a bringup.yaml of ros2_socket_bridge"),
         (CLIENT, CLIENT + SERVER, " 2 nodes have a server_ip, client_node, server_node"),
     ],
