@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import traceback
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.keys import DEFAULT_KEY_FILE
-from rsb_console import commands
 from rsb_console.shell import FAILURE, INTERRUPTED, USAGE, complain, say
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interru
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command.
+    """Run the command. The process is to end after it: from then on SIGINT is ignored.
 
     Args:
         argv: its arguments; None: the process's.
@@ -32,17 +31,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    try:
+        return _run(sys.argv[1:] if argv is None else list(argv))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would only end the interpreter's end in a traceback
+
+
+def _run(argv: list[str]) -> int:
     parser, names = _parser()
     if "_ARGCOMPLETE" in os.environ:
-        import argcomplete  # noqa: PLC0415 (only while a shell completes)
+        from rsb_console.completion import complete  # noqa: PLC0415 (only while a shell completes)
 
-        argcomplete.autocomplete(parser)
-    arguments = parser.parse_args(_with_command(sys.argv[1:] if argv is None else list(argv), names))
+        complete(parser, names)
+    arguments = parser.parse_args(_with_command(argv, names))
     try:
         code: int = arguments.command(arguments)
         sys.stdout.flush()
-    except KeyboardInterrupt:
-        return INTERRUPTED
     except BrokenPipeError:
         # The reader of our output has gone (`| head`). Python's own flush at exit must not meet the pipe again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -67,6 +73,9 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
 
 
 def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
+    from rsb_bridge.keys import DEFAULT_KEY_FILE  # noqa: PLC0415 (as below)
+    from rsb_console import commands  # noqa: PLC0415 (takes a while, in which an interrupt is to be quiet)
+
     debug = argparse.ArgumentParser(add_help=False)
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show a failure's traceback")
     parser = argparse.ArgumentParser(
@@ -86,7 +95,7 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
 
     _run_arguments(command("run", commands.run, "bridge a session, with the console or without"))
     check = command("check", commands.check, "say what a session would do, and what is wrong with it")
-    check.add_argument("session", type=Path, metavar="SESSION", help="session file")
+    _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
     keygen = command("keygen", commands.keygen, "make a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
@@ -99,11 +108,27 @@ def _parser() -> tuple[argparse.ArgumentParser, list[str]]:
     demo = command("demo", commands.demo, "bridge two domains of this machine, with made-up robots")
     demo.add_argument("--no-ui", action="store_true", help="log instead of the console")
     demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop by itself")
+    _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 
 
+def _complete(action: argparse.Action, completer: str) -> None:
+    """Let `rsb_console.completion` say what a shell offers for an argument; looked up only while a shell completes."""
+
+    def offers(**known: object) -> list[str]:
+        from rsb_console import completion  # noqa: PLC0415 (as above)
+
+        found: list[str] = getattr(completion, completer)(**known)
+        return found
+
+    action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own
+
+
 def _run_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help="session file; none: choose one")
+    _complete(
+        parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help="session file; none: choose one"),
+        "yaml_files",
+    )
     parser.add_argument("--no-ui", action="store_true", help="bridge without the console, and log")
     parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
     parser.add_argument(
@@ -115,11 +140,14 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")
-    parser.add_argument("--theme", metavar="NAME", help="colours to start with")
+    _complete(parser.add_argument("--theme", metavar="NAME", help="colours to start with"), "theme_names")
 
 
 def _import_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("bringup", type=Path, metavar="BRINGUP", help="config/bringup.yaml of ros2_socket_bridge")
+    _complete(
+        parser.add_argument("bringup", type=Path, metavar="BRINGUP", help="config/bringup.yaml of ros2_socket_bridge"),
+        "yaml_files",
+    )
     parser.add_argument("--name", required=True, help="as in the launch file")
     parser.add_argument("--role", choices=("client", "server"), help="default: what the file's node is")
     parser.add_argument("--key-file", type=Path, metavar="PATH", help="holds the launch file's key")

@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.engine import Engine, EngineError
 from rsb_bridge.snapshot import Level, State
@@ -41,60 +41,68 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
         The exit code.
     """
     engine = Engine(session, base=path.parent)
-    try:
-        engine.start()
-    except EngineError as error:
-        complain(str(error))
-        return FAILURE
-    return bridge_on(engine, log_format=log_format, on_hangup=on_hangup, status_every=status_every)
+    with Signals(ignore_hangup=on_hangup == "continue") as signals:
+        try:
+            engine.start()
+        except EngineError as error:
+            complain(str(error))
+            return FAILURE
+        return bridge_until_told(engine, signals, log_format=log_format, status_every=status_every)
 
 
-def bridge_on(
+def bridge_on(engine: Engine, *, crashed: bool) -> int:
+    """Keep the engine of a console that is gone going, as `bridge_until_told`; a hangup does not end it.
+
+    Args:
+        engine: a running one.
+        crashed: how the console went: say so, and exit non-zero in the end.
+    """
+    if crashed:
+        complain("the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)")
+    with Signals(ignore_hangup=True) as signals:
+        code = bridge_until_told(engine, signals)
+    return FAILURE if crashed else code
+
+
+def bridge_until_told(
     engine: Engine,
+    signals: Signals,
     *,
     log_format: str = "text",
-    on_hangup: str = "continue",
     status_every: float = STATUS_EVERY,
-    crashed: bool = False,
     seconds: float | None = None,
 ) -> int:
     """Keep a running engine going until a signal, then stop it. The engine's log goes to standard output.
 
     Args:
         engine: a running one.
+        signals: entered, and for long enough that none is missed.
         log_format: as `run_headless`.
-        on_hangup: as `run_headless`.
         status_every: as `run_headless`.
-        crashed: a console has crashed above it: say so, and exit non-zero in the end.
         seconds: stop by itself after so long.
     """
     printer = _Printer(_json_event if log_format == "json" else _text_event)
-    signals = _Signals(ignore_hangup=on_hangup == "continue")
-    if crashed:
-        complain("the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)")
     status = _json_status if log_format == "json" else _text_status
+    stopping = _json_stopping if log_format == "json" else _text_stopping
     ends = None if seconds is None else time.monotonic() + seconds
     next_status = time.monotonic() + status_every
     seen, reason = 0, ""
-    with signals:
-        while not reason:
-            for event in engine.wait_for_events(seen, _LOOK_EVERY):
-                seen = event.number
-                printer.event(event)
-            now = time.monotonic()
-            snapshot = engine.snapshot()
-            if now >= next_status:
-                next_status = now + status_every
-                printer.line(status(snapshot))
-            reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
-        printer.line(
-            _json_line({"stopping": reason}) if log_format == "json" else f"{_clock(time.time())} stopping: {reason}"
-        )
-        failed = not engine.snapshot().running
-        engine.stop()
-        for event in engine.events(seen):
+    while not reason:
+        for event in engine.wait_for_events(seen, _LOOK_EVERY):
+            seen = event.number
             printer.event(event)
-    return FAILURE if failed or crashed else OK
+        now = time.monotonic()
+        snapshot = engine.snapshot()
+        if now >= next_status:
+            next_status = now + status_every
+            printer.line(status(snapshot))
+        reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
+    printer.line(stopping(reason))
+    failed = not engine.snapshot().running
+    engine.stop()
+    for event in engine.events(seen):
+        printer.event(event)
+    return FAILURE if failed else OK
 
 
 def _over(engine: Engine, snapshot: Snapshot) -> str:
@@ -103,7 +111,7 @@ def _over(engine: Engine, snapshot: Snapshot) -> str:
     return "the link was shut down on purpose" if engine.waits_for_operator else ""
 
 
-class _Signals:
+class Signals:
     """Catches the signals that end a bridge, for as long as it is entered.
 
     Attributes:
@@ -115,10 +123,11 @@ class _Signals:
         self._ignore_hangup = ignore_hangup
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Self:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             ignored = number == signal.SIGHUP and self._ignore_hangup
             self._before[number] = signal.signal(number, signal.SIG_IGN if ignored else self._catch)
+        return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
@@ -159,6 +168,10 @@ def _text_event(event: Event) -> str:
     return f"{_clock(event.time)} {event.level:<7} {event.source:<6} {link}{event.text}"
 
 
+def _text_stopping(reason: str) -> str:
+    return f"{_clock(time.time())} stopping: {reason}"
+
+
 def _text_status(snapshot: Snapshot) -> str:
     linked = sum(link.state is State.OK for link in snapshot.links)
     states = [route.state for route in snapshot.routes]
@@ -187,7 +200,13 @@ def _json_line(content: dict[str, object]) -> str:
 
 
 def _json_event(event: Event) -> str:
-    return _json_line(asdict(event))
+    content = asdict(event)
+    del content["number"]  # counts the events that are not printed, too
+    return _json_line(content)
+
+
+def _json_stopping(reason: str) -> str:
+    return _json_line({"time": time.time(), "level": Level.INFO, "stopping": reason})
 
 
 def _json_status(snapshot: Snapshot) -> str:

@@ -1,7 +1,9 @@
 """The installed `rsb-console`, as a process: what it prints, where, and how it exits."""
 
+import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 import time
@@ -278,14 +280,114 @@ def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     assert r"client r\xf6bot" in run.stdout
 
 
-def test_a_shell_completes_commands_and_options() -> None:
-    for line, expected in [("rsb-console ke", {"keygen "}), ("rsb-console run --lo", {"--log-format "})]:
-        environment = os.environ | {
-            "_ARGCOMPLETE": "1",
-            "_ARGCOMPLETE_IFS": "\n",
-            "_ARGCOMPLETE_STDOUT_FILENAME": "completions",
-            "COMP_LINE": line,
-            "COMP_POINT": str(len(line)),
-        }
-        rsb_console(env=environment)
-        assert set(Path("completions").read_text().split("\n")) == expected
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rsb-console ke", {"keygen"}),
+        ("rsb-console run --lo", {"--log-format"}),
+        ("rsb-console c", {"check", "control.yaml", "configs/"}),
+        ("rsb-console check configs/", {"configs/a.yml"}),
+        ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
+        ("rsb-console control.yaml --log-format ", {"text", "json"}),
+        ("rsb-console run --theme hi", {"high-contrast"}),
+    ],
+)
+def test_a_shell_completes_commands_options_sessions_and_themes(line: str, expected: set[str]) -> None:
+    Path("configs").mkdir()
+    for name in ("control.yaml", "notes.txt", "cube.txt", ".hidden.yaml", "configs/a.yml", "configs/b.key"):
+        Path(name).touch()
+    environment = os.environ | {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": "completions",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    rsb_console(env=environment)
+    offered = {each.rstrip() for each in Path("completions").read_text().split("\n")}  # a space ends the only one
+    assert {each for each in offered if not each.startswith("-") or line.endswith("--lo")} == expected
+
+
+def started_headless(before: str, *arguments: str) -> subprocess.Popen[str]:
+    """The command in a Python that first does something else; returned once it has said a line."""
+    script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
+    return subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals) -> None:
+    """The engine's start says when it begins, so that the signal meets it."""
+    rsb_console("keygen")
+    before = (
+        "from rsb_bridge.engine import Engine\nstart = Engine.start\n"
+        "def told(self):\n    print('starting', flush=True)\n    start(self)\nEngine.start = told"
+    )
+    with started_headless(before, "run", "--no-ui", "robot1.yaml") as run:
+        assert run.stdout
+        assert run.stdout.readline() == "starting\n"
+        run.send_signal(number)
+        output, errors = run.communicate(timeout=20)
+    assert (run.returncode, errors) == (0, "")
+    assert f"stopping: {number.name}" in output
+
+
+def test_an_interrupt_during_imports_is_quiet() -> None:
+    """An import of what a command needs says when it begins, and takes long."""
+    before = (
+        "import time\nclass Slow:\n    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'rsb_console.commands':\n            print('importing', flush=True); time.sleep(20)\n"
+        "sys.meta_path.insert(0, Slow())"
+    )
+    with started_headless(before, "check", "robot1.yaml") as run:
+        assert run.stdout
+        assert run.stdout.readline() == "importing\n"
+        run.send_signal(signal.SIGINT)
+        assert run.communicate(timeout=10) == ("", "")
+    assert run.returncode == 130
+
+
+def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike() -> None:
+    rsb_console("keygen")
+    with started_headless("", "run", "--no-ui", "--log-format", "json", "robot1.yaml") as run:
+        assert run.stdout
+        lines = [json.loads(run.stdout.readline())]
+        while run.poll() is None:
+            run.send_signal(signal.SIGINT)
+            time.sleep(0.01)  # a hand on Ctrl-C
+        output, errors = run.communicate(timeout=10)
+    assert (run.returncode, errors) == (0, "")
+    lines += [json.loads(line) for line in output.splitlines()]
+    assert [line["stopping"] for line in lines if "stopping" in line] == ["SIGINT"]
+    assert all({"time", "level"} <= line.keys() and "number" not in line for line in lines)
+
+
+def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
+    """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
+    environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    with subprocess.Popen(
+        [COMMAND, "demo", "--no-ui"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        start_new_session=True,
+    ) as run:
+        assert run.stdout
+        seen = ""
+        while " status " not in seen:
+            line = run.stdout.readline()
+            assert line
+            seen += line
+        os.killpg(run.pid, signal.SIGINT)
+        output, errors = run.communicate(timeout=20)
+    assert (run.returncode, errors) == (0, "")
+    assert "refused" not in seen
+    assert "/goal_pose" in output
+    assert "NOTHING CAME" not in output
+    assert "/battery_state" not in seen + output

@@ -22,12 +22,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import LaserScan
+from sensor_msgs.msg import BatteryState, LaserScan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-SCAN_RATE, ODOM_RATE, GOAL_RATE = 10.0, 50.0, 1.0
+SCAN_RATE, ODOM_RATE, BATTERY_RATE, GOAL_RATE = 10.0, 50.0, 1.0, 1.0
 """Hz."""
 _BEAMS = 360
 _MAP_SIDE = 384  # cells
@@ -88,13 +88,14 @@ class Simulation:
 
 
 class Robot(Simulation):
-    """Drives a circle in a square room: scan, odometry, a latched map; takes goals."""
+    """Drives a circle in a square room: scan, odometry, a latched map, the battery; takes goals."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, "simulated_robot")
         self._publishes(LaserScan, "/scan", qos_profile_sensor_data, SCAN_RATE, self._scan)
         self._publishes(Odometry, "/odom", 10, ODOM_RATE, self._odometry)
         self._publishes(OccupancyGrid, "/map", _LATCHED, 0, self._map)
+        self._publishes(BatteryState, "/battery_state", 10, BATTERY_RATE, self._battery)
         self._counts(PoseStamped, "/goal_pose", 10)
 
     def _scan(self, t: float) -> LaserScan:
@@ -122,6 +123,13 @@ class Robot(Simulation):
         grid.data = [100 if x in edge or y in edge else 0 for y in range(_MAP_SIDE) for x in range(_MAP_SIDE)]
         return grid
 
+    def _battery(self, t: float) -> BatteryState:
+        charge = 1 - t / 7200 % 1
+        battery = BatteryState(voltage=21 + 4 * charge, percentage=charge, present=True)
+        battery.header.stamp = self._stamp()
+        battery.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+        return battery
+
 
 class Desk(Simulation):
     """The control PC's side: listens to the robot, sends it goals."""
@@ -131,6 +139,7 @@ class Desk(Simulation):
         self._counts(LaserScan, "/scan", qos_profile_sensor_data)
         self._counts(Odometry, "/odom", 10)
         self._counts(OccupancyGrid, "/map", _LATCHED)
+        self._counts(BatteryState, "/battery_state", 10)
         self._publishes(PoseStamped, "/goal_pose", 10, GOAL_RATE, self._goal)
 
     def _goal(self, t: float) -> PoseStamped:

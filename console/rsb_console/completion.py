@@ -1,0 +1,54 @@
+"""What a shell offers on TAB, beyond the commands and options that argparse knows."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import argcomplete
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
+    from collections.abc import Collection
+
+
+def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
+    """Answer the shell that asks through the environment, and exit.
+
+    Args:
+        parser: of the command; its actions' `completer` attributes count.
+        commands: their names. What stands in a command's place and is none is a session: it is `run` that completes.
+    """
+    line = os.environ.get("COMP_LINE", "")
+    words = line.split()
+    if len(words) + line.endswith(" ") > 2 and words[1] not in (*commands, "--debug"):
+        os.environ["COMP_LINE"] = line.replace(words[0], f"{words[0]} run", 1)
+        os.environ["COMP_POINT"] = str(int(os.environ["COMP_POINT"]) + len(" run"))
+    argcomplete.autocomplete(parser)
+    sys.exit()
+
+
+def yaml_files(prefix: str, **_: object) -> list[str]:
+    """YAML files that a path which has been begun may become, and folders on the way to more."""
+    begun = prefix.rpartition("/")
+    folder = Path(begun[0] + begun[1]).expanduser()
+    try:
+        found = sorted(path for path in folder.iterdir() if path.name.startswith(begun[2]))
+    except OSError:
+        return []
+    shown = [path for path in found if begun[2] or not path.name.startswith(".")]
+    return [
+        f"{begun[0]}{begun[1]}{path.name}{'/' if path.is_dir() else ''}"
+        for path in shown
+        if path.is_dir() or path.suffix in (".yaml", ".yml")
+    ]
+
+
+def theme_names(**_: object) -> list[str]:
+    """The shipped themes, and the user's own."""
+    from rsb_console.theming import config_path, shipped_path  # noqa: PLC0415 (needs Textual)
+
+    folders = (shipped_path(), config_path() / "themes")
+    return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
