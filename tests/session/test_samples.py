@@ -24,6 +24,14 @@ def test_there_are_samples_for_each_kind() -> None:
     assert sessions["robot1"].name in {client.name for client in sessions["control-pc"].clients}
 
 
+def test_the_two_sides_of_the_readmes_first_bridge_fit() -> None:
+    readme = (CONFIGS.parent / "README.md").read_text(encoding="utf-8")
+    server, client = (parse(block.partition("```")[0], Path("README.md")) for block in readme.split("```yaml\n")[1:])
+    assert (server.role, client.role) == ("server", "client")
+    assert server.server_port == client.server_port
+    assert [(each.name, each.key_file) for each in server.clients] == [(client.name, client.key_file)]
+
+
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_a_sample_holds_no_key_and_needs_nothing_beside_it(path: Path, tmp_path: Path) -> None:
     assert parse(path.read_text(encoding="utf-8"), tmp_path / path.name) == load(path)
