@@ -93,7 +93,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("slower", "minus", "slower", "Refresh less often", Group.VIEW),
     Action("zoom", "z", "zoom", "Give the focused pane the whole screen", Group.VIEW),
     Action("log", "l", "log", "Go to the log, and back", Group.VIEW, in_footer=True),
-    Action("level", "L", "level", "Log level: all, INFO, WARNING, ERROR", Group.VIEW),
+    Action("level", "L", "level", "Log level: all, info, WARN, ERROR", Group.VIEW),
     Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
     Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
     Action("links", "c", "links", "Look at the links: one a robot on a server", Group.SESSION, in_footer=True),

@@ -15,7 +15,7 @@ from textual.app import App
 from rsb_bridge.snapshot import Snapshot
 from rsb_console import theming
 from rsb_console.actions import BY_ID, Action, Group, bindings
-from rsb_console.glyphs import AsciiFilter
+from rsb_console.glyphs import AsciiFilter, ControlFilter
 from rsb_console.leaving import Leaving, finish, leave_on_signals, output_path, record_crash
 from rsb_console.palette import ActionsProvider
 from rsb_console.preferences import Preferences
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.session import Session
+    from rsb_bridge.snapshot import RouteSnapshot
 
     MakeEngine = Callable[[Session, Path], Engine]
 
@@ -83,7 +84,8 @@ class ConsoleApp(App[None]):
         self._session = session
         self._make_engine = make_engine or _make_engine
         self._filters_ascii = AsciiFilter()
-        self._preferences = Preferences(self.config, theme)
+        self._filters_control = ControlFilter()
+        self.preferences = Preferences(self.config, theme)
         self._last_event = 0
 
     # -- start --------------------------------------------------------------------------------------------------------
@@ -97,22 +99,22 @@ class ConsoleApp(App[None]):
         return theming.VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
-        """Textual's, and ours where nothing but ASCII may go out."""
-        filters = super().get_line_filters()
+        """Textual's, ours against control characters, and where nothing but ASCII may go out, that one."""
+        filters = [*super().get_line_filters(), self._filters_control]
         return [*filters, self._filters_ascii] if self.ascii_only else filters
 
     def on_mount(self) -> None:
         """Before the first picture: themes and keys."""
         for name in self.available_themes:
             self.unregister_theme(name)
-        for theme in self._preferences.themes.values():
+        for theme in self.preferences.themes.values():
             self.register_theme(theme)
-        self.theme = self._preferences.theme
-        self.set_keymap(self._preferences.keymap)
+        self.theme = self.preferences.theme
+        self.set_keymap(self.preferences.keymap)
 
     def on_ready(self) -> None:
         """After the first picture: what was wrong with them, and the session."""
-        for title, words in self._preferences.problems:
+        for title, words in self.preferences.problems:
             self.notify(words, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
@@ -122,7 +124,7 @@ class ConsoleApp(App[None]):
 
     def key_labels(self, action: Action) -> list[str]:
         """The keys that do `action`, as they are written on a keyboard."""
-        return self._preferences.key_labels(action, ascii_only=self.ascii_only)
+        return self.preferences.key_labels(action, ascii_only=self.ascii_only)
 
     # -- the engine ---------------------------------------------------------------------------------------------------
 
@@ -180,6 +182,11 @@ class ConsoleApp(App[None]):
         if self.engine is None:
             return Snapshot(time.time(), "", "", "", 0, running=False)
         return self.engine.snapshot()
+
+    def peer_of(self, route: RouteSnapshot) -> str:
+        """What the other side of a route is called: a client's link has the client's own name, so there its address."""
+        now = self.snapshot()
+        return now.address if now.role == "client" else route.link
 
     def pull(self) -> None:
         """Show the engine as it is now."""

@@ -22,7 +22,7 @@ def expected(rate: float) -> str:
 
 def milliseconds(seconds: float) -> str:
     """A latency in ms without the unit, in at most five characters: ``0.3``, ``3.1``, ``1204``."""
-    value = seconds * 1e3
+    value = max(0.0, seconds * 1e3)  # below 0 is the clock offset's error, not a latency
     return f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
@@ -47,6 +47,13 @@ def span(seconds: float) -> str:
     if seconds < 1:
         return f"{seconds * 1e3:.1f} ms"
     return f"{seconds:.2f} s"
+
+
+def latency(seconds: float, uncertainty: float | None) -> str:
+    """As `span`; one that the clock offset's error has made negative: ``<0.4 ms``."""
+    if seconds > 0:
+        return span(seconds)
+    return f"<{span(uncertainty)}" if uncertainty else span(0.0)
 
 
 def age(seconds: float) -> str:

@@ -19,8 +19,18 @@ if TYPE_CHECKING:
 
     from textual.color import Color
 
+    from rsb_bridge.snapshot import LinkSnapshot
+
 STATE_SIGN = {State.OK: "●", State.WAITING: "◌", State.PAUSED: "‖", State.STALE: "▲", State.DOWN: "✗"}
 STATE_WORD = {State.OK: "ok", State.WAITING: "WAIT", State.PAUSED: "PAUSED", State.STALE: "STALE", State.DOWN: "DOWN"}
+_NOT_YET = "not connected yet"  # the engine's reason before anything has been tried
+
+
+def link_state(link: LinkSnapshot) -> State:
+    """How a link is to be shown: one that nobody has joined yet is no fault."""
+    return State.WAITING if link.state is State.DOWN and link.reason == _NOT_YET else link.state
+
+
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN = "✓", "✗", "·"
 BARS = " ▁▂▃▄▅▆▇█"
@@ -83,7 +93,7 @@ def _ascii_braille(dots: int) -> str:
 
 _LOOKALIKES = {
     "o": "●◉◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
-    "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆", "#": "█■□", "~": "…⏎±",
+    "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆", "#": "█■□", "~": "…⏎",
     "|": "│┃║▌▐▕▎▏▊▋▍▉", "u": "µ", "'": "’", '"': "“”",
 }  # fmt: skip
 ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}
@@ -94,8 +104,25 @@ def to_ascii(text: str) -> str:
     """`text` with every character that is not ASCII replaced by as many cells of ASCII."""
     if text.isascii():
         return text
-    plain = text.translate(ASCII)
+    plain = text.replace(" ± ", " +-").translate(ASCII)
     return plain if plain.isascii() else "".join(c if c.isascii() else "?" * cell_len(c) for c in plain)
+
+
+class ControlFilter(LineFilter):
+    """Lets no control character out to the terminal, whoever put it into a name or a reason; widths stay."""
+
+    def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
+        """Replace what is not printable by blanks of its width, which is mostly none."""
+        return [
+            segment
+            if segment.control or segment.text.isprintable()
+            else Segment(_printable(segment.text), *segment[1:])
+            for segment in segments
+        ]
+
+
+def _printable(text: str) -> str:
+    return "".join(char if char.isprintable() else " " * cell_len(char) for char in text)
 
 
 class AsciiFilter(LineFilter):

@@ -57,8 +57,11 @@ class Preferences:
         except KeymapError as error:
             self.problems.append(("Keys are the default ones", str(error)))
 
+    def keys(self, action: Action) -> list[str]:
+        """The keys that do `action`, by Textual's names."""
+        return list(split_keys(self.keymap.get(action.id, action.keys)))
+
     def key_labels(self, action: Action, *, ascii_only: bool) -> list[str]:
         """The keys that do `action`, as they are written on a keyboard."""
         signs = KEY_SIGNS if ascii_only else KEY_SIGNS | UNICODE_KEY_SIGNS
-        keys = self.keymap.get(action.id, action.keys)
-        return [signs.get(key, key.replace("ctrl+", "^")) for key in split_keys(keys)]
+        return [signs.get(key, key.replace("ctrl+", "^")) for key in self.keys(action)]

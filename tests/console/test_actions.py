@@ -116,6 +116,7 @@ def test_readonly_takes_away_whatever_changes_something() -> None:
         await shown(pilot, "read-only")
         assert "p pause" not in text(app)
         await pilot.press("p", "r")
+        await shown(pilot, "read-only: nothing can be changed here")
         await pilot.press("question_mark")
         await shown(pilot, "Next line")
         assert not any(action.help in text(app) for action in ACTIONS if action.changes)

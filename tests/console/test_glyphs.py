@@ -75,3 +75,7 @@ def test_a_plot_has_its_size_whatever_the_values(values: list[float], width: int
     plot = braille_plot(values, width, height, top)
     assert [len(line) for line in plot] == [width] * height
     assert any(char != "⠀" for line in plot for char in line) == bool(values)
+
+
+def test_plus_or_minus_is_no_ellipsis_in_ascii() -> None:
+    assert to_ascii("3.1 ms ± 0.4 ms…") == "3.1 ms +-0.4 ms~"

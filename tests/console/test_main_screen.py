@@ -330,6 +330,31 @@ async def test_an_unencrypted_link_is_an_alarm_however_narrow(app, pilot) -> Non
 
 
 @on_main()
+async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app, pilot) -> None:
+    put(app, links=(replace(LINK, state=State.DOWN, reason="not connected yet"),), role="server")
+    await shown(pilot, "◌ WAIT")
+    await pilot.press("c")
+    await shown(pilot, "esc close")
+    assert "✗ DOWN" not in text(app).split("Links")[1].split("esc close")[0].split("not connected")[0]
+    put(app, links=(replace(LINK, state=State.DOWN, reason="Connection refused"),))
+    await pilot.press("escape")
+    await shown(pilot, "✗ DOWN")
+
+
+@on_main(path=Path("robot1.yaml"))
+async def test_a_session_named_like_its_file_is_named_once(app, pilot) -> None:
+    assert text(app).splitlines()[0].count("robot1") == 1
+
+
+@on_main()
+async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app, pilot) -> None:
+    app.notify("words " * 20)
+    await shown(pilot, "words words")
+    assert "/robot2/scan channel 3: No route to host" in text(app)
+    assert "q quit" in text(app)
+
+
+@on_main()
 async def test_a_servers_links_are_counted_and_peers_have_a_column(app, pilot) -> None:
     await pilot.resize_terminal(150, 36)
     other = replace(LINK, name="robot2", state=State.DOWN)

@@ -89,7 +89,8 @@ class MainScreen(OperationsScreen):
     def show_detail(self) -> None:
         """Show the topic under the cursor."""
         if self.detail.display:
-            self.detail.show(self.topics.selected)
+            route = self.topics.selected
+            self.detail.show(route, "" if route is None else self.app.peer_of(route))
 
     def show_keys(self) -> None:
         """Show the keys that do something now, if those have changed."""
@@ -119,6 +120,11 @@ class MainScreen(OperationsScreen):
         if known.needs_topic and self.topics.selected is None:
             return None
         return self.app.check_action(action, parameters)
+
+    def on_key(self, event: events.Key) -> None:
+        """Say why a key that would change something does nothing."""
+        if self.app.readonly and any(a.changes and event.key in self.app.preferences.keys(a) for a in ACTIONS):
+            self.notify("read-only: nothing can be changed here", timeout=2)
 
     @property
     def selected(self) -> RouteSnapshot | None:

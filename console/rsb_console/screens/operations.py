@@ -97,7 +97,7 @@ class OperationsScreen(SessionOperationsScreen):
         route, engine = self.selected, self.app.engine
         if route is None or engine is None:
             return
-        words = f"It stops crossing at once, on both sides of the link with {route.link}."
+        words = f"It stops crossing at once, on both sides of the link with {self.app.peer_of(route)}."
         if await self.app.push_screen_wait(ConfirmScreen(f"Remove {route.topic}?", words, "Remove")):
             await self.command(engine.remove_topic(route.key), f"{route.topic}: removed")
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
+from rsb_bridge.qos import AUTO
 from rsb_bridge.snapshot import State
 from rsb_console import formats
 from rsb_console.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
-from rsb_console.widgets.lines import Line, LiveLines, fit
-from rsb_console.widgets.topics import present_rate
+from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
+from rsb_console.widgets.topics import carries, present_rate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,6 +29,7 @@ class DetailPane(LiveLines, can_focus=True):
         super().__init__(id="detail")
         self._lines: list[Line] = []
         self._route: RouteSnapshot | None = None
+        self._peer = ""
 
     @property
     def line_count(self) -> int:
@@ -38,26 +40,33 @@ class DetailPane(LiveLines, can_focus=True):
         """One line of it."""
         return self._lines[index]
 
-    def show(self, route: RouteSnapshot | None) -> None:
-        """Show `route`; None: there is nothing to show."""
-        self._route = route
+    def show(self, route: RouteSnapshot | None, peer: str = "") -> None:
+        """Show `route`, from its beginning if it was another before.
+
+        Args:
+            route: None: there is nothing to show.
+            peer: what the other side is called.
+        """
+        if (route and route.key) != (self._route and self._route.key):
+            self.scroll_home(animate=False)
+        self._route, self._peer = route, peer
         self.entitle("" if route is None else f"{route.topic} ")
         width = self.size.width
         if route is None:
             self._lines = [(), ((" no topic selected", "dim"),)]
         else:
-            self._lines = [fit(line, width) for line in detail_lines(route, width)]
+            self._lines = [fit(line, width) for line in detail_lines(route, peer, width)]
         self.sync()
 
     def on_resize(self) -> None:
         """Lay the lines out anew."""
         super().on_resize()
-        self.show(self._route)
+        self.show(self._route, self._peer)
 
 
-def detail_lines(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    """The pane's lines about `route`, for `width` cells."""
-    yield from _heading(route, width)
+def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
+    """The pane's lines about `route`, which links with `peer`, for `width` cells."""
+    yield from _heading(route, peer, width)
     yield ()
     yield from _stages(route, width)
     yield ()
@@ -68,7 +77,7 @@ def detail_lines(route: RouteSnapshot, width: int) -> Iterator[Line]:
     yield from _figures(route)
 
 
-def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
+def _heading(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     look = route.state.value
     yield (
         (f" {STATE_SIGN[route.state]} {STATE_WORD[route.state]} ", look),
@@ -77,10 +86,12 @@ def _heading(route: RouteSnapshot, width: int) -> Iterator[Line]:
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
     if route.state is not State.OK and route.reason != failed:
         yield from _wrapped(route.reason, width, look)
-    yield ((f" {route.type_name or 'type not known yet'}", "strong" if route.type_name else "dim"),)
+    asked_for = "type not known yet" if route.spec.type == AUTO else f"{route.spec.type} (as configured)"
+    yield ((f" {route.type_name or asked_for}", "strong" if route.type_name else "dim"),)
     way = f"{OUT} to" if route.outgoing else f"{IN} from"
     carrier = f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
-    yield ((f" {way} {route.link}", ""), (f"  {carrier}", "dim"))
+    towards: Line = ((f" {way} {peer}", ""), (f"  {carrier}", "dim"))
+    yield from (towards,) if width_of(towards) <= width else (towards[:1], ((f"   {carrier}", "dim"),))
     if route.remote_topic and route.remote_topic != route.topic:
         yield ((f"   there: {route.remote_topic}", "dim"),)
 
@@ -90,7 +101,7 @@ def _stages(route: RouteSnapshot, width: int) -> Iterator[Line]:
     stages = route.stages
     waiting = [index for index, stage in enumerate(stages) if not stage.done]
     at = next((index for index in waiting if stages[index].done is False), next(iter(waiting), None))
-    yield ((" Stages" if at is None or route.state is State.OK else " Why it isn't flowing", "head"),)
+    yield ((" Stages" if route.state is State.OK else " Why it isn't flowing", "head"),)
     if at is None:
         yield ((f" {DONE} ", "ok"), (f"all {len(stages)} passed", ""))
         return
@@ -120,7 +131,7 @@ def _plot(route: RouteSnapshot, width: int) -> Iterator[Line]:
     expected = "" if route.expected_rate is None else f" of {formats.expected(route.expected_rate)}"
     yield (
         (" Rate", "head"),
-        (f"  {formats.hertz(present_rate(route))} Hz{expected}", "strong"),
+        (f"  {formats.hertz(present_rate(route)) if carries(route) else '-'} Hz{expected}", "strong"),
         (f"  last {2 * cells} s", "dim"),
     )
     for line in braille_plot(shown, cells, PLOT_HEIGHT, top):
@@ -155,9 +166,8 @@ def _figures(route: RouteSnapshot) -> Iterator[Line]:
     )
     if route.latency_p50 is not None and route.latency_p99 is not None:
         uncertain = "" if route.latency_uncertainty is None else f" ± {formats.span(route.latency_uncertainty)}"
-        yield _figure(
-            "latency", f"p50 {formats.span(route.latency_p50)}  p99 {formats.span(route.latency_p99)}{uncertain}"
-        )
+        p50, p99 = (formats.latency(at, route.latency_uncertainty) for at in (route.latency_p50, route.latency_p99))
+        yield _figure("latency", f"p50 {p50}  p99 {p99}{uncertain}")
     if route.jitter is not None:
         yield _figure("jitter", formats.span(route.jitter))
     if route.qos is not None:

@@ -1,0 +1,105 @@
+"""The detail pane: what it says of a topic in every state."""
+
+from dataclasses import replace
+
+import pytest
+from driving import NARROW, drive, scripted_app, settled, shown, text, until
+from scripted import ROUTES, ScriptedEngine, route
+from textual.pilot import Pilot
+
+from rsb_bridge.session import Topic
+from rsb_bridge.snapshot import RouteSnapshot, State
+from rsb_console import formats
+from rsb_console.widgets.detail import detail_lines
+
+
+def said(about: RouteSnapshot, width: int = 60) -> str:
+    return "\n".join("".join(piece for piece, _ in line) for line in detail_lines(about, "10.0.0.20:49152", width))
+
+
+def test_another_topic_is_shown_from_its_beginning() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.resize_terminal(120, 20)
+        await pilot.press("enter", "end")
+        await until(pilot, lambda: app.main.detail.scroll_offset.y > 0, "the pane's end")
+        await settled(pilot)
+        app.pull()
+        assert app.main.detail.scroll_offset.y > 0, "the same topic stays where it was"
+        await pilot.press("escape", "j")
+        await until(pilot, lambda: app.main.detail.scroll_offset.y == 0, "the pane's beginning")
+
+    drive(app, steps)
+
+
+def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
+    waiting = route("/scan", State.WAITING, type_name="", spec=Topic("/scan", "receive", type="LaserScan"))
+    assert "LaserScan (as configured)" in said(waiting)
+    assert "type not known yet" in said(replace(waiting, spec=Topic("/scan", "receive")))
+
+
+def test_a_client_calls_its_peer_by_its_address() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "← from 10.0.0.20:49152")
+        await pilot.press("d")
+        await shown(pilot, "10.0.0.20:49152.")
+        await pilot.press("escape")
+        app.engine.now = replace(app.engine.now, role="server")
+        app.pull()
+        await shown(pilot, "← from robot1")
+
+    drive(app, steps)
+
+
+def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() -> None:
+    bluetooth = route("/scan", transport="bluetooth", port=3)
+    assert "10.0.0.20:49152  BLUETOOTH channel 3" in said(bluetooth)
+    assert "BLUETOOTH channel 3" in said(bluetooth, 36)
+
+
+def test_no_latency_is_below_zero() -> None:
+    app = scripted_app(
+        make_engine=lambda session, base: ScriptedEngine(
+            session, base, (route("/scan", latency_p50=-0.0031, latency_p99=-0.0002, latency_uncertainty=0.004),)
+        )
+    )
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "10.0/10   41.2   0.0")
+        await pilot.press("enter", "end")
+        await shown(pilot, "p50 <4.0 ms  p99 <4.0")
+        assert "-3.1" not in text(app)
+
+    drive(app, steps)
+    assert formats.latency(-1.0, None) == "0 µs"
+
+
+@pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
+def test_only_what_flows_has_a_rate_and_only_what_does_not_has_a_why(about: RouteSnapshot) -> None:
+    assert ("Why it isn't flowing" in said(about)) is (about.state is not State.OK)
+    assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
+
+
+def test_control_characters_never_go_out() -> None:
+    evil = "/ev\x1b[2Jil\x9b\n\x07\u202e"
+    app = scripted_app(
+        make_engine=lambda session, base: ScriptedEngine(
+            session, base, (route(evil, State.DOWN, reason=f"because {evil}", type_name=evil),)
+        )
+    )
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/ev[2Jil")
+        await settled(pilot)
+        assert all(line.isprintable() for line in text(app).split("\n"))
+        await pilot.press("d")
+        await shown(pilot, "Remove /ev")
+        app.notify(evil, markup=False)
+        await settled(pilot)
+        assert all(line.isprintable() for line in text(app).split("\n"))
+
+    drive(app, steps, NARROW)
