@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from rich.cells import cell_len
 
-from rsb_bridge.qos import AUTO, PROFILES, Qos
+from rsb_bridge.qos import AUTO
 from rsb_bridge.session import Client, Session, Topic
 from rsb_bridge.session_file import SessionError, read_yaml, validate, validate_topic
 from rsb_console.glyphs import IN, OUT
-from rsb_console.widgets.lines import Line, fit, width_of
+from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import Offer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from rsb_bridge.snapshot import TopicInfo
+    from rsb_bridge.snapshot import RouteSnapshot, TopicInfo
 
 NUMBERS = ("port", "max_rate", "expected_rate", "stale_after")
-_NAME_WIDTH, _WHERE_WIDTH = 32, 21
+_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name has what is left, but no less than this
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,16 +99,6 @@ def _text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def qos_text(qos: Qos | None) -> str:
-    """The shortest that a session file may say for a QoS; nobody knows the depth of another's endpoint."""
-    if qos is None:
-        return AUTO
-    for name, profile in PROFILES.items():
-        if profile.durability == "volatile" and qos == msgspec.structs.replace(profile, depth=qos.depth):
-            return name
-    return _text(msgspec.to_builtins(msgspec.structs.replace(qos, depth=Qos().depth)))
-
-
 def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[str, str]:
     """What is wrong with a topic, and with having it beside the session's others.
 
@@ -136,7 +128,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
 
 
 def offers_of(
-    ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Iterable[Topic]
+    ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Sequence[RouteSnapshot]
 ) -> list[Offer]:
     """What both graphs have that is not bridged yet, by name.
 
@@ -146,12 +138,14 @@ def offers_of(
         ends: of the link.
         here: this side's graph.
         there: the other side's.
-        bridged: what crosses already, as the client sees it.
+        bridged: the link's routes; neither end of one is offered the same way again.
     """
-    taken = {(topic.topic, topic.direction) for topic in bridged}
+    taken = {(route.spec.topic, route.spec.direction) for route in bridged}
     offers: dict[str, Offer] = {}
     for infos, is_here in ((here, True), (there, False)):
-        for offer in _one_side(ends, infos, is_here):
+        crossing = {(route.topic if is_here else route.remote_topic, route.outgoing) for route in bridged}
+        new = (info for info in infos if (info.topic, is_here == bool(info.publishers)) not in crossing)
+        for offer in _one_side(ends, new, is_here):
             if (offer.value, offer.fills["direction"]) not in taken:
                 offers.setdefault(offer.key, offer)
     return sorted(offers.values(), key=lambda offer: offer.value)
@@ -167,21 +161,21 @@ def _one_side(ends: Ends, infos: Iterable[TopicInfo], is_here: bool) -> Iterator
         fills = {
             "direction": "transmit" if from_client else "receive",
             "type": info.type_name or AUTO,
-            "qos": qos_text(info.qos),
         }
-        yield Offer(f"{fills['direction']} {name}", name, _line(info, is_here), fills)
+        yield Offer(f"{fills['direction']} {name}", name, partial(_line, info, is_here), fills)
 
 
-def _line(info: TopicInfo, is_here: bool) -> Line:
+def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
+    name_width = max(_NAME_WIDTH, width - 2 - _WHERE_WIDTH - _TYPE_WIDTH)
     count, what = (info.publishers, "publisher") if info.publishers else (info.subscriptions, "subscriber")
     return (
         (f"{OUT if is_here == bool(info.publishers) else IN} ", ""),
-        *_column(info.topic, _NAME_WIDTH, "strong"),
+        *_column(info.topic, name_width, "strong"),
         *_column(f"{count} {what}{'s' if count > 1 else ''} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
         (info.type_name.replace("/msg/", "/") or "several types", ""),
     )
 
 
 def _column(text: str, width: int, look: str) -> Line:
-    cut = fit(((text, look),), width - 1)
-    return (*cut, (" " * (width - width_of(cut)), ""))
+    cut = fit_middle(text, width - 1)
+    return (cut, look), (" " * (width - cell_len(cut)), "")

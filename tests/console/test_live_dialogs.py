@@ -65,7 +65,7 @@ def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
     with pair.server(), talker(CHATTER, domain=domain):
         watch(app, steps)
         saved = load(pair.client_path)
-        assert saved.topics == (Topic(CHATTER, direction, "std_msgs/msg/String", qos="default"),)  # type: ignore[arg-type]
+        assert saved.topics == (Topic(CHATTER, direction, "std_msgs/msg/String"),)  # type: ignore[arg-type]
         assert_bridges_headless(pair.client_path)
 
 

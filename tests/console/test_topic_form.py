@@ -8,11 +8,10 @@ from driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text
 from scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
-from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.qos import Qos
 from rsb_bridge.session import Client, Session, Topic
-from rsb_bridge.session_file import validate_topic
 from rsb_bridge.snapshot import TopicInfo
-from rsb_console.topic_draft import Ends, offers_of, qos_text, topic_of, values_of
+from rsb_console.topic_draft import Ends, offers_of, topic_of, values_of
 
 SERVER = msgspec.structs.replace(
     SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"
@@ -20,7 +19,7 @@ SERVER = msgspec.structs.replace(
 
 
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type_and_qos(size: tuple[int, int]) -> None:
+def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[int, int]) -> None:
     app = scripted_app()
 
     async def steps(pilot: Pilot) -> None:
@@ -33,7 +32,7 @@ def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type_and_qos(size:
         await shown(pilot, "● receive")
         await pilot.press("enter")
         await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
-        expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image", qos="sensor_data")
+        expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image")  # QoS stays auto
         assert app.engine.commands[-1] == ("add", expected, "robot1")
         await shown(pilot, "/camera/depth: added")
 
@@ -63,7 +62,7 @@ MISTAKES = [
     ("port", "49152", "is the server_port"),
     ("port", "x", "'x' is not"),
     ("remote_topic", "scan", "did you mean /scan?"),
-    ("max_rate", "-1", "more than 0"),
+    ("max_rate", "-1", "is not a rate"),
     ("expected_rate", "fast", "'fast' is not a number"),
     ("stale_after", "inf", "is not a time"),
     ("topic", "/1scan", "did you mean /_1scan?"),
@@ -224,25 +223,6 @@ def test_a_topic_survives_the_form(topic: Topic) -> None:
     assert topic_of(values_of(topic)) == topic
 
 
-@pytest.mark.parametrize(
-    ("qos", "words"),
-    [
-        (None, "auto"),
-        (Qos(), "default"),
-        (Qos(depth=0), "default"),
-        (Qos(reliability="best_effort"), "sensor_data"),
-        (Qos(durability="transient_local"), "{durability: transient_local}"),
-        (Qos(reliability="best_effort", deadline=0.5), "{reliability: best_effort, deadline: 0.5}"),
-    ],
-)
-def test_a_graphs_qos_in_the_session_files_words(qos: Qos | None, words: str) -> None:
-    assert qos_text(qos) == words
-    topic = topic_of({"topic": "/scan", "direction": "transmit", "qos": words})
-    assert validate_topic(topic) == []
-    if qos is not None and words not in PROFILES:
-        assert topic.parsed_qos() == qos
-
-
 def info(topic: str, publishers: int = 1, subscriptions: int = 0) -> TopicInfo:
     return TopicInfo(topic, "std_msgs/msg/String", "", Qos() if publishers else None, publishers, subscriptions)
 
@@ -250,20 +230,35 @@ def info(topic: str, publishers: int = 1, subscriptions: int = 0) -> TopicInfo:
 @pytest.mark.parametrize("is_server", [False, True])
 def test_topics_flow_from_publishers_to_where_somebody_listens(is_server: bool) -> None:
     here, there = [info("/a"), info("/b", 0, 1)], [info("/c"), info("/d", 0, 2)]
-    offers = offers_of(Ends(is_server, "robot1", use_name=False), here, there, bridged=())
+    offers = offers_of(Ends(is_server, "robot1", use_name=False), here, there, bridged=[])
     ways = {offer.value: offer.fills["direction"] for offer in offers}
     to_there, to_here = ("receive", "transmit") if is_server else ("transmit", "receive")
     assert ways == {"/a": to_there, "/b": to_here, "/c": to_here, "/d": to_there}
 
 
-def test_what_crosses_already_is_not_offered_again() -> None:
-    offers = offers_of(Ends(False, "robot1", False), [info("/a"), info("/b")], [], [Topic("/a", "transmit")])
-    assert [offer.value for offer in offers] == ["/b"]
+def test_what_crosses_already_is_not_offered_again_from_either_end() -> None:
+    crossing = route("/a", spec=Topic("/a", "transmit", remote_topic="/b"), remote_topic="/b", outgoing=True)
+    ends = Ends(is_server=False, client="robot1", use_name=False)
+    here, there = [info("/a"), info("/c")], [info("/b", 0, 1), info("/d", 0, 1)]
+    assert [offer.value for offer in offers_of(ends, here, there, [crossing])] == ["/c", "/d"]
+    back = offers_of(ends, [], [info("/b")], [crossing])
+    assert [(offer.value, offer.fills["direction"]) for offer in back] == [("/b", "receive")], "another's publisher"
+
+
+@pytest.mark.parametrize("width", [73, 93])
+def test_a_long_name_is_cut_in_its_middle(width: int) -> None:
+    (offer,) = offers_of(
+        Ends(False, "robot1", False), [info("/camera/front/left/depth/image_rect_raw/compressed")], [], []
+    )
+    line = "".join(piece for piece, _ in offer.line(width))
+    assert "/camera/front" in line
+    assert "compressed " in line
+    assert len(line) <= width
 
 
 def test_the_servers_names_lose_the_clients_prefix() -> None:
     session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=1, use_name=True)
-    offers = offers_of(Ends.of(session, "robot1"), [], [info("/robot1/map"), info("/robot2/map"), info("/map")], ())
+    offers = offers_of(Ends.of(session, "robot1"), [], [info("/robot1/map"), info("/robot2/map"), info("/map")], [])
     assert [(offer.value, offer.fills["direction"]) for offer in offers] == [("/map", "receive")]
     assert Ends.of(SERVER, "robot2").use_name is False
     assert Ends.of(SERVER, "robot1").use_name is True

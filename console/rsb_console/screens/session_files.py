@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,6 +14,7 @@ from rsb_console.recents import recent_sessions
 from rsb_console.saving import path_problem
 from rsb_console.screens.form import FormScreen
 from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.lines import fit
 from rsb_console.widgets.picker import Offer, PickField
 
 if TYPE_CHECKING:
@@ -51,7 +53,7 @@ def offers(files: list[Path], what: str) -> Iterator[Offer]:
     """
     for path in files:
         line = ((f"{path.name:<28} ", "strong"), (f"{what:<8} ", "dim"), (str(path.parent), "dim"))
-        yield Offer(str(path.resolve()), str(path), line)
+        yield Offer(str(path.resolve()), str(path), partial(fit, line))
 
 
 class SessionsScreen(FormScreen[Opened | str]):

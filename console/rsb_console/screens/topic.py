@@ -91,7 +91,7 @@ class TopicScreen(FormScreen[Draft]):
                 found.append([])
                 missing = str(error)
         ends = Ends.of(self._engine.session, self._link)
-        bridged = [route.spec for route in self._engine.snapshot().routes if route.link == self._link]
+        bridged = [route for route in self._engine.snapshot().routes if route.link == self._link]
         field = self.form.fields["topic"]
         assert isinstance(field, PickField)
         field.offer(

@@ -145,6 +145,14 @@ def fit(line: Line, width: int) -> Line:
     return (*kept, ("…", kept[-1][1]))
 
 
+def fit_middle(text: str, width: int) -> str:
+    """`text` cut to `width` cells in its middle: names that begin alike often differ at their ends."""
+    if cell_len(text) <= width:
+        return text
+    tail = clip(text[::-1], (width - 1) // 2)[::-1]
+    return f"{clip(text, width - 1 - cell_len(tail))}…{tail}"
+
+
 def clip(text: str, width: int) -> str:
     """The start of `text` that fits into `width` cells."""
     if text.isascii():

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
 CURSOR = "▌"
+WHOLE = 1000  # cells in which nothing is cut
 
 
 class Offer(NamedTuple):
@@ -28,13 +29,13 @@ class Offer(NamedTuple):
     Attributes:
         key: unlike all others.
         value: what stands in the field once it is picked.
-        line: as it is listed.
+        line: as it is listed in so many cells.
         fills: values for other fields of the form, by their keys.
     """
 
     key: str
     value: str
-    line: Line
+    line: Callable[[int], Line]
     fills: Mapping[str, str] = MappingProxyType({})
 
 
@@ -72,7 +73,7 @@ class Offers(CursorLines, can_focus=False):
         if not self.keys:
             return ((f" {self._empty_lines[index]}", "dim"),)
         sign = CURSOR if self.is_cursor(index) else " "
-        return fit(((sign, "key"), *self._offers[self.keys[index]].line), self.size.width)
+        return fit(((sign, "key"), *self._offers[self.keys[index]].line(self.size.width - 1)), self.size.width)
 
     def is_cursor(self, index: int) -> bool:
         """Whether enter would pick line `index`."""
@@ -80,7 +81,7 @@ class Offers(CursorLines, can_focus=False):
 
 
 def _holds(offer: Offer, words: Sequence[str]) -> bool:
-    text = f"{offer.value} {''.join(piece for piece, _ in offer.line)}".casefold()
+    text = f"{offer.value} {''.join(piece for piece, _ in offer.line(WHOLE))}".casefold()
     return all(word in text for word in words)
 
 
