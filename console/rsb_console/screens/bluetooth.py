@@ -33,6 +33,7 @@ class Machines(CursorLines):
 
     def __init__(self) -> None:
         super().__init__(id="machines")
+        self.display = False
         self._machines: dict[str, Adapter | Device] = {}
 
     def show(self, found: Scan) -> None:
@@ -40,6 +41,7 @@ class Machines(CursorLines):
         machines: list[Adapter | Device] = [*found.adapters, *found.devices]
         self._machines = {one.address: one for one in machines}
         self.show_keys(list(self._machines))
+        self.display = bool(found.adapters)
         self.styles.height = max(2, min(self.line_count, 10))
 
     @property
@@ -75,6 +77,7 @@ class Channels(LiveLines, can_focus=False):
 
     def __init__(self) -> None:
         super().__init__(id="channels")
+        self.display = False
         self._lines: list[Line] = []
 
     @property
@@ -90,6 +93,7 @@ class Channels(LiveLines, can_focus=False):
         """Show the channels that were tried."""
         self._lines = list(_channel_lines(found)) if found.channels else []
         self.styles.height = len(self._lines)
+        self.display = bool(self._lines)
         self.sync()
 
 
@@ -147,7 +151,6 @@ class BluetoothScreen(ModalScreen[str | None]):
         pick = "⏎ use as the server of a new session   " if found.adapters and not self.app.readonly else ""
         self._keys.say(f"{pick}s scan again   esc close")
         self.machines.show(found)
-        self.machines.display = bool(found.adapters)
         self.channels.show(found)
 
     def _own_channels(self) -> set[tuple[str, int]]:

@@ -12,6 +12,7 @@ from rsb_bridge.thesis import import_bringup
 from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
+from rsb_console.screens.new_session import YES_NO
 from rsb_console.screens.session_files import Opened, is_path, offers, yaml_files
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4
-NO_YES = (("no", "no"), ("yes", "yes"))
 BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
                blank="type to look for a file")  # fmt: skip
 FIELDS = (
@@ -31,9 +31,11 @@ FIELDS = (
     Spec("role", "Role", "Of the session to be; a client's file makes a server's session too.",
          options=(("", "as the file's node"), ("client", "client"), ("server", "server"))),
     Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
+    Spec("domain_id", "Domain", "ROS domain of this side, 0 to 101. Empty: $ROS_DOMAIN_ID, else 0.",
+         blank="$ROS_DOMAIN_ID"),
     Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt"),
-    Spec("use_name", "Prefix", "As in the launch file (-usename).", options=NO_YES),
-    Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", "yes", options=NO_YES),
+    Spec("use_name", "Prefix", "As in the launch file (-usename).", options=tuple(reversed(YES_NO))),
+    Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
     Spec("path", "Session file", "Where the session is kept."),
 )  # fmt: skip
 
@@ -70,9 +72,11 @@ class ImportScreen(FormScreen[Opened]):
             words["path"] = problem
         if values["server_port"] and not values["server_port"].isdecimal():
             words["server_port"] = f"{values['server_port']!r} is not a port: 1 to 65535"
+        if values["domain_id"] and not values["domain_id"].isdecimal():
+            words["domain_id"] = f"{values['domain_id']!r} is not a ROS domain: 0 to 101"
         if not values["bringup"]:
             words["bringup"] = "missing: name the file"
-        if not words.keys() & {"bringup", "name", "server_port"}:
+        if not words.keys() & {"bringup", "name", "server_port", "domain_id"}:
             words |= self._import(values)
         return words
 
@@ -88,6 +92,7 @@ class ImportScreen(FormScreen[Opened]):
                 key_file=values["key_file"] or None if encrypted else None,
                 use_name=values["use_name"] == "yes",
                 use_encryption=encrypted,
+                domain_id=int(values["domain_id"]) if values["domain_id"] else None,
             )
         except SessionError as error:
             words: dict[str, list[str]] = {}

@@ -25,7 +25,7 @@ ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
 and shows what flows and what doesn't."""
 CHOICES = {
-    "demo": ("d", "Demo", "a simulated robot and its desk, bridged on this machine"),
+    "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
     "new_session": ("n", "New session", "a form writes the file, and makes or takes the key"),
     "sessions": ("o", "Open a session", "a recent one, or any file"),
     "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
@@ -36,7 +36,7 @@ RECENT = 5
 
 
 class Menu(CursorLines):
-    """The choices, then the recent sessions.
+    """The choices, then the recent sessions, and at last to quit.
 
     Args:
         choices: ids out of `CHOICES`.
@@ -51,6 +51,7 @@ class Menu(CursorLines):
             self._lines[choice] = ((f"{key}  ", "key"), (f"{words:<17}", "strong"), (more, "dim"))
         for number, path in enumerate(recent, start=1):
             self._lines[str(path)] = ((f"{number}  ", "key"), (f"{path.stem:<17}", "strong"), (str(path), "dim"))
+        self._lines["quit"] = self._lines.pop("quit")  # last
         self.keys = list(self._lines)
 
     def line(self, index: int) -> Line:
