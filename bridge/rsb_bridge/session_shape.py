@@ -47,6 +47,9 @@ def read(data: object, model: type[T], problems: list[Problem], place: str = "")
         shown = f"{show(data)} is" if place else "is"  # a whole file that is none of ours may be anything
         problems.append(Problem(place, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
         return model(**values)
+    if data and not place and known.keys().isdisjoint(data):
+        problems.append(Problem(place, f"has no key of a {model.__name__.lower()}: {', '.join(known)}"))
+        return model(**values)
     problems.extend(
         Problem(join(place, str(key)), f"no such key{_key_hint(str(key), list(known))}")
         for key in data
