@@ -338,10 +338,10 @@ def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals
 
 
 def test_an_interrupt_during_imports_is_quiet() -> None:
-    """An import of what a command needs says when it begins, and takes long."""
+    """The first import that is not small says when it begins, and takes long."""
     before = (
         "import time\nclass Slow:\n    def find_spec(self, name, path=None, target=None):\n"
-        "        if name == 'rsb_console.commands':\n            print('importing', flush=True); time.sleep(20)\n"
+        "        if name == 'argparse':\n            print('importing', flush=True); time.sleep(20)\n"
         "sys.meta_path.insert(0, Slow())"
     )
     with started_headless(before, "check", "robot1.yaml") as run:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.session_file import load, parse
-from rsb_console.cli import _parser
+from rsb_console.arguments import parser_and_commands
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = sorted(CONFIGS.glob("*.yaml"))
@@ -41,7 +41,7 @@ def test_the_unit_runs_a_command_that_exists() -> None:
     (line,) = [line for line in UNIT.read_text().splitlines() if line.startswith("ExecStart=")]
     shell = shlex.split(line.removeprefix("ExecStart="))[-1]
     command = shlex.split(shell.partition("exec rsb-console ")[2])
-    arguments = _parser()[0].parse_args(command)
+    arguments = parser_and_commands()[0].parse_args(command)
     assert arguments.no_ui
     assert arguments.session == Path("/etc/rsb-console/%i.yaml")
 

@@ -1,0 +1,120 @@
+"""The arguments of the command `rsb-console`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.keys import DEFAULT_KEY_FILE
+from rsb_console import commands
+from rsb_console.shell import say
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+EPILOG = """\
+Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
+Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interrupted."""
+
+
+def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser, and the names of the commands. What it parses has the function to run as `command`."""
+    debug = argparse.ArgumentParser(add_help=False)
+    debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show a failure's traceback")
+    parser = argparse.ArgumentParser(
+        prog="rsb-console",
+        description="Bridge ROS 2 topics over encrypted sockets, and watch them flow.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        parents=[debug],
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
+        added = subparsers.add_parser(name, help=summary, description=f"{summary}.", parents=[debug])
+        added.set_defaults(command=run)
+        return added
+
+    _run_arguments(command("run", commands.run, "bridge a session, with the console or without"))
+    check = command("check", commands.check, "say what a session would do, and what is wrong with it")
+    _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
+    keygen = command("keygen", commands.keygen, "make a key for both sides of a link")
+    keygen.add_argument(
+        "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
+    )
+    keygen.add_argument("--force", action="store_true", help="replace a key that is there")
+    _import_arguments(command("import", commands.import_thesis, "make a session of the thesis's bringup.yaml"))
+    scan = command("bt-scan", commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
+    scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
+    scan.add_argument("--json", action="store_true", help="for programs")
+    demo = command("demo", commands.demo, "bridge two domains of this machine, with made-up robots")
+    demo.add_argument("--no-ui", action="store_true", help="log instead of the console")
+    demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop by itself")
+    _complete(subparsers, "yaml_files")
+    return parser, list(subparsers.choices)
+
+
+def _complete(action: argparse.Action, completer: str) -> None:
+    """Let `rsb_console.completion` say what a shell offers for an argument; looked up only while a shell completes."""
+
+    def offers(**known: object) -> list[str]:
+        from rsb_console import completion  # noqa: PLC0415 (only while a shell completes)
+
+        found: list[str] = getattr(completion, completer)(**known)
+        return found
+
+    action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own
+
+
+def _run_arguments(parser: argparse.ArgumentParser) -> None:
+    _complete(
+        parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help="session file; none: choose one"),
+        "yaml_files",
+    )
+    parser.add_argument("--no-ui", action="store_true", help="bridge without the console, and log")
+    parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
+    parser.add_argument(
+        "--status-every", type=_seconds, default=5.0, metavar="N", help="with --no-ui: a status line every N s (5)"
+    )
+    parser.add_argument(
+        "--on-hangup", choices=("stop", "continue"), default="stop", help="when the terminal goes away (%(default)s)"
+    )
+    parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
+    parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
+    parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")
+    _complete(parser.add_argument("--theme", metavar="NAME", help="colours to start with"), "theme_names")
+
+
+def _import_arguments(parser: argparse.ArgumentParser) -> None:
+    _complete(
+        parser.add_argument("bringup", type=Path, metavar="BRINGUP", help="config/bringup.yaml of ros2_socket_bridge"),
+        "yaml_files",
+    )
+    parser.add_argument("--name", required=True, help="as in the launch file")
+    parser.add_argument("--role", choices=("client", "server"), help="default: what the file's node is")
+    parser.add_argument("--key-file", type=Path, metavar="PATH", help="holds the launch file's key")
+    parser.add_argument("--port", type=int, help="of the server, as in its launch file")
+    parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
+    parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
+    parser.add_argument("--no-encryption", action="store_true", help="everything crosses in the clear")
+    parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="default: standard output")
+    parser.add_argument("--force", action="store_true", help="replace a session that is there")
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 < seconds < float("inf"):
+        raise ValueError
+    return seconds
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when asked: the package metadata takes a while to find."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version  # noqa: PLC0415 (only while a shell completes)
+
+        say(f"rsb-console {version('rsb-console')}")
+        parser.exit()
