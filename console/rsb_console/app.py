@@ -49,6 +49,7 @@ class ConsoleApp(App[None]):
         theme: its name; None: what suits the terminal.
         config: the user's folder; None: the platform's.
         make_engine: makes an engine of a session and the folder that its key files are relative to.
+        temporary: the session's file ends with it: see `run_session`.
     """
 
     TITLE = "rsb-console"
@@ -66,6 +67,7 @@ class ConsoleApp(App[None]):
         theme: str | None = None,
         config: Path | None = None,
         make_engine: MakeEngine | None = None,
+        temporary: bool = False,
     ) -> None:
         super().__init__(driver_class=ConsoleDriver)
         self.path = path
@@ -81,7 +83,7 @@ class ConsoleApp(App[None]):
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.note = "no session"
         self.main = MainScreen()
-        self._session = session
+        self._session, self._temporary = session, temporary
         self._make_engine = make_engine or _make_engine
         self._filters_ascii = AsciiFilter()
         self._filters_control = ControlFilter()
@@ -118,7 +120,7 @@ class ConsoleApp(App[None]):
             self.notify(words, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
-            self.run_session(self._session, self.path)
+            self.run_session(self._session, self.path, temporary=self._temporary)
         else:
             self.main.action_welcome()
 
@@ -129,24 +131,40 @@ class ConsoleApp(App[None]):
     # -- the engine ---------------------------------------------------------------------------------------------------
 
     @work(exclusive=True, group="session")
-    async def run_session(self, session: Session, path: Path | None, belongings: ExitStack | None = None) -> None:
+    async def run_session(
+        self, session: Session, path: Path | None, belongings: ExitStack | None = None, *, temporary: bool = False
+    ) -> None:
         """Stop what runs and run `session` instead.
 
         Args:
             session: what to run.
             path: its file; None: it is in none.
             belongings: what is to end with it.
+            temporary: the file ends with it too, so nothing is kept by saving to it.
         """
-        from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- the first picture comes before the engine's imports
-
         self.note = "stopping"
         await asyncio.to_thread(self.stop)
         self._belongings = belongings or ExitStack()
+        self.base = Path() if path is None else path.parent
+        if temporary:
+            self.path = self.saved = None
+        else:
+            self.saved_to(session, path)
+        await self._start(session)
+
+    @work(exclusive=True, group="session")
+    async def start_anew(self) -> None:
+        """Run the session again whose engine has ended by itself, or could not start."""
+        if self.engine is not None:
+            await asyncio.to_thread(self.engine.stop)
+            await self._start(self.engine.session)
+
+    async def _start(self, session: Session) -> None:
+        from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- the first picture comes before the engine's imports
+
         self.note, self._last_event = "starting", 0
         self.main.reset()
-        self.base = Path() if path is None else path.parent
         self.engine = self._make_engine(session, self.base)
-        self.saved_to(session, path)
         try:
             await asyncio.to_thread(self.engine.start)
             self.note = ""
@@ -293,6 +311,7 @@ def run_console(
     on_hangup: str,
     session: Session | None = None,
     mouse: bool = True,
+    temporary: bool = False,
 ) -> int:
     """Open the console, and stay until its end and the engine's.
 
@@ -304,6 +323,7 @@ def run_console(
         on_hangup: ``stop`` or ``continue``: what the bridge does when the terminal hangs up.
         session: runs if there is no `path`.
         mouse: take the mouse from the terminal.
+        temporary: the session file ends with the console, as the demo's does.
 
     Returns:
         The exit code: 0, or 1 after a crash of the app.
@@ -319,6 +339,7 @@ def run_console(
         readonly=readonly,
         ascii_only=ascii_only or prefers_ascii(os.environ),
         theme=theme,
+        temporary=temporary,
     )
     leave_on_signals(app)
     try:

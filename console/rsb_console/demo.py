@@ -135,7 +135,9 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
             if ui:
                 from rsb_console.app import run_console  # noqa: PLC0415 — needs Textual
 
-                return run_console(demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
+                return run_console(
+                    demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop", temporary=True
+                )
             say(f"a simulated robot, a desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}")
             engine = Engine(demo.session, base=demo.path.parent)
             engine.start()

@@ -81,19 +81,23 @@ def test_bad_keys_leave_the_default_ones(tmp_path: Path) -> None:
     drive(app, steps)
 
 
-def test_help_lists_every_action_and_its_keys() -> None:
+@pytest.mark.parametrize("width", [120, 80])
+def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
     app = scripted_app()
 
     async def steps(pilot: Pilot) -> None:
         await pilot.press("question_mark")
         await shown(pilot, "Next line")
+        cells = [line.strip(" │").split("  ") for line in text(app).splitlines()]
+        words = {cell.strip() for line in cells for cell in line}
         for action in ACTIONS:
-            assert action.help in text(app)
-            assert app.key_labels(action)[0] in text(app)
+            assert {app.key_labels(action)[0], action.id} <= words
+            assert width < 120 or action.help in words
+        assert "pause: P" in text(app)
         await pilot.press("escape")
         await gone(pilot, "Next line")
 
-    drive(app, steps, size=(120, 80))
+    drive(app, steps, size=(width, 100))
 
 
 def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:

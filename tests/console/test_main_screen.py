@@ -4,6 +4,7 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 from driving import NARROW, drive, gone, scripted_app, shown, text, until
 from scripted import LINK, NOW, ROUTES, ScriptedEngine, route
@@ -11,6 +12,7 @@ from textual.events import Key
 from textual.pilot import Pilot
 from textual.widgets import Button
 
+from rsb_bridge.session import Topic
 from rsb_bridge.snapshot import Event, Level, State
 
 FAULTY = ["/robot2/scan", "/robot1/map"]
@@ -415,6 +417,107 @@ def test_an_export_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: p
         await shown(pilot, "Not exported")
 
     drive(app, steps)
+
+
+class Dying(ScriptedEngine):
+    """An engine that ends by itself, as after a fault of ROS's."""
+
+    def die(self) -> None:
+        self.happened.append(Event(5, NOW, Level.ERROR, "engine", "the ROS node is gone"))
+        self.now = replace(self.now, running=False, links=(), routes=())
+
+
+@pytest.mark.parametrize("temporary", [False, True])
+def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: bool) -> None:
+    app = scripted_app(make_engine=Dying, path=Path("there/nav2.yaml"), temporary=temporary)
+    ended = []
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        app._belongings.callback(ended.append, "the demo's robot")
+        dead = app.engine
+        dead.die()
+        app.pull()
+        await shown(pilot, "✗ STOPPED: R starts it anew, the ROS node is gone")
+        await pilot.press("R")
+        await shown(pilot, "● LINKED")
+        await shown(pilot, "/robot2/scan")
+        assert app.engine is not dead
+        assert app.engine.base == Path("there")
+        assert app.engine.session == dead.session
+        assert ended == []
+
+    drive(app, steps)
+
+
+def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: Path) -> None:
+    from rsb_console.recents import recent_sessions
+
+    path = tmp_path / "demo.yaml"
+    path.touch()
+    app = scripted_app(path=path, temporary=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        app.engine.session = msgspec.structs.replace(app.engine.session, topics=(Topic("/new", "transmit"),))
+        assert recent_sessions() == []
+        await pilot.press("w")  # is kept elsewhere, if at all
+        await shown(pilot, "Save as")
+        await pilot.press("escape", "q")
+        await shown(pilot, "The bridge is linked")
+        assert "Not saved" not in text(app)
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"session": None, "path": None}, "No session. o opens one, f2 writes a new one, f5 shows all ways"),
+        ({"session": None, "path": None, "readonly": True}, "No session. Start the console with one"),
+        ({}, "No topics yet. a adds one."),
+        ({"readonly": True}, "No topics yet."),
+    ],
+)
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict, words: str) -> None:
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, ()), **options)
+
+    async def steps(pilot: Pilot) -> None:
+        if "session" in options:
+            await shown(pilot, "Open a session")
+            await pilot.press("escape")
+        await until(pilot, lambda: words in " ".join(text(app).split()), words)
+
+    drive(app, steps, size)
+
+
+@on_main(size=NARROW)
+async def test_a_dialog_has_the_only_keys(app, pilot) -> None:
+    assert "q quit" in text(app)
+    await pilot.press("f5")
+    await shown(pilot, "? every key")
+    await gone(pilot, "q quit")
+    await pilot.press("question_mark")
+    await shown(pilot, "Next line")
+    await pilot.press("escape", "escape")
+    await shown(pilot, "q quit")
+
+
+@on_main(size=NARROW)
+async def test_a_long_line_of_the_log_can_be_read_whole(app, pilot) -> None:
+    words = " ".join(f"word{number}" for number in range(40))
+    app.engine.happened.append(Event(5, NOW, Level.ERROR, "link", words, "robot1"))
+    put(app, links=(LINK,))
+    assert "word39" not in text(app)
+    await pilot.press("l", "enter")
+    await shown(pilot, "word39")
+    await pilot.press("enter")
+    await gone(pilot, "word39")
+    app.engine.now = replace(app.engine.now, routes=())
+    app.pull()
+    await pilot.press("enter")
+    await shown(pilot, "word39")
 
 
 def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from itertools import groupby
 from typing import TYPE_CHECKING, ClassVar
 
@@ -12,11 +13,13 @@ from rsb_console.actions import ACTIONS, Group
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from textual.app import ComposeResult
 
     from rsb_console.app import ConsoleApp
+
+KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
 
 class KeyList(LiveLines, can_focus=True):
@@ -29,10 +32,11 @@ class KeyList(LiveLines, can_focus=True):
         Binding("G", "scroll_end", show=False),
     ]
 
-    def __init__(self, lines: list[Line]) -> None:
+    def __init__(self, make: Callable[[int], Iterator[Line]]) -> None:
         super().__init__(classes="dialog -wide")
         self.border_title = "Keys"
-        self._lines = lines
+        self._make_lines = make
+        self._lines = list(make(94))
 
     @property
     def line_count(self) -> int:
@@ -43,6 +47,11 @@ class KeyList(LiveLines, can_focus=True):
         """One of them."""
         return self._lines[index]
 
+    def on_resize(self) -> None:
+        """Break the lines anew."""
+        self._lines = list(self._make_lines(self.size.width))
+        super().on_resize()
+
 
 class HelpScreen(ModalScreen[None]):
     """Every key; any of escape, q, ? and enter leaves."""
@@ -52,15 +61,19 @@ class HelpScreen(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         """The list."""
-        yield KeyList(list(self._lines()))
+        yield KeyList(self._lines)
 
-    def _lines(self) -> Iterator[Line]:
+    def _lines(self, width: int) -> Iterator[Line]:
+        room = max(20, width - KEYS_WIDTH - ID_WIDTH)
         shown = [action for action in ACTIONS if not (action.changes and self.app.readonly)]
         order = list(Group)
         for group, actions in groupby(sorted(shown, key=lambda a: order.index(a.group)), key=lambda a: a.group):
             yield ((group.value, "head"),)
             for action in actions:
                 keys = "  ".join(self.app.key_labels(action))
-                yield ((f"  {keys:<13}", "key"), (f"{action.help:<60}", ""), (action.id, "dim"))
+                first, *more = textwrap.wrap(action.help, room - 2)
+                yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
+                yield from ((((" " * KEYS_WIDTH + words), ""),) for words in more)
             yield ()
-        yield ((f"Other keys: {self.app.config / 'keys.yaml'}, one line each, like   pause: P", "dim"),)
+        others = f"Other keys: {self.app.config / 'keys.yaml'}, one line each, like   pause: P"
+        yield from (((words, "dim"),) for words in textwrap.wrap(others, max(20, width), drop_whitespace=False))

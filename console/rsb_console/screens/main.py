@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from textual.containers import Horizontal
 
+from rsb_bridge.snapshot import Level
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.screens.operations import OperationsScreen
 from rsb_console.widgets.detail import DetailPane
@@ -43,7 +44,7 @@ class MainScreen(OperationsScreen):
         self._filtered: TopicsTable | LogPane = self.topics
         self._frozen_since: float | None = None
         self._held: list[Event] = []
-        self._possible: tuple[bool, bool] | None = None
+        self._possible: tuple[bool, ...] | None = None
 
     def compose(self) -> ComposeResult:
         """Status, panes, log, keys."""
@@ -66,12 +67,13 @@ class MainScreen(OperationsScreen):
 
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
         """Show the engine's state; while frozen only the status line moves on."""
-        self.status.show(snapshot, self._view())
+        self.status.show(snapshot, self._view(snapshot))
         self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)
             self._held = []
             self.topics.show(snapshot)
+            self.topics.explain(self._why_empty(snapshot))
             self._show_title()
             self.show_detail()
         self.show_keys()
@@ -82,9 +84,35 @@ class MainScreen(OperationsScreen):
         self._frozen_since = None
         self.log_pane.clear()
 
-    def _view(self) -> View:
+    def _view(self, snapshot: Snapshot) -> View:
         session = "" if self.app.path is None else self.app.path.stem
-        return View(session, self.app.refresh_rate, self._frozen_since, self.app.readonly, self.app.note)
+        cause = "" if snapshot.running or self.app.engine is None else self._cause_of_death()
+        return View(session, self.app.refresh_rate, self._frozen_since, self.app.readonly, self.app.note, cause)
+
+    def _cause_of_death(self) -> str:
+        events = [*self.log_pane.events, *self._held]
+        cause = next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
+        way_on = "" if self.app.readonly else f"{self._key('restart')} starts it anew"
+        return ", ".join(words for words in (way_on, cause) if words)
+
+    def _key(self, action: str) -> str:
+        return self.app.key_labels(BY_ID[action])[0]
+
+    def _why_empty(self, snapshot: Snapshot) -> str:
+        """Why the table has no topic, and what to press."""
+        if self.topics.routes:
+            return f"Nothing here matches. {self._key('back')} shows all topics."
+        if self.app.engine is None:
+            if self.app.readonly:
+                return "No session. Start the console with one: rsb-console --readonly SESSION"
+            opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
+            return f"No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
+        if not snapshot.running:
+            return self._cause_of_death() if not self.app.note else ""
+        if self.app.readonly:
+            return "No topics yet."
+        theirs = "They come with the clients; " if snapshot.role == "server" else ""
+        return f"No topics yet. {theirs}{self._key('add_topic')} adds one."
 
     def show_detail(self) -> None:
         """Show the topic under the cursor."""
@@ -94,10 +122,13 @@ class MainScreen(OperationsScreen):
 
     def show_keys(self) -> None:
         """Show the keys that do something now, if those have changed."""
-        possible = (self.app.engine is not None, self.selected is not None)
+        possible = (self.app.screen is self, self.app.engine is not None, self.selected is not None)
         if possible == self._possible:
             return
         self._possible = possible
+        if self.app.screen is not self:  # a dialog's keys are the only ones
+            self.key_bar.show([])
+            return
         self.key_bar.show(
             [
                 (
@@ -117,7 +148,7 @@ class MainScreen(OperationsScreen):
             return super().check_action(action, parameters)
         if known.group is Group.OPERATE and self.app.engine is None:
             return None
-        if known.needs_topic and self.topics.selected is None:
+        if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
             return None
         return self.app.check_action(action, parameters)
 
@@ -125,6 +156,14 @@ class MainScreen(OperationsScreen):
         """Say why a key that would change something does nothing."""
         if self.app.readonly and any(a.changes and event.key in self.app.preferences.keys(a) for a in ACTIONS):
             self.notify("read-only: nothing can be changed here", timeout=2)
+
+    def on_screen_suspend(self) -> None:
+        """A dialog opens."""
+        self.show_keys()
+
+    def on_screen_resume(self) -> None:
+        """It is closed."""
+        self.show_keys()
 
     @property
     def selected(self) -> RouteSnapshot | None:
@@ -138,7 +177,7 @@ class MainScreen(OperationsScreen):
 
     def on_cursor_lines_chosen(self, event: CursorLines.Chosen) -> None:
         """A second click opens."""
-        if event.pane is self.topics:
+        if event.pane in {self.topics, self.log_pane}:
             self.action_detail()
 
     def on_resize(self, event: events.Resize) -> None:
@@ -239,8 +278,12 @@ class MainScreen(OperationsScreen):
         self.call_after_refresh(self.show_detail)
 
     def action_detail(self) -> None:
-        """Open the details: the pane gets the focus, or on a narrow screen all of it."""
-        if self.detail.display:
+        """Open a log line, or a topic's details: the pane gets the focus, or on a narrow screen all of it."""
+        from rsb_console.screens.event import EventScreen  # noqa: PLC0415 -- keeps the start short
+
+        if self.log_pane.has_focus and self.log_pane.selected is not None:
+            self.app.push_screen(EventScreen(self.log_pane.selected))
+        elif self.detail.display:
             self.detail.focus()
         else:
             self._mode("-detail")

@@ -110,6 +110,9 @@ class OperationsScreen(SessionOperationsScreen):
         engine = self.app.engine
         if engine is None:
             return
+        if not self.app.snapshot().running:
+            self.app.start_anew()
+            return
         words = "Every link is closed on both sides and made anew. No topic crosses meanwhile: some seconds."
         if await self.app.push_screen_wait(ConfirmScreen("Restart the bridge?", words, "Restart")):
             await self.app.push_screen_wait(RestartScreen(engine))

@@ -170,7 +170,7 @@ class SessionOperationsScreen(Screen[None]):
         except EngineError as error:
             self.notify(str(error), title="No demo", severity="error", markup=False, timeout=15)
         else:
-            await self.app.run_session(demo.session, demo.path, parts).wait()
+            await self.app.run_session(demo.session, demo.path, parts, temporary=True).wait()
 
     async def _save(self) -> None:
         if self.app.path is None:

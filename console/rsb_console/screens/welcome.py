@@ -72,6 +72,7 @@ class WelcomeScreen(ModalScreen[str]):
     BINDINGS: ClassVar = [
         Binding("enter", "choose", show=False),
         Binding("escape", "dismiss('')", show=False),
+        Binding("question_mark,f1", "app.help", show=False),
         *(Binding(key, f"dismiss('{choice}')", show=False) for choice, (key, _, _) in CHOICES.items()),
         *(Binding(str(number), f"recent({number})", show=False) for number in range(1, RECENT + 1)),
     ]
@@ -87,6 +88,7 @@ class WelcomeScreen(ModalScreen[str]):
             dialog.border_title = "rsb-console"
             yield Static(ABOUT, classes="hint")
             yield self.menu
+            yield Static("⏎ choose   ? every key   esc close", classes="hint keys")
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what the menu lists."""

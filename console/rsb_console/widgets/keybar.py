@@ -29,7 +29,7 @@ class KeyBar(LiveLines):
         return 1
 
     def show(self, entries: Sequence[tuple[str, str, str]]) -> None:
-        """Show `entries`: key, words, and the action that a click runs."""
+        """Show `entries`: key, words, and the action that a click runs; none, or at least two."""
         self._entries = entries
         self.sync()
 
@@ -38,7 +38,9 @@ class KeyBar(LiveLines):
         return tuple(piece for key, words, _ in self._fitting() for piece in _pieces(key, words))
 
     def _fitting(self) -> list[tuple[str, str, str]]:
-        *others, second_last, last = self._entries or [("", "", "")] * 2
+        if not self._entries:
+            return []
+        *others, second_last, last = self._entries
         always = [second_last, last]
         room = self.width - sum(width_of(_pieces(key, words)) for key, words, _ in always)
         fitting = []

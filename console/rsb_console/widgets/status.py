@@ -30,6 +30,7 @@ class View:
         frozen_since: s since the epoch; None: live.
         readonly: nothing can be changed.
         note: what to say instead of the link's state while no engine runs.
+        cause: why the engine has ended by itself, as far as it is known.
     """
 
     session: str = ""
@@ -37,6 +38,7 @@ class View:
     frozen_since: float | None = None
     readonly: bool = False
     note: str = ""
+    cause: str = ""
 
 
 class StatusBar(LiveLines):
@@ -124,15 +126,15 @@ def _identity(snapshot: Snapshot, view: View) -> Line:
     if view.note:
         pieces.append((f"   {view.note}", "alarm"))
     else:
-        pieces += link_words(snapshot)
+        pieces += link_words(snapshot, view.cause)
     pieces.append((f"   domain {snapshot.domain_id}", "dim"))
     return tuple(pieces)
 
 
-def link_words(snapshot: Snapshot) -> list[tuple[str, str]]:
+def link_words(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
     """The state of the link, or how many of a server's are linked, and that they are encrypted."""
     if not snapshot.running:
-        return [("   ✗ STOPPED", "down")]
+        return [(f"   ✗ STOPPED{f': {cause}' if cause else ''}", "down")]
     if not snapshot.links:
         return [("   ◌ no client yet", "waiting")]
     return [_links_state(snapshot.links, snapshot.time), ("  encrypted ✓", "dim")][: 1 if _warnings(snapshot) else 2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -131,6 +132,19 @@ class TopicsTable(CursorLines):
         self.faults_only = False
         self.pattern: Pattern | None = None
         self._peers = False
+        self._empty: list[str] = []
+
+    @property
+    def line_count(self) -> int:
+        """The heading, and one a route; or those that say why there is none."""
+        return self.sticky + (len(self.keys) or len(self._empty))
+
+    def explain(self, empty: str) -> None:
+        """Say why there is no topic, and what to do about it, wherever there is none."""
+        lines = textwrap.wrap(empty, max(20, self.size.width - 4))
+        if lines != self._empty:
+            self._empty = lines
+            self.sync()
 
     def show(self, snapshot: Snapshot) -> None:
         """Show the routes of `snapshot`."""
@@ -150,6 +164,10 @@ class TopicsTable(CursorLines):
         return self.pattern is None or self.pattern.matches(
             f"{route.topic} {route.link}" if self._peers else route.topic
         )
+
+    def is_cursor(self, index: int) -> bool:
+        """Only where there is a topic."""
+        return bool(self.keys) and super().is_cursor(index)
 
     @property
     def selected(self) -> RouteSnapshot | None:
@@ -186,6 +204,8 @@ class TopicsTable(CursorLines):
         """The heading, or one route."""
         if index == 0:
             return ((" ", ""), *(self._heading(column, width) for column, width in self._layout))
+        if not self.keys:
+            return ((f"  {self._empty[index - 1]}", "dim"),)
         route = self.routes[self.keys[index - 1]]
         edge = ("▌", route.state.value) if self.is_cursor(index) else (" ", "")
         return (edge, *(_cell(column, route, width) for column, width in self._layout))
