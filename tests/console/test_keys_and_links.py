@@ -168,6 +168,24 @@ def radio(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     return calls
 
 
+def test_before_anything_is_found_the_dialog_has_no_empty_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scan(own_channels: object) -> Scan:
+        return Scan((), {}, (), ("no radio here",))
+
+    monkeypatch.setattr(bluetooth, "scan", scan)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("b")
+        await shown(pilot, "no radio here")
+        lines = text(app).splitlines()
+        title = next(number for number, line in enumerate(lines) if "─ Bluetooth ─" in line)
+        assert "no radio here" in lines[title + 2]
+
+    drive(app, steps)
+
+
 def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
     problems = asyncio.run(bluetooth.scan()).problems
     if not problems:

@@ -58,6 +58,7 @@ def test_without_a_session_the_console_says_how_to_begin(size: tuple[int, int]) 
         await shown(pilot, "New session")
         for words in ("Demo", "Open a session", "Import", "Quit"):
             assert words in text(app)
+        assert "…" not in text(app)
         await pilot.press("escape")
         await gone(pilot, "New session")
         await pilot.press("f5")
@@ -102,6 +103,7 @@ def test_a_recent_session_is_a_digit_away(folder: Path) -> None:
 
     async def steps(pilot: Pilot) -> None:
         await shown(pilot, "1  nav2")
+        assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
         await pilot.press("1")
         await until(pilot, lambda: app.engine is not None, "an engine")
         assert app.engine.session == SESSION
@@ -269,7 +271,10 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
         await shown(pilot, "Import")
         await pilot.press("i", *"bri", "enter")
         await until(pilot, lambda: app.screen.form.fields["name"].control.has_focus, "the next field")
-        await fill(pilot, name="robot1", path="robot1.yaml")
+        await fill(pilot, name="robot1", path="robot1.yaml", domain_id="x")
+        await pilot.press("enter")
+        await shown(pilot, "'x' is not a ROS domain")
+        await fill(pilot, domain_id="7")
         await pilot.press("enter")
         await shown(pilot, "Imported. Run robot1.yaml?")
         await pilot.press("y")
@@ -280,6 +285,7 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
     expected = Topic("/scan", "transmit", "sensor_msgs/msg/LaserScan", "udp", 12004, "sensor_data")
     assert imported == app.engine.session
     assert imported.topics == (expected,)
+    assert imported.domain_id == 7
 
 
 def test_a_thesis_file_with_a_mistake_says_the_line(folder: Path) -> None:

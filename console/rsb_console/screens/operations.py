@@ -31,7 +31,7 @@ class OperationsScreen(SessionOperationsScreen):
 
         Args:
             future: what the engine gave for it.
-            done: what to say when it is done; empty: nothing.
+            done: what to say when it is done, if the log doesn't say it; empty: nothing.
 
         Returns:
             Whether it was done.
@@ -53,10 +53,7 @@ class OperationsScreen(SessionOperationsScreen):
         """Pause the topic under the cursor, or resume it."""
         if self.app.engine is not None and self.selected is not None:
             paused = self.selected.state is State.PAUSED
-            await self.command(
-                self.app.engine.pause(self.selected.key, not paused),
-                f"{self.selected.topic}: {'resumed' if paused else 'paused'}",
-            )
+            await self.command(self.app.engine.pause(self.selected.key, not paused))
 
     @work
     async def action_retry(self) -> None:
@@ -87,7 +84,7 @@ class OperationsScreen(SessionOperationsScreen):
             return
         draft = await self.app.push_screen_wait(TopicScreen(engine, route))
         if draft is not None and draft.topic != route.spec:
-            await self.command(engine.edit_topic(route.key, draft.topic), f"{draft.topic.topic}: changed")
+            await self.command(engine.edit_topic(route.key, draft.topic))
 
     @work
     async def action_remove_topic(self) -> None:
@@ -99,7 +96,7 @@ class OperationsScreen(SessionOperationsScreen):
             return
         words = f"It stops crossing at once, on both sides of the link with {self.app.peer_of(route)}."
         if await self.app.push_screen_wait(ConfirmScreen(f"Remove {route.topic}?", words, "Remove")):
-            await self.command(engine.remove_topic(route.key), f"{route.topic}: removed")
+            await self.command(engine.remove_topic(route.key))
 
     @work
     async def action_restart(self) -> None:

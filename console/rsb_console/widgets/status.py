@@ -66,7 +66,7 @@ class StatusBar(LiveLines):
         if index == 0:
             if width >= ROOMY:
                 return _spread(self._identity, self._view, width)
-            return _spread(self._identity[2:], self._view[-1:], width)
+            return _spread(self._identity[2:] or self._identity[1:], self._view[-1:], width)
         return _as_many(self._totals, width)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
