@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.serialization import serialize_message
-from tests.support.bridge import carries, eventually, heard, link, linked, route, said, settled
+from tests.support.bridge import carries, eventually, heard, link, route, said, settled
 from tests.support.domain import text
 from tests.support.filled import filled
 
@@ -99,7 +99,6 @@ def test_a_type_that_neither_side_has_in_every_size(
     assert ledger.delivered == len(sizes(limit))
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
 @pytest.mark.parametrize(
     ("address", "changes"),
     [
@@ -110,22 +109,21 @@ def test_a_type_that_neither_side_has_in_every_size(
     ],
     ids=["IPv6", "host name", "unencrypted", "prefixed"],
 )
-def test_both_ways_over(
-    address: str, changes: dict[str, Any], protocol: Any, bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
+def test_both_ways_over(address: str, changes: dict[str, Any], bridge: Bridge, robot: Domain, pc: Domain) -> None:
     prefix = "/robot1" if changes.get("use_name") else ""
-    there, back = pc.listener(prefix + "/out"), robot.listener("/back")
-    out, home = robot.publisher("/out"), pc.publisher(prefix + "/back")
-    topics = Topic("/out", "transmit", protocol=protocol), Topic("/back", "receive", protocol=protocol)
+    outs, backs = ("/out_tcp", "/out_udp"), ("/back_tcp", "/back_udp")
+    theirs = [prefix + name for name in outs]
+    out, there = [robot.publisher(name) for name in outs], [pc.listener(name) for name in theirs]
+    home, back = [pc.publisher(prefix + name) for name in backs], [robot.listener(name) for name in backs]
+    topics = [Topic(name, "transmit", protocol=name[-3:]) for name in outs]
+    topics += [Topic(name, "receive", protocol=name[-3:]) for name in backs]
     server, client = bridge.both(*topics, server_ip=address, **changes)
-    carries([out], server, [prefix + "/out"])
-    carries([home], client, ["/back"])
-    out.publish(text("there"))
-    home.publish(text("and back" * 40_000))
-    assert heard(there, 1) == [text("there")]
-    big = heard(back, 1)
-    assert [len(each) for each in big] == [len(text("and back" * 40_000))]
-    assert big == [text("and back" * 40_000)]
+    carries(out, server, theirs)
+    carries(home, client, backs)
+    for publisher in (*out, *home):
+        publisher.publish(text(f"from {publisher.topic} " * 20_000))
+    for publisher, listener in zip((*out, *home), (*there, *back), strict=True):
+        assert heard(listener, 1) == [text(f"from {publisher.topic} " * 20_000)]
     encrypted = changes.get("use_encryption", True)
     for engine in (server, client):
         assert link(engine).encrypted is encrypted
@@ -197,20 +195,20 @@ def test_ports_of_their_own(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     eventually(both_free)
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
-def test_compressed(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_compressed(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """What shrinks is sent shrunk; noise as it is."""
-    there, out = pc.listener("/map"), robot.publisher("/map")
-    server, client = bridge.both(Topic("/map", "transmit", protocol=protocol, compression="zstd"))
-    carries([out], server, ["/map"])
+    names = ("/tcp", "/udp")
+    theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
+    server, client = bridge.both(*(Topic(n, "transmit", protocol=n[1:], compression="zstd") for n in names))
+    carries(outs, server, names)
     noise = "".join(random.Random(1).choices("0123456789abcdefghijklmnopqrstuvwxyz", k=20_000))
     sent = [text("free space " * 40_000), text(noise), text("")]
-    for payload in sent:
-        out.publish(payload)
-    assert heard(there, 3) == sent
-    settled(client, "/map", 3)
-    assert route(client, "/map").bytes_total < 30_000
-    assert linked(server)
+    for name, there, out in zip(names, theres, outs, strict=True):
+        for payload in sent:
+            out.publish(payload)
+        assert heard(there, 3) == sent
+        settled(client, name, 3)
+        assert route(client, name).bytes_total < 30_000
 
 
 def test_a_message_that_udp_does_not_carry_is_counted_and_said(bridge: Bridge, robot: Domain, pc: Domain) -> None:

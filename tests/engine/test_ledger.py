@@ -28,21 +28,20 @@ def publish(publisher: Publisher, numbers: range, size: int = 0) -> None:
         publisher.publish(text(f"{number}" + " " * size))
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
 @pytest.mark.parametrize("direction", ["transmit", "receive"])
-def test_everything_arrives_on_a_good_line(
-    protocol: Any, direction: Any, bridge: Bridge, robot: Domain, pc: Domain
-) -> None:
+def test_everything_arrives_on_a_good_line(direction: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     near, far = (robot, pc) if direction == "transmit" else (pc, robot)
-    there, out = far.listener("/count"), near.publisher("/count")
-    server, client = bridge.both(Topic("/count", direction, protocol=protocol, qos={"depth": 1000}))
+    names = ("/tcp", "/udp")
+    theres, outs = [far.listener(name) for name in names], [near.publisher(name) for name in names]
+    server, client = bridge.both(*(Topic(n, direction, protocol=n[1:], qos={"depth": 1000}) for n in names))
     sender, receiver = (client, server) if direction == "transmit" else (server, client)
-    carries([out], receiver, ["/count"])
-    publish(out, range(500))
-    assert heard(there, 500) == [text(f"{number}") for number in range(500)]
-    ledger = settled(sender, "/count", 500)
-    assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (500, {}, 0)
-    eventually(lambda: route(receiver, "/count").ledger == ledger)
+    carries(outs, receiver, names)
+    for name, there, out in zip(names, theres, outs, strict=True):
+        publish(out, range(500))
+        assert heard(there, 500) == [text(f"{number}") for number in range(500)]
+        ledger = settled(sender, name, 500)
+        assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (500, {}, 0)
+        eventually(lambda name=name, ledger=ledger: route(receiver, name).ledger == ledger)
 
 
 def test_datagrams_that_are_lost(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
@@ -106,28 +105,29 @@ def lossy(bridge: Bridge, relay: Relay, out: Publisher, topic: str) -> tuple[Eng
     return server, client
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
-def test_a_link_that_is_cut(protocol: Any, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     """Three times amid traffic: what the other side published is delivered, also what it had not reported yet."""
-    there, out = pc.listener("/count"), robot.publisher("/count")
-    server, client = bridge.both(Topic("/count", "transmit", protocol=protocol, qos={"depth": 1000}))
-    sent = 0
+    names = ("/tcp", "/udp")
+    theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
+    server, client = bridge.both(*(Topic(n, "transmit", protocol=n[1:], qos={"depth": 1000}) for n in names))
     for _ in range(3):
-        carries([out], server, ["/count"])
-        before = len(there.payloads)
-        publish(out, range(sent, sent + 100))
-        sent += 100
-        heard(there, before + 50)
+        carries(outs, server, names)
+        before = [len(there.payloads) for there in theres]
+        for out in outs:
+            publish(out, range(100))
+        for there, count in zip(theres, before, strict=True):
+            heard(there, count + 50)
         relay.cut()
         eventually(lambda: said(client, "link lost") and not linked(client))
         eventually(lambda: linked(client) and linked(server))
-    carries([out], server, ["/count"])
-    publish(out, range(sent, sent + 10))
-    ledger = settled(client, "/count", sent + 10, within=15)
-    assert len(there.payloads) == ledger.delivered
-    assert ledger.delivered >= 150
-    assert set(ledger.dropped) <= {"link lost"}
-    assert balance(ledger) == sent + 10
+    carries(outs, server, names)
+    for name, there, out in zip(names, theres, outs, strict=True):
+        publish(out, range(10))
+        ledger = settled(client, name, 310, within=15)
+        assert len(there.payloads) == ledger.delivered
+        assert ledger.delivered >= 150
+        assert set(ledger.dropped) <= {"link lost"}
+        assert balance(ledger) == 310
 
 
 def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
@@ -179,16 +179,18 @@ def test_pausing_under_traffic(bridge: Bridge, robot: Domain, pc: Domain) -> Non
     assert ledger.dropped == {}
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "udp"])
-def test_a_highest_rate(protocol: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    there, out = pc.listener("/fast"), robot.publisher("/fast")
-    server, client = bridge.both(Topic("/fast", "transmit", protocol=protocol, max_rate=20.0))
-    carries([out], server, ["/fast"])
+def test_a_highest_rate(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    names = ("/tcp", "/udp")
+    theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
+    server, client = bridge.both(*(Topic(n, "transmit", protocol=n[1:], max_rate=20.0) for n in names))
+    carries(outs, server, names)
     began = time.monotonic()
     for number in range(200):
-        out.publish(text(f"{number}"))
+        for out in outs:
+            out.publish(text(f"{number}"))
         time.sleep(max(0.0, began + number / 100 - time.monotonic()))
     seconds = time.monotonic() - began
-    ledger = settled(client, "/fast", 200)
-    assert ledger.delivered == len(there.payloads) == 200 - ledger.throttled
-    assert 0.8 * 20 * seconds <= ledger.delivered <= 20 * seconds + 2
+    for name, there in zip(names, theres, strict=True):
+        ledger = settled(client, name, 200)
+        assert ledger.delivered == len(there.payloads) == 200 - ledger.throttled
+        assert 0.8 * 20 * seconds <= ledger.delivered <= 20 * seconds + 2
