@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import sys
+import threading
 from codecs import getincrementaldecoder
 from functools import partial
 from queue import Full
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
+_LOOK_EVERY_MS = 500
 CLOSE_TIMEOUT = 1.0  # s until a terminal that does not read is given up
 
 
@@ -70,9 +73,14 @@ class TerminalFile:
         while data and self._gone is not None:
             try:
                 data = data[os.write(self._fd, data) :]
-            except OSError:  # hung up; there is nobody to tell but the app
-                gone, self._gone = self._gone, None
-                gone()
+            except OSError:
+                self.hung_up()
+
+    def hung_up(self) -> None:
+        """The terminal is gone; there is nobody to tell but the app."""
+        gone, self._gone = self._gone, None
+        if gone is not None:
+            gone()
 
     def flush(self) -> None:
         """Nothing is held back."""
@@ -130,9 +138,18 @@ class ConsoleDriver(LinuxDriver):
         self._enable_mouse_support()
 
     def run_input_thread(self) -> None:
-        """Read keys until the terminal is gone; its file tells the app."""
+        """Read keys until the terminal is gone: what reads as nothing would be read again and again."""
+        threading.Thread(target=self._watch_hangup, name="terminal-hangup", daemon=True).start()
         with contextlib.suppress(OSError):
             super().run_input_thread()
+
+    def _watch_hangup(self) -> None:
+        poll = select.poll()
+        poll.register(self.fileno, 0)  # POLLHUP and POLLERR are told unasked
+        while not self.exit_event.is_set():
+            if poll.poll(_LOOK_EVERY_MS):
+                self.exit_event.set()
+                self._file.hung_up()
 
     def close(self) -> None:
         """Let the last frames out, unless the terminal does not read."""
