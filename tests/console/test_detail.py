@@ -61,6 +61,19 @@ def test_where_peer_and_carrier_have_no_room_beside_each_other_both_are_whole() 
     assert "BLUETOOTH channel 3" in said(bluetooth, 36)
 
 
+def test_the_scrollbar_hides_nothing() -> None:
+    just_too_wide = route("/scan", outgoing=True, transport="tcp", port=54757)  # with the pane's edge to spare by one
+    engine = ScriptedEngine(routes=(just_too_wide,))
+    engine.now = replace(engine.now, address="127.0.0.1:54757")
+    app = scripted_app(make_engine=lambda _session, _base: engine)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "→ to 127.0.0.1:54757")
+        await shown(pilot, "TCP port 54757")
+
+    drive(app, steps)
+
+
 def test_no_latency_is_below_zero() -> None:
     app = scripted_app(
         make_engine=lambda session, base: ScriptedEngine(

@@ -51,7 +51,7 @@ class DetailPane(LiveLines, can_focus=True):
             self.scroll_home(animate=False)
         self._route, self._peer = route, peer
         self.entitle("" if route is None else f"{route.topic} ")
-        width = self.size.width
+        width = self.scrollable_content_region.width  # without the scrollbar, which would hide the ends
         if route is None:
             self._lines = [(), ((" no topic selected", "dim"),)]
         else:
