@@ -120,7 +120,7 @@ def _listed(sign: str, look: str, stages: Sequence[Stage], width: int) -> Iterat
 
 
 def _wrapped(text: str, width: int, look: str) -> Iterator[Line]:
-    for line in textwrap.wrap(text, max(10, width - 4)):
+    for line in textwrap.wrap(text, max(10, width - 3)):
         yield ((f"   {line}", look),)
 
 
