@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,6 +21,7 @@ from rsb_console.leaving import Leaving, finish, leave_on_signals, output_path, 
 from rsb_console.palette import ActionsProvider
 from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
+from rsb_console.shell import FAILURE
 from rsb_console.terminal import ConsoleDriver, prefers_ascii, terminal_to_itself
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
 
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
+_LEFT_WITHIN = 10.0
 
 
 class ConsoleApp(App[None]):
@@ -79,6 +82,7 @@ class ConsoleApp(App[None]):
         self.saved: Session | None = None
         self._belongings = ExitStack()
         self.leaving = Leaving.QUIT
+        self._deadline: threading.Timer | None = None
         self.terminal = 1
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.note = "no session"
@@ -278,8 +282,21 @@ class ConsoleApp(App[None]):
         self.exit()
 
     def leave_soon(self, why: Leaving) -> None:
-        """As `leave`, from a signal handler or another thread."""
+        """As `leave`, from a signal handler or another thread. An app that does not come to it ends all the same."""
+        if self._deadline is None and not self.is_headless:
+            self._deadline = threading.Timer(_LEFT_WITHIN, self._end_at_once)
+            self._deadline.daemon = True
+            self._deadline.start()
         self.call_later(self.leave, why)
+
+    def has_left(self) -> None:
+        """The app has ended by itself: nobody needs to end it."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+
+    def _end_at_once(self) -> None:
+        self.stop()
+        os._exit(FAILURE)
 
     def terminal_gone(self) -> None:
         """The terminal has hung up; the driver's thread says so."""
@@ -347,4 +364,5 @@ def run_console(
             app.run(mouse=mouse)
     except Exception:  # noqa: BLE001 -- whatever befell the app, the bridge goes on
         app.crashed()
+    app.has_left()
     return finish(app, on_hangup)
