@@ -132,7 +132,7 @@ def direct(listener: str = "listen") -> Iterator[Bed]:
 
 @contextlib.contextmanager
 def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> Iterator[Bed]:
-    """Our bridge between them: two processes, encrypted. `client` starts another client than the one without console."""
+    """Our bridge between them: two processes, encrypted; `client` starts another client than the headless one."""
     with tempfile.TemporaryDirectory() as name, _ends(NEAR, FAR) as bed:
         folder = Path(name)
         (folder / "bench.key").write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
