@@ -79,7 +79,8 @@ class Stream(asyncio.Protocol):
         if self._transport is not None:
             self._reason = self._reason or reason
             self._transport.close()
-            asyncio.get_running_loop().call_later(_LINGER, self._transport.abort)
+            # Not the transport's own abort: on one that has ended, it would end it a second time.
+            asyncio.get_running_loop().call_later(_LINGER, self.abort, reason)
 
     def abort(self, reason: str) -> None:
         """Close now; what waits is lost."""
