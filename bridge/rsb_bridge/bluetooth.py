@@ -96,7 +96,7 @@ def held_channels(session: Session, snapshot: Snapshot) -> set[tuple[str, int]]:
     """The channels that an engine listens on: `scan`'s `own_channels`."""
     if not (session.is_bluetooth and session.role == "server" and snapshot.running):
         return set()
-    channels = {session.server_port, *(route.port for route in snapshot.routes)}
+    channels = {session.server_port, *(route.port for route in snapshot.routes if route.transport == "bluetooth")}
     return {(session.server_ip, channel) for channel in channels}
 
 

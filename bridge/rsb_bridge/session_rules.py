@@ -13,6 +13,7 @@ from rsb_bridge.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.session import Client, Problem, Session, Topic, is_mac
 from rsb_bridge.session_shape import did_you_mean, join, read, show
+from rsb_bridge.wire.fields import HIGHEST_RATE, LOWEST_RATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,7 +22,6 @@ MAX_PORT = 65535
 MAX_CHANNEL = 30  # RFCOMM: Bluetooth Core specification, RFCOMM section 5.4
 MAX_DOMAIN = 232  # the last whose ports fit below 65536: DDSI-RTPS 2.5, section 9.6.1
 MAX_TOPIC = 247  # rmw/validate_full_topic_name.h, RMW_TOPIC_MAX_NAME_LENGTH
-MIN_RATE, MAX_RATE = 0.001, 1e6  # Hz
 MIN_STALE, MAX_STALE = 0.1, 1e6  # s; the least is some looks of the engine's, the most eleven days
 MAX_DEPTH = 1_000_000  # messages
 MAX_QOS_TIME = 1e9  # s, as on the wire
@@ -245,8 +245,8 @@ def _protocol(topic: Topic, place: str, session: Session) -> Iterator[Problem]:
 
 
 def _rate(rate: float | None, place: str) -> Iterator[Problem]:
-    if rate is not None and not MIN_RATE <= rate <= MAX_RATE:
-        words = f"{rate} is not a rate: {MIN_RATE:g} to {MAX_RATE:.0f} Hz; leave it out for no figure"
+    if rate is not None and not LOWEST_RATE <= rate <= HIGHEST_RATE:
+        words = f"{rate} is not a rate: {LOWEST_RATE:g} to {HIGHEST_RATE:.0f} Hz; leave it out for no figure"
         yield Problem(place, words)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import subprocess
 import sys
 import threading
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
-from rosidl_parser.definition import AbstractGenericString, AbstractNestedType, Array, BasicType, NamespacedType
+from tests.support.filled import filled
 
 from rsb_bridge.qos import Qos
 from rsb_bridge.ros import anytype
@@ -29,24 +28,6 @@ if TYPE_CHECKING:
 INSTALLED: dict[str, Any] = {name: found for name in SHORT_NAMES.values() if (found := installed_class(name))}
 ODOMETRY = "nav_msgs/msg/Odometry"
 MADE_UP_HASH = "RIHS01_" + "5a" * 32
-
-
-def filled(message_class: Any) -> Any:
-    """An instance with no field at its default."""
-    fields = zip(message_class.get_fields_and_field_types(), message_class.SLOT_TYPES, strict=True)
-    return message_class(**{field: _value(slot) for field, slot in fields})
-
-
-def _value(slot: Any) -> Any:
-    if isinstance(slot, AbstractNestedType):
-        return [_value(slot.value_type) for _ in range(slot.size if isinstance(slot, Array) else 3)]
-    if isinstance(slot, NamespacedType):
-        return filled(getattr(importlib.import_module(".".join(slot.namespaces)), slot.name))
-    if isinstance(slot, AbstractGenericString):
-        return "größer"
-    assert isinstance(slot, BasicType)
-    special = {"octet": b"\x07", "boolean": True, "float": 1.5, "double": 1.5}
-    return special.get(slot.typename, 7)
 
 
 def test_every_common_type_crosses_from_and_to_a_stock_node(

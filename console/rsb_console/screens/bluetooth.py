@@ -10,7 +10,7 @@ from textual.binding import Binding
 from textual.containers import Vertical
 from textual.screen import ModalScreen
 
-from rsb_bridge.bluetooth import ANY_ADAPTER, Adapter, Device, Scan, Use, scan
+from rsb_bridge.bluetooth import ANY_ADAPTER, Adapter, Device, Scan, Use, held_channels, scan
 from rsb_console.widgets.cursor_lines import CursorLines
 from rsb_console.widgets.form import Words
 from rsb_console.widgets.lines import Line, LiveLines, fit
@@ -144,7 +144,8 @@ class BluetoothScreen(ModalScreen[str | None]):
     async def action_scan(self) -> None:
         """Look at everything again."""
         self._state.say("scanning …")
-        own = self._own_channels()
+        engine = self.app.engine
+        own = held_channels(engine.session, engine.snapshot()) if engine is not None else set()
         found = await asyncio.to_thread(lambda: asyncio.run(scan(own_channels=own)))
         self._state.say("" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them.")
         self._problems.say("\n".join(found.problems))
@@ -152,14 +153,6 @@ class BluetoothScreen(ModalScreen[str | None]):
         self._keys.say(f"{pick}s scan again   esc close")
         self.machines.show(found)
         self.channels.show(found)
-
-    def _own_channels(self) -> set[tuple[str, int]]:
-        """Those that a server in this console has bound."""
-        engine = self.app.engine
-        if engine is None or engine.session.role != "server" or not engine.session.is_bluetooth:
-            return set()
-        routes = [route.port for route in engine.snapshot().routes if route.transport == "bluetooth"]
-        return {(engine.session.server_ip, channel) for channel in (engine.session.server_port, *routes)}
 
     def action_pick(self) -> None:
         """Give the MAC under the cursor."""
