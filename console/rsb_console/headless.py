@@ -210,7 +210,7 @@ def _json_stopping(reason: str) -> str:
 
 
 def _json_status(snapshot: Snapshot) -> str:
-    """The figures that a monitor wants; what the console draws (stages, histories) is left out."""
+    """The figures that a monitor wants; what the console draws (histories, stages in words) is left out."""
     links = {link.name: {"state": link.state, "peer": link.peer, "rtt": link.rtt} for link in snapshot.links}
     routes = [
         {
@@ -219,6 +219,7 @@ def _json_status(snapshot: Snapshot) -> str:
             "outgoing": route.outgoing,
             "state": route.state,
             "reason": route.reason,
+            "missing": [stage.name for stage in route.stages if not stage.done],
             "rate": round(route.rate, 3),
             "bytes_per_second": round(route.bytes_per_second),
             "latency_p50": route.latency_p50,

@@ -86,6 +86,13 @@ class Program:
         """What the newest status says of a topic; empty: nothing."""
         return next((each for each in self.status()["routes"] if each["topic"] == topic), {})
 
+    def sees_subscriber(self, topic: str) -> None:
+        """Wait until its publisher of a topic has a subscriber."""
+        eventually(
+            lambda: "subscriber seen" not in self.route(topic).get("missing", ["subscriber seen"]),
+            what=f"a subscriber of {topic}",
+        )
+
     def ledger(self, topic: str) -> Ledger:
         """A topic's ledger, which must balance."""
         route = self.route(topic)
@@ -134,10 +141,16 @@ class Bridge:
     robot: Node
     pc: Node
 
+    def listen(self, *, pc: tuple[str, ...] = (), robot: tuple[str, ...] = ()) -> None:
+        """Have the nodes listen, and wait until the bridge's publishers know: what they publish before is for nobody."""
+        for node, side, topics in ((self.pc, self.server, pc), (self.robot, self.client, robot)):
+            node.listen(*topics)
+            for topic in topics:
+                side.sees_subscriber(topic)
+
     def all_talk(self) -> None:
         """Have each topic of `EACH_WAY` talked on at 20 Hz and listened to; all flow when this returns."""
-        self.pc.listen("/scan", "/odom")
-        self.robot.listen("/cmd", "/goal")
+        self.listen(pc=("/scan", "/odom"), robot=("/cmd", "/goal"))
         for talker, topics in ((self.robot, ("/scan", "/odom")), (self.pc, ("/cmd", "/goal"))):
             for topic in topics:
                 talker.talk(topic, rate=20)

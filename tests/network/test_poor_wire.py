@@ -33,7 +33,7 @@ def test_every_message_is_accounted_for(network: Network, robot: Host, pc: Host)
         {"topic": "/odom", "protocol": "tcp"},
     )
     said = {"/scan": 200, "/cloud": 80, "/odom": 80}
-    bridge.pc.listen(*said)
+    bridge.listen(pc=tuple(said))
     bridge.robot.talk("/scan", rate=50, count=said["/scan"])
     bridge.robot.talk("/cloud", rate=20, size=6_000, count=said["/cloud"])
     bridge.robot.talk("/odom", rate=20, count=said["/odom"])

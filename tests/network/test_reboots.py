@@ -12,10 +12,15 @@ if TYPE_CHECKING:
     from tests.network.hosts import Cable, Host
 
 _BACK_WITHIN = 4.0
+_DDS_WITHIN = 15.0
 
 
 def test_either_side_loses_power_and_comes_back(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
-    """The server's machine is up again at once; the client's stays away, and nothing tells the server."""
+    """The server's machine is up again at once; the client's stays away, and nothing tells the server.
+
+    The bridge has 4 s to be linked again. DDS may take longer to find who is there: the nodes live on while their
+    bridge is killed, as they would not on a machine that lost power (docs/performance.md says how long).
+    """
     bridge = network.bridge(robot, pc, "10.99.1.1", *EACH_WAY)
     bridge.all_talk()
 
@@ -23,8 +28,9 @@ def test_either_side_loses_power_and_comes_back(network: Network, robot: Host, p
     bridge.client.says("link lost: ")
     bridge.client.says("is the server running there?; trying again")
     bridge.server = bridge.server.again()
-    bridge.server.says("listening on")
-    bridge.all_flow(_BACK_WITHIN)
+    up = bridge.server.says("listening on")
+    assert bridge.client.says("linked with", since=up) - up < _BACK_WITHIN
+    bridge.all_flow(_DDS_WITHIN)
 
     cable.cut()
     bridge.client.kill()
@@ -32,7 +38,8 @@ def test_either_side_loses_power_and_comes_back(network: Network, robot: Host, p
     assert bridge.server.says("link lost: the peer is silent", since=off) - off < 6.5
     cable.mend()
     bridge.client = bridge.client.again()
-    bridge.client.says("connecting to")
-    bridge.all_flow(_BACK_WITHIN)
+    up = bridge.client.says("connecting to")
+    assert bridge.client.says("linked with") - up < _BACK_WITHIN
+    bridge.all_flow(_DDS_WITHIN)
     bridge.robot.hush()
     bridge.settled("/scan", "/odom", since=off)

@@ -67,7 +67,7 @@ def test_a_robot_goes_from_one_network_to_another(network: Network, robot: Host,
     assert bridge.server.says("linked with 10.99.3.2", since=left) - left < _BACK_WITHIN
     bridge.all_flow(_BACK_WITHIN)
 
-    bridge.pc.listen("/camera")
+    bridge.listen(pc=("/camera",))
     bridge.robot.talk("/camera", rate=5, size=100_000)
     bridge.pc.hears("/camera")
     fragmented = robot.count("IpFragCreates")  # until the router's word about the smaller packets had come

@@ -28,7 +28,7 @@ def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
         {"topic": "/camera", "protocol": "tcp", "qos": {"depth": 2}},
         {"topic": "/cloud", "protocol": "udp"},
     )
-    bridge.pc.listen("/cmd", "/scan", "/camera", "/cloud")
+    bridge.listen(pc=("/cmd", "/scan", "/camera", "/cloud"))
     bridge.robot.talk("/camera", rate=10, size=50_000, count=_FRAMES)
     bridge.pc.hears("/camera")
     bridge.robot.talk("/cmd", rate=20)

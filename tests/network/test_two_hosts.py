@@ -36,8 +36,7 @@ def test_every_size_crosses_and_no_packet_is_fragmented(
         {"topic": "/map", "protocol": "tcp"},
         {"topic": "/goal", "protocol": "udp", "direction": "receive"},
     )
-    bridge.robot.listen("/goal")
-    bridge.pc.listen("/odom", "/camera", "/map")
+    bridge.listen(pc=("/odom", "/camera", "/map"), robot=("/goal",))
     bridge.pc.talk("/goal", rate=5, size=_MEGABYTE, count=5)
     said = {"/odom": 100, "/camera": 8, "/map": 3}
     bridge.robot.talk("/odom", rate=50, count=said["/odom"])
