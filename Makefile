@@ -10,14 +10,22 @@ EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(co
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-bluetooth lint bench screenshots clean system
+.PHONY: demo test test-programs test-people test-bluetooth lint bench screenshots clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
 test: $(STAMP) system lint
 	timeout -k 5 300 $(BIN)/python -m pytest tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
-	timeout -k 5 900 $(BIN)/python -m pytest --ignore=tests/wire
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-programs test-people
+
+# Two halves that take about as long, at once: what runs as programs beside each other, and what a person or a guest
+# machine drives. They share no domain, port or file.
+test-programs: $(STAMP)
+	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/engine tests/network tests/ros tests/session tests/system
+
+test-people: $(STAMP)
+	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console
 
 # Those of the tests that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md); `test` has them too.
 test-bluetooth: $(STAMP) system

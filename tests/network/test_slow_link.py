@@ -37,7 +37,7 @@ def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
 
     for topic in ("/cmd", "/scan"):
         latencies = [each.latency for each in bridge.pc.heard(topic)]
-        assert len(latencies) > 30
+        assert len(latencies) > 20
         assert quantiles(latencies, n=100)[98] < 0.3, topic
     camera = bridge.settled("/camera")["/camera"]
     assert set(camera.dropped) == {"queue full"}
