@@ -212,6 +212,8 @@ class ConsoleApp(App[None]):
 
     def pull(self) -> None:
         """Show the engine as it is now."""
+        if not self.screen_stack:  # the app is ending; the timer does not know yet
+            return
         events = [] if self.engine is None else self.engine.events(self._last_event)
         if events:
             self._last_event = events[-1].number

@@ -101,6 +101,7 @@ class ConsoleDriver(LinuxDriver):
         super().__init__(app, **options)
         self._file: Any = TerminalFile(app.terminal, app.terminal_gone)
         self._behind = False
+        self._unwatched = threading.Event()
 
     def _get_terminal_size(self) -> tuple[int, int]:
         """Columns and lines; Textual would ask standard output, which need not be the terminal."""
@@ -137,22 +138,38 @@ class ConsoleDriver(LinuxDriver):
         self._mouse = wanted
         self._enable_mouse_support()
 
+    def _sigcont_application(self, *_: object) -> None:
+        """Take the terminal again, and draw everything.
+
+        Textual would begin a second time where SIGTSTP had not ended the first, as after SIGSTOP and at a hangup: it
+        would leave threads behind, and raw mode as the one to go back to.
+        """
+        if self._writer_thread is None:
+            return
+        if not self._must_signal_resume:
+            self.suspend_application_mode()
+        super()._sigcont_application()
+        self._app.call_later(self._app.refresh)
+
     def run_input_thread(self) -> None:
         """Read keys until the terminal is gone: what reads as nothing would be read again and again."""
-        threading.Thread(target=self._watch_hangup, name="terminal-hangup", daemon=True).start()
+        self._unwatched = ended = threading.Event()
+        threading.Thread(target=self._watch_hangup, args=(ended,), name="terminal-hangup", daemon=True).start()
         with contextlib.suppress(OSError):
             super().run_input_thread()
 
-    def _watch_hangup(self) -> None:
+    def _watch_hangup(self, ended: threading.Event) -> None:
         poll = select.poll()
         poll.register(self.fileno, 0)  # POLLHUP and POLLERR are told unasked
-        while not self.exit_event.is_set():
+        while not ended.is_set():
             if poll.poll(_LOOK_EVERY_MS):
+                ended.set()
                 self.exit_event.set()
                 self._file.hung_up()
 
     def close(self) -> None:
         """Let the last frames out, unless the terminal does not read."""
+        self._unwatched.set()
         thread = self._writer_thread
         if thread is None:
             return

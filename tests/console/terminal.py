@@ -67,6 +67,11 @@ class Terminal:
         os.kill(self.pid, number)
 
     @property
+    def threads(self) -> int:
+        """How many it has."""
+        return len(list(Path(f"/proc/{self.pid}/task").iterdir()))
+
+    @property
     def alive(self) -> bool:
         """Whether the command still runs."""
         if self.status is None:

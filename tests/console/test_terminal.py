@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -110,6 +111,26 @@ def assert_told(far: FarSide) -> None:
     while not any(line.get("source") == "link" and "linked with" not in line["text"] for line in far.lines()):
         assert time.monotonic() < deadline, far.log.read_text()
         time.sleep(0.05)
+
+
+def test_stopped_and_continued_it_draws_again_and_leaves_nothing_behind(pair: Pair) -> None:
+    """SIGSTOP tells it nothing; a shell's own terminal modes may be set when it goes on."""
+    with console(pair) as terminal:
+        before = termios.tcgetattr(terminal.fd)
+        terminal.wait_for("retry")  # the engine has all its threads
+        threads = terminal.threads
+        for _ in range(3):
+            terminal.kill(signal.SIGSTOP)
+            shown = len(terminal.output)
+            terminal.kill(signal.SIGCONT)
+            terminal.wait_for("Topics", after=shown)
+        deadline = time.monotonic() + 5
+        while terminal.threads > threads:
+            assert time.monotonic() < deadline, f"{terminal.threads} threads, {threads} before"
+            terminal.read(0.05)
+        terminal.type("q")
+        assert terminal.exit_code() == 0
+        assert termios.tcgetattr(terminal.fd) == before
 
 
 def test_a_dropped_line_ends_it_and_the_peer_is_told(pair: Pair, tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ class Bridge:
     pc: Node
 
     def listen(self, *, pc: tuple[str, ...] = (), robot: tuple[str, ...] = ()) -> None:
-        """Have the nodes listen, and wait until the bridge's publishers know: what they publish before is for nobody."""
+        """Have the nodes listen, and wait until the bridge's publishers know: nobody hears what comes before."""
         for node, side, topics in ((self.pc, self.server, pc), (self.robot, self.client, robot)):
             node.listen(*topics)
             for topic in topics:

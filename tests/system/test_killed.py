@@ -29,8 +29,8 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
     """Two bridges at once, one whose client dies and one whose server does; the other halves live in this process.
 
     The victims are killed while they link, or once their topics are open, or while messages cross. The bridge has 3 s
-    to be open again, each time. The messages may take longer when DDS does: a killed process leaves it shared memory
-    to clean up and peers to forget (Fast DDS 2.14.5; stock nodes alone show up to 8 s). So the robot's publisher is a
+    to be open again, each time. The messages may take longer when DDS does: finding who is there takes any node up
+    to 3 s, and a killed process leaves shared memory to clean up (docs/performance.md). So the robot's publisher is a
     new one each time, one message in four may be late, and none is killed while it joins its domain: it may hold a
     lock there.
     """
