@@ -47,11 +47,12 @@ class _Part:
     received: dict[str, int] = field(default_factory=dict)
 
     @classmethod
-    def start(cls, part: str, domain: int) -> _Part:
+    def start(cls, part: str, domain: int, folder: Path) -> _Part:
         command = [sys.executable, "-m", "rsb_bridge.ros.simulation", part, str(domain)]
-        process = subprocess.Popen(  # noqa: S603
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0
-        )
+        with (folder / f"{part}.log").open("w") as log:  # Fast DDS would write over the console's picture
+            process = subprocess.Popen(  # noqa: S603
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, process_group=0
+            )
         self = cls(process)
         threading.Thread(target=self._read, name=f"demo-{part}", daemon=True).start()
         return self
@@ -110,9 +111,9 @@ def running_demo() -> Iterator[Demo]:
         save(Session(role="server", domain_id=robot_domain, **common), folder / "robot.yaml")  # type: ignore[arg-type]
         session = Session(role="client", domain_id=desk_domain, topics=_TOPICS, **common)  # type: ignore[arg-type]
         save(session, folder / "demo.yaml")
-        robot = _Part.start("robot", robot_domain)
+        robot = _Part.start("robot", robot_domain, folder)
         stack.callback(robot.stop)
-        desk = _Part.start("desk", desk_domain)
+        desk = _Part.start("desk", desk_domain, folder)
         stack.callback(desk.stop)
         stack.enter_context(_bridge_process(folder / "robot.yaml"))
         yield Demo(folder / "demo.yaml", session, robot, desk)

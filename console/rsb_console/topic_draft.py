@@ -18,7 +18,7 @@ from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import Offer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from rsb_bridge.snapshot import RouteSnapshot, TopicInfo
 
@@ -133,6 +133,7 @@ def offers_of(
     """What both graphs have that is not bridged yet, by name.
 
     A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
+    What has both, one on each side, is told by its publisher.
 
     Args:
         ends: of the link.
@@ -141,28 +142,35 @@ def offers_of(
         bridged: the link's routes; neither end of one is offered the same way again.
     """
     taken = {(route.spec.topic, route.spec.direction) for route in bridged}
+    crossing = {
+        (is_here, route.topic if is_here else route.remote_topic, route.outgoing)
+        for route in bridged
+        for is_here in (True, False)
+    }
+    infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
     offers: dict[str, Offer] = {}
-    for infos, is_here in ((here, True), (there, False)):
-        crossing = {(route.topic if is_here else route.remote_topic, route.outgoing) for route in bridged}
-        new = (info for info in infos if (info.topic, is_here == bool(info.publishers)) not in crossing)
-        for offer in _one_side(ends, new, is_here):
-            if (offer.value, offer.fills["direction"]) not in taken:
-                offers.setdefault(offer.key, offer)
+    for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
+        offer = _offer(ends, info, is_here)
+        if (
+            offer is not None
+            and (is_here, info.topic, is_here == bool(info.publishers)) not in crossing
+            and (offer.value, offer.fills["direction"]) not in taken
+        ):
+            offers.setdefault(offer.key, offer)
     return sorted(offers.values(), key=lambda offer: offer.value)
 
 
-def _one_side(ends: Ends, infos: Iterable[TopicInfo], is_here: bool) -> Iterator[Offer]:
+def _offer(ends: Ends, info: TopicInfo, is_here: bool) -> Offer | None:
+    """What the client would call it; None: it is not the client's to bridge."""
     on_server = is_here == ends.is_server
-    for info in infos:
-        name = ends.client_topic(info.topic, on_server=on_server)
-        if name is None:
-            continue
-        from_client = on_server != bool(info.publishers)
-        fills = {
-            "direction": "transmit" if from_client else "receive",
-            "type": info.type_name or AUTO,
-        }
-        yield Offer(f"{fills['direction']} {name}", name, partial(_line, info, is_here), fills)
+    name = ends.client_topic(info.topic, on_server=on_server)
+    if name is None:
+        return None
+    fills = {
+        "direction": "receive" if on_server == bool(info.publishers) else "transmit",
+        "type": info.type_name or AUTO,
+    }
+    return Offer(f"{fills['direction']} {name}", name, partial(_line, info, is_here), fills)
 
 
 def _line(info: TopicInfo, is_here: bool, width: int) -> Line:

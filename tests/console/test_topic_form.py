@@ -236,6 +236,14 @@ def test_topics_flow_from_publishers_to_where_somebody_listens(is_server: bool) 
     assert ways == {"/a": to_there, "/b": to_here, "/c": to_here, "/d": to_there}
 
 
+@pytest.mark.parametrize("publisher_here", [True, False])
+def test_a_topic_with_a_publisher_here_and_a_subscriber_there_is_told_by_the_publisher(publisher_here: bool) -> None:
+    graphs = [info("/a")], [info("/a", 0, 1)]
+    (offer,) = offers_of(Ends(False, "robot1", False), *(graphs if publisher_here else reversed(graphs)), [])
+    assert f"1 publisher {'here' if publisher_here else 'there'}" in "".join(piece for piece, _ in offer.line(80))
+    assert offer.fills["direction"] == ("transmit" if publisher_here else "receive")
+
+
 def test_what_crosses_already_is_not_offered_again_from_either_end() -> None:
     crossing = route("/a", spec=Topic("/a", "transmit", remote_topic="/b"), remote_topic="/b", outgoing=True)
     ends = Ends(is_server=False, client="robot1", use_name=False)

@@ -79,6 +79,7 @@ class WelcomeScreen(ModalScreen[str]):
 
     def __init__(self, *, readonly: bool) -> None:
         super().__init__()
+        self._readonly = readonly
         self._recent = recent_sessions()[:RECENT]
         self.menu = Menu(WATCHING if readonly else tuple(CHOICES), self._recent)
 
@@ -88,12 +89,12 @@ class WelcomeScreen(ModalScreen[str]):
             dialog.border_title = "rsb-console"
             yield Static(ABOUT, classes="hint")
             yield self.menu
-            yield Static("⏎ choose   ? every key   esc close", classes="hint keys")
+            yield Static("⏎ choose   ? every key" + ("" if self._readonly else "   esc close"), classes="hint keys")
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only what the menu lists."""
-        if action == "dismiss" and parameters[0]:
-            return parameters[0] in self.menu.keys
+        """Only what the menu lists; watching only, there is nothing behind it to go to."""
+        if action == "dismiss":
+            return parameters[0] in self.menu.keys if parameters[0] else not self._readonly
         return super().check_action(action, parameters)
 
     def action_choose(self) -> None:
