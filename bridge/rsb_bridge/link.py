@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Shutdown, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
+_NOT_YET = "not connected yet"
+
 
 class Link:
     """A peer and its routes. It lives on while the peer is away.
@@ -59,7 +61,7 @@ class Link:
         self.peer: Hello | Welcome | None = None
         self.fingerprint = fingerprint
         self.encrypted = encrypted
-        self.reason = "not connected yet"
+        self.reason = _NOT_YET
         self.retry_at: float | None = None
         self.attempts = 0
         self.prober: Prober | None = None
@@ -373,7 +375,7 @@ class Link:
         return LinkSnapshot(
             name=self.name,
             peer=self.address,
-            state=State.OK if self.linked else State.DOWN,
+            state=self._state(),
             reason=self.down_reason,
             since=self._since,
             retry_in=None if self.retry_at is None else max(0.0, self.retry_at - now),
@@ -389,6 +391,10 @@ class Link:
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
         )
+
+    def _state(self) -> State:
+        """One that nobody has joined yet, and nothing is known against, is no fault."""
+        return State.OK if self.linked else State.WAITING if self.reason is _NOT_YET else State.DOWN
 
     def log(self, level: Level, text: str, *, source: str = "link", topic: str = "") -> None:
         """Add an event about this link."""
