@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import pty
 import signal
 import subprocess
@@ -61,10 +62,11 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
     blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast'): sys.modules[name] = None"
     assert in_process(blocked, *arguments).returncode == 0
     times = []
-    for _ in range(5):  # the best of a few: others run on this machine
-        start = time.perf_counter()
+    for _ in range(5):  # the best of a few, in the processor's time: others run on this machine
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         assert rsb_console(*arguments).returncode == 0
-        times.append(time.perf_counter() - start)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        times.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
         if times[-1] < 0.3:
             break
     assert min(times) < 0.3
