@@ -2,8 +2,8 @@
 
 import json
 import os
-import resource
 import pty
+import resource
 import signal
 import subprocess
 import sys
