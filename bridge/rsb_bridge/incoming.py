@@ -145,7 +145,8 @@ class IncomingRoute(Route):
                 size += len(payload)
         self._delivered += count
         if count:
-            self.latency.add((now - stamp) / 1e9 + (self.peer.clock_offset or 0.0))
+            if (offset := self.peer.clock_offset) is not None:
+                self.latency.add((now - stamp) / 1e9 + offset)
             self.count(count, size)
 
     def tick(self) -> None:

@@ -111,6 +111,7 @@ class Route:
         self.closed_at = 0.0
         self.retry_at = 0.0
         self.refusals = 0
+        self._told = ""
         self.paused = proposal.paused
         self.path: Path | None = None
         self.type_name = ""
@@ -198,7 +199,8 @@ class Route:
 
     def refuse(self, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
-        if reason != self.refusal:
+        if reason != self._told:  # until messages flow, the next tries need not say the same
+            self._told = reason
             self.log(Level.ERROR, reason)
         self.close(reason)
         self.refusal = self.last_error = reason
@@ -250,6 +252,7 @@ class Route:
 
     def count(self, messages: int, size: int) -> None:
         """Note that messages passed."""
+        self._told = ""
         now = self.context.now()
         self.meter.add(messages, size, now)
         quiet = self.stale.seen(now)

@@ -72,6 +72,20 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
     assert min(times) < 0.3
 
 
+def test_what_libraries_print_is_kept_out_of_the_log() -> None:
+    script = (
+        "import os; from rsb_console import shell; shell.keep_output_clean(); os.write(1, b'theirs'); shell.say('ours')"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert (run.stdout, run.stderr) == ("ours\n", "theirs")
+
+
+@pytest.mark.parametrize(("closed", "name", "code"), [(">&-", "robot1", 0), ("2>&-", "robot1", 0), ("2>&-", "none", 2)])
+def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, code: int) -> None:
+    run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=30, check=False)
+    assert run.returncode == code
+
+
 def test_version_and_help() -> None:
     assert rsb_console("--version").stdout.startswith("rsb-console 0.")
     for command in ("run", "check", "keygen", "import", "bt-scan", "demo"):
