@@ -11,6 +11,7 @@ from rsb_bridge.dialogue import Dialogue, LinkError
 from rsb_bridge.incoming import IncomingRoute
 from rsb_bridge.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
+from rsb_bridge.latched import LATCHED_LIMIT
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
 from rsb_bridge.route import Route, route_key
@@ -49,6 +50,7 @@ class Link:
         control: the authenticated connection; None: not linked.
         keys: what the present connection's handshake left; None: not linked.
         unfinished: what the peer may have this side hold of messages that are not whole yet.
+        latched: likewise for late joiners.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -69,6 +71,7 @@ class Link:
         self.prober: Prober | None = None
         self.lanes: dict[int, Lane] = {}
         self.unfinished = Budget(UNFINISHED_LIMIT)
+        self.latched = Budget(LATCHED_LIMIT)
         self._by_id: dict[int, Route] = {}
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = time.time()
