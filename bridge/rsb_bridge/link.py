@@ -11,6 +11,7 @@ from rsb_bridge.dialogue import Dialogue, LinkError
 from rsb_bridge.incoming import IncomingRoute
 from rsb_bridge.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
+from rsb_bridge.latched import LATCHED_LIMIT
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
 from rsb_bridge.route import Route, route_key
@@ -18,9 +19,10 @@ from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.shared import SharedPath
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.fields import plain
-from rsb_bridge.wire.framing import DataReader, DataWriter
+from rsb_bridge.wire.framing import UNFINISHED_LIMIT, DataReader, DataWriter
 from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
@@ -47,6 +49,8 @@ class Link:
         routes: by key.
         control: the authenticated connection; None: not linked.
         keys: what the present connection's handshake left; None: not linked.
+        unfinished: what the peer may have this side hold of messages that are not whole yet.
+        latched: likewise for late joiners.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -66,6 +70,8 @@ class Link:
         self.attempts = 0
         self.prober: Prober | None = None
         self.lanes: dict[int, Lane] = {}
+        self.unfinished = Budget(UNFINISHED_LIMIT)
+        self.latched = Budget(LATCHED_LIMIT)
         self._by_id: dict[int, Route] = {}
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = time.time()
@@ -286,7 +292,7 @@ class Link:
         assert self.keys is not None
         if route.outgoing:
             return DatagramWriter(self.keys.route_sealer(route.id, self.side), self.keys.link_id, route.id)
-        return DatagramReader(self.keys.datagram_opener(route.id, self.other_side), route.id)
+        return DatagramReader(self.keys.datagram_opener(route.id, self.other_side), route.id, budget=self.unfinished)
 
     def _share_stream(self, route: Route) -> None:
         assert self.control is not None
@@ -296,7 +302,7 @@ class Link:
         assert self.keys is not None
         if route.outgoing:
             return DataWriter(self.keys.route_sealer(route.id, self.side), route.id)
-        return DataReader(self.keys.stream_opener(route.id, self.other_side), route.id)
+        return DataReader(self.keys.stream_opener(route.id, self.other_side), route.id, budget=self.unfinished)
 
     def attach_stream(self, route: Route, stream: Stream, beginning: bytes) -> None:
         """A stream of the route's own is let in; `beginning` came behind its opening."""

@@ -97,6 +97,8 @@ class StreamPath(StreamHandler):
         return None
 
     def close(self, reason: str) -> None:
+        if isinstance(self._end, DataReader):
+            self._end.close()
         self.stream.handler = StreamHandler()
         self.stream.abort(reason)  # the peer closes its half too: nobody would read what waits
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.paths import Path
     from rsb_bridge.qos import Qos
     from rsb_bridge.session import Topic
+    from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.framing import Message
 
 _LONGEST_PAUSE = 10.0
@@ -37,6 +38,7 @@ class Peer(Protocol):
 
     name: str
     is_client: bool
+    latched: Budget
 
     @property
     def linked(self) -> bool:
