@@ -12,6 +12,7 @@ from rsb_bridge.incoming import IncomingRoute
 from rsb_bridge.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.latched import LATCHED_LIMIT
+from rsb_bridge.meters import ClockOffset
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath
 from rsb_bridge.route import Route, route_key
@@ -378,6 +379,7 @@ class Link:
         """The link as it is now."""
         now = self.context.now()
         keepalive, keys, peer = self.keepalive, self.keys, self.peer
+        clock = keepalive.clock if self.linked else ClockOffset()  # what a dead connection measured holds no more
         return LinkSnapshot(
             name=self.name,
             peer=self.address,
@@ -389,9 +391,9 @@ class Link:
             encrypted=self.encrypted,
             cipher=keys.suite.name if keys and self.encrypted else "",
             fingerprint=self.fingerprint,
-            rtt=keepalive.clock.rtt,
-            clock_offset=keepalive.clock.offset,
-            clock_uncertainty=keepalive.clock.uncertainty,
+            rtt=clock.rtt,
+            clock_offset=clock.offset,
+            clock_uncertainty=clock.uncertainty,
             rx_bytes_per_second=keepalive.rx_rate if self.linked else 0.0,
             tx_bytes_per_second=keepalive.tx_rate if self.linked else 0.0,
             peer_version=peer.version if peer else "",

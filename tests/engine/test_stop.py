@@ -9,11 +9,12 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, linked, said
+from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, link, linked, said
 from tests.support.domain import text
 from tests.support.resources import resources
 
 from rsb_bridge.session import Topic
+from rsb_bridge.snapshot import State
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -41,6 +42,16 @@ def test_the_peer_is_told(bridge: Bridge) -> None:
     eventually(lambda: linked(again))
     stops(server)
     eventually(lambda: said(again, "the server closed the link: the server stops"))
+
+
+def test_what_was_measured_ends_with_the_link(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    eventually(lambda: None not in (link(client).rtt, link(client).clock_offset, link(client).clock_uncertainty))
+    stops(server)
+    eventually(lambda: not linked(client))
+    over = link(client)
+    assert over.state is not State.OK
+    assert (over.rtt, over.clock_offset, over.clock_uncertainty) == (None, None, None)
 
 
 @pytest.mark.parametrize("stopped", ["server", "client"])
