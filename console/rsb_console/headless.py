@@ -15,7 +15,7 @@ from rsb_bridge.snapshot import Level, State
 from rsb_console.shell import FAILURE, OK, complain, keep_output_clean, say
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
     from types import FrameType
 
@@ -83,7 +83,7 @@ def bridge_until_told(
         seconds: stop by itself after so long.
     """
     printer = _Printer(_json_event if log_format == "json" else _text_event)
-    status = _json_status if log_format == "json" else _text_status
+    status = _json_status if log_format == "json" else text_status
     stopping = _json_stopping if log_format == "json" else _text_stopping
     ends = None if seconds is None else time.monotonic() + seconds
     next_status = time.monotonic() + status_every
@@ -173,7 +173,8 @@ def _text_stopping(reason: str) -> str:
     return f"{_clock(time.time())} stopping: {reason}"
 
 
-def _text_status(snapshot: Snapshot) -> str:
+def text_status(snapshot: Snapshot) -> str:
+    """One line: how many are linked and flow, what crosses, and how each of the first topics is."""
     linked = sum(link.state is State.OK for link in snapshot.links)
     states = [route.state for route in snapshot.routes]
     counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
@@ -183,17 +184,31 @@ def _text_status(snapshot: Snapshot) -> str:
         f"{linked}/{len(snapshot.links)} linked",
         f"{len(states)} topics" + (f": {counts}" if counts else ""),
         f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-        *(_rate_words(route) for route in snapshot.routes[:_TOPICS_IN_STATUS]),
+        *(_rate_words(route) for route in _faults_first(snapshot.routes)[:_TOPICS_IN_STATUS]),
     ]
     if len(states) > _TOPICS_IN_STATUS:
         parts.append(f"and {len(states) - _TOPICS_IN_STATUS} more")
     return f"{_clock(snapshot.time)} status  {' | '.join(parts)}"
 
 
+def _faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
+    """So that what the line has no room for is what flows; else in their order."""
+    worst_first = list(State)
+    return sorted(routes, key=lambda route: worst_first.index(route.state))
+
+
 def _rate_words(route: RouteSnapshot) -> str:
     arrow = "→" if route.outgoing else "←"
     dropped = route.ledger.dropped_total
-    return f"{arrow} {route.topic} {route.rate:.1f} Hz" + (f" ({dropped} dropped)" if dropped else "")
+    return f"{arrow} {route.topic} {_how(route)}" + (f" ({dropped} dropped)" if dropped else "")
+
+
+def _how(route: RouteSnapshot) -> str:
+    """Its rate, or what is the matter: a pause is the operator's own doing and needs no reason."""
+    if route.state is State.OK:
+        return f"{route.rate:.1f} Hz"
+    reason = "" if route.state is State.PAUSED else route.reason
+    return route.state.upper() + (f": {reason}" if reason else "")
 
 
 def _json_line(content: dict[str, object]) -> str:

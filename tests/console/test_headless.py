@@ -1,0 +1,32 @@
+"""The status line of a bridge without a console: what flows with its rate, what doesn't with the reason."""
+
+from dataclasses import replace
+
+from scripted import ScriptedEngine, route
+
+from rsb_bridge.snapshot import Ledger, RouteSnapshot, State
+from rsb_console.headless import text_status
+
+
+def parts(*routes: RouteSnapshot) -> list[str]:
+    """What the line says of each topic."""
+    return text_status(replace(ScriptedEngine().snapshot(), routes=routes)).split(" | ")[3:]
+
+
+def test_what_does_not_flow_says_why_and_stands_first() -> None:
+    waiting = route("/scan", State.WAITING, outgoing=True, reason="no publisher of /scan in domain 2", ledger=Ledger())
+    stale = route("/map", State.STALE, reason="nothing for 15 s", rate=0.0, ledger=Ledger(dropped={"queue full": 3}))
+    paused = route("/goal", State.PAUSED, reason="paused there", ledger=Ledger())
+    assert parts(route("/odom", ledger=Ledger()), paused, waiting, stale) == [
+        "← /map STALE: nothing for 15 s (3 dropped)",
+        "→ /scan WAITING: no publisher of /scan in domain 2",
+        "← /goal PAUSED",
+        "← /odom 10.0 Hz",
+    ]
+
+
+def test_what_has_no_room_is_what_flows() -> None:
+    flowing = [route(f"/t{number}") for number in range(9)]
+    line = parts(*flowing, route("/late", State.DOWN, reason="link lost", ledger=Ledger()))
+    assert line[0] == "← /late DOWN: link lost"
+    assert line[-1] == "and 2 more"
