@@ -290,6 +290,30 @@ async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilo
 
 
 @on_main()
+async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot) -> None:
+    log = app.main.log_pane
+    await pilot.press("l", "G")
+    held = log.selected
+    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
+    app.pull()
+    await pilot.press("slash")
+    await until(pilot, lambda: not log.has_focus, "the prompt")
+    await pilot.press("escape")
+    await until(pilot, lambda: log.has_focus, "the log again")
+    assert log.selected == held, "the filter's prompt is not another pane"
+    app.app_focus = False
+    await until(pilot, lambda: not log.has_focus, "another window")
+    app.app_focus = True
+    await until(pilot, lambda: log.has_focus, "the log again")
+    assert log.selected == held, "nor is another window"
+    await pilot.press("l")
+    await shown(pilot, "more 39")
+    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
+    app.pull()
+    await shown(pilot, "newest")
+
+
+@on_main()
 async def test_pause_and_resume(app, pilot) -> None:
     await pilot.press("p")
     await until(pilot, lambda: app.engine.commands == [("pause", "/robot2/scan", True)], "pause")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.snapshot import Level
 from rsb_console import formats
 from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.lines import LiveLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,7 +24,10 @@ WORD = {Level.DEBUG: "debug", Level.INFO: "info", Level.WARNING: "WARN", Level.E
 
 
 class LogPane(CursorLines):
-    """Events, newest first. At the top it follows; further down it holds still while new ones come in."""
+    """Events, newest first. At the top it follows; further down it holds still while new ones come in.
+
+    When the focus goes to another pane it follows again.
+    """
 
     def __init__(self) -> None:
         super().__init__(id="log")
@@ -93,6 +97,12 @@ class LogPane(CursorLines):
     def listed(self) -> list[Event]:
         """What is shown, oldest first."""
         return list(self._shown.values())[::-1]
+
+    def on_blur(self) -> None:
+        """Back to the newest; not for the filter's prompt, nor when the terminal's window loses the focus."""
+        super().on_blur()
+        if isinstance(self.screen.focused, LiveLines):
+            self.move_to(0)
 
     def is_cursor(self, index: int) -> bool:
         """Only while the log has the focus."""
