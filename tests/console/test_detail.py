@@ -34,6 +34,28 @@ def test_another_topic_is_shown_from_its_beginning() -> None:
     drive(app, steps)
 
 
+def test_the_keys_of_a_list_scroll_it() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.resize_terminal(120, 20)
+        await pilot.press("enter")
+        pane = app.main.detail
+        await until(pilot, lambda: pane.has_focus and pane.max_scroll_y > 3, "more than fits")
+        for key, y in [
+            ("j", 1), ("down", 2), ("k", 1), ("up", 0), ("G", pane.max_scroll_y), ("g", 0),
+            ("end", pane.max_scroll_y), ("home", 0),
+        ]:  # fmt: skip
+            await pilot.press(key)
+            await until(pilot, lambda y=y: pane.scroll_offset.y == y, f"{key}: line {y} at the top")
+        await pilot.press("pagedown")
+        await until(pilot, lambda: pane.scroll_offset.y > 1, "a page on")
+        assert app.main.selected.topic == "/robot2/scan", "the table's cursor stays"
+
+    drive(app, steps)
+
+
 def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
     waiting = route("/scan", State.WAITING, type_name="", spec=Topic("/scan", "receive", type="LaserScan"))
     assert "LaserScan (as configured)" in said(waiting)

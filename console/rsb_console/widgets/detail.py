@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.qos import AUTO
 from rsb_bridge.snapshot import State
 from rsb_console import formats
+from rsb_console.actions import Group, bindings
 from rsb_console.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 from rsb_console.widgets.topics import carries, present_rate
@@ -23,7 +24,9 @@ LABEL = 11  # cells of a figure's name
 
 
 class DetailPane(LiveLines, can_focus=True):
-    """The topic under the cursor."""
+    """The topic under the cursor. It has no cursor itself: the keys of a list scroll it."""
+
+    BINDINGS = bindings(Group.MOVE)
 
     def __init__(self) -> None:
         super().__init__(id="detail")
@@ -57,6 +60,22 @@ class DetailPane(LiveLines, can_focus=True):
         else:
             self._lines = [fit(line, width) for line in detail_lines(route, peer, width)]
         self.sync()
+
+    def action_move_down(self) -> None:
+        """One line on."""
+        self.scroll_down(animate=False)
+
+    def action_move_up(self) -> None:
+        """One line back."""
+        self.scroll_up(animate=False)
+
+    def action_move_first(self) -> None:
+        """To the first line."""
+        self.scroll_home(animate=False)
+
+    def action_move_last(self) -> None:
+        """To the last line."""
+        self.scroll_end(animate=False)
 
     def on_resize(self) -> None:
         """Lay the lines out anew."""
