@@ -240,6 +240,11 @@ class _Dumper(yaml.SafeDumper):
 
     yaml_implicit_resolvers = {first: list(each) for first, each in yaml.SafeDumper.yaml_implicit_resolvers.items()}  # noqa: RUF012 (as above)
 
+    def serialize(self, node: yaml.Node) -> None:
+        if isinstance(node, yaml.MappingNode):
+            node.flow_style = False  # the root, even where it holds nothing but scalars; what is in it as it is
+        super().serialize(node)
+
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
