@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.session_file import SessionError, save
+from rsb_bridge.session_file import SessionError, load, save
 
 if TYPE_CHECKING:
     from rsb_bridge.session import Session, Topic
@@ -62,14 +62,38 @@ def path_problem(text: str) -> str:
     return ""
 
 
-async def save_asking(app: ConsoleApp, session: Session, path: Path) -> bool:
+def topics_note(session: Session) -> str:
+    """What a saved session does not hold, though the console shows it; empty: it holds all."""
+    if session.role == "client":
+        return ""
+    return "\nIt holds no topics: they are in the clients' files; those added here last until this server ends."
+
+
+def holds(path: Path, session: Session) -> bool:
+    """Whether a file says just this session already; False where it is no session file."""
+    try:
+        return load(path) == session
+    except SessionError:
+        return False
+
+
+async def save_asking(app: ConsoleApp, session: Session, path: Path, *, note: str = "") -> bool:
     """Write a session file; ask before one is overwritten, and tell the operator how it went.
 
+    Args:
+        app: asks and tells.
+        session: with its key files named as from `path`.
+        path: of the file. One that says the same already is left alone, with its comments.
+        note: what to tell besides.
+
     Returns:
-        Whether it is written.
+        Whether the file holds the session now.
     """
     from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
+    if holds(path, session):
+        app.notify(f"nothing has changed: {path} is as it would be saved{note}", markup=False, timeout=8 if note else 3)
+        return True
     if path.exists():  # noqa: ASYNC240 -- one stat
         words = "What is in the file now is replaced, comments too."
         if not await app.push_screen_wait(ConfirmScreen(f"Overwrite {path.name}?", words, "Overwrite")):
@@ -79,5 +103,5 @@ async def save_asking(app: ConsoleApp, session: Session, path: Path) -> bool:
     except SessionError as error:
         app.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
         return False
-    app.notify(f"saved: {path}", markup=False, timeout=3)
+    app.notify(f"saved: {path}{note}", markup=False, timeout=8 if note else 3)
     return True

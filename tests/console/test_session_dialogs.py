@@ -11,7 +11,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.keys import fingerprint, read_key, write_key
 from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import load, save
+from rsb_bridge.session_file import dump, load, save
 from rsb_console.recents import LIMIT, recent_sessions, remember
 from rsb_console.saving import moved, unsaved
 
@@ -333,6 +333,44 @@ def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
     drive(app, steps)
 
 
+def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    path.write_text(f"# mine\n{dump(SESSION)}")
+    app = scripted_app(path=path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("w")
+        await shown(pilot, "nothing has changed:")
+        assert "no topics" not in text(app), "a client's session holds them"
+        assert path.read_text().startswith("# mine")
+        path.write_text("name: [\n")  # somebody broke it meanwhile
+        await pilot.press("w")
+        await shown(pilot, "Overwrite nav2.yaml?")
+
+    drive(app, steps)
+
+
+def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> None:
+    session = msgspec.structs.replace(SESSION, role="server")
+    save(session, folder / "pc.yaml")
+    app = scripted_app(session=session, path=folder / "pc.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("w")
+        await shown(pilot, "nothing has changed:")
+        await shown(pilot, "no topics")
+        await pilot.press("W")
+        await shown(pilot, "Save as")
+        await fill(pilot, path="other.yaml")
+        await pilot.press("enter")
+        await shown(pilot, "saved: other.yaml")
+        assert load(folder / "other.yaml") == session
+
+    drive(app, steps)
+
+
 def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
     (folder / "robots").mkdir()
     (folder / "safe").mkdir()
@@ -348,8 +386,8 @@ def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
         await fill(pilot, path=str(folder / "robots" / "r.yaml"))
         await pilot.press("enter")
         await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
-        await pilot.press("w", "y")  # once more, over itself
-        await shut(pilot)
+        await pilot.press("w")  # once more, over itself
+        await shown(pilot, "nothing has changed:")
 
     drive(app, steps)
     saved = load(folder / "robots" / "r.yaml")
