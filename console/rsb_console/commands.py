@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from rsb_bridge.keys import Key
     from rsb_bridge.session import Session, Topic
 
 LAST_SAFE_DOMAIN = 101  # above it, DDS's ports lie in Linux's ephemeral range: docs.ros.org, "The ROS_DOMAIN_ID"
@@ -59,7 +60,7 @@ def run(arguments: Namespace) -> int:
 
 
 def check(arguments: Namespace) -> int:
-    """Print what a session would do, and what an operator should mend first."""
+    """Print what a session would do, and what an operator should mend first; a key that is missing is a mistake."""
     path: Path = arguments.session
     try:
         session = load(path)
@@ -69,7 +70,7 @@ def check(arguments: Namespace) -> int:
         say(line)
     for warning in warnings(session, path):
         say(f"warning: {warning}")
-    return OK
+    return USAGE if any(isinstance(key, KeyFileError) for key in _keys(session, path)) else OK
 
 
 def _refuse(error: SessionError) -> int:
@@ -161,12 +162,23 @@ def warnings(session: Session, path: Path) -> list[str]:
 
 
 def _key_warnings(session: Session, path: Path) -> Iterator[str]:
+    for key in _keys(session, path):
+        if isinstance(key, KeyFileError):
+            yield f"{key}; without it the bridge does not start"
+        else:
+            yield from key.warnings
+
+
+def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:
+    """Each key that a session needs, or why there is none."""
+    if not session.use_encryption:
+        return
     names = [client.key_file or session.key_file for client in session.clients] or [session.key_file]
     for name in dict.fromkeys(name for name in names if name is not None):
         try:
-            yield from read_key(key_path(path, name)).warnings
+            yield read_key(key_path(path, name))
         except KeyFileError as error:
-            yield f"{error}; without it the bridge does not start"
+            yield error
 
 
 def _summary(session: Session) -> Iterator[str]:

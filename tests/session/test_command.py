@@ -59,6 +59,7 @@ def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]
 
 @pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
 def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) -> None:
+    rsb_console("keygen")
     blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast'): sys.modules[name] = None"
     assert in_process(blocked, *arguments).returncode == 0
     times = []
@@ -82,6 +83,7 @@ def test_what_libraries_print_is_kept_out_of_the_log() -> None:
 
 @pytest.mark.parametrize(("closed", "name", "code"), [(">&-", "robot1", 0), ("2>&-", "robot1", 0), ("2>&-", "none", 2)])
 def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, code: int) -> None:
+    rsb_console("keygen")
     run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=30, check=False)
     assert run.returncode == code
 
@@ -95,15 +97,19 @@ def test_version_and_help() -> None:
 
 def test_check_says_what_would_be_bridged_and_warns() -> None:
     run = rsb_console("check", "robot1.yaml")
-    assert run.returncode == 0
+    assert run.returncode == 2, "it would not start"
     assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
     assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
     assert "encryption on, prefix /robot1 where the server has use_name on" in run.stdout
     assert "warning: key.txt: no such key file" in run.stdout
     rsb_console("keygen")
-    assert "warning" not in rsb_console("check", "robot1.yaml").stdout
+    run = rsb_console("check", "robot1.yaml")
+    assert run.returncode == 0
+    assert "warning" not in run.stdout
     Path("key.txt").chmod(0o644)
-    assert "others may read this key (mode 0644)" in rsb_console("check", "robot1.yaml").stdout
+    run = rsb_console("check", "robot1.yaml")
+    assert run.returncode == 0, "a warning is no failure"
+    assert "others may read this key (mode 0644)" in run.stdout
 
 
 def test_check_leaves_out_nothing_that_a_topic_says() -> None:
@@ -291,6 +297,7 @@ def test_a_reader_that_left_gets_no_traceback() -> None:
 
 def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     Path("robot1.yaml").write_text(SESSION.replace("name: robot1", "name: röbot"), encoding="utf-8")
+    rsb_console("keygen")
     run = rsb_console("check", "robot1.yaml", env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert run.returncode == 0
     assert r"client r\xf6bot" in run.stdout
