@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import yaml
 
+from rsb_bridge.bringup import bridge_nodes
 from rsb_bridge.files import kind_of_file, replace_file
 from rsb_bridge.keys import conceal, is_key_file
 from rsb_bridge.session import Problem, Session
@@ -70,6 +71,9 @@ def parse(text: str, path: Path) -> Session:
         SessionError: it has mistakes.
     """
     document = read_yaml(text, path)
+    if bridge_nodes(document.data):
+        words = f"is of ros2_socket_bridge, no session yet: `rsb-console import {path} --name NAME` makes one"
+        raise SessionError(path, [Problem("", words)])
     session, problems = build(document.data)
     if document.problems or problems:
         raise SessionError(path, document.problems + [document.locate(problem) for problem in problems])

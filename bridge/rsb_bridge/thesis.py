@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.bringup import bridge_nodes
 from rsb_bridge.ros.types import SHORT_NAMES
 from rsb_bridge.session import Direction, Problem, Role, Session, is_mac
 from rsb_bridge.session_file import SessionError, read_text, read_yaml
@@ -92,11 +93,7 @@ def import_bringup(
 
 def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
     """The name and parameters of the one node in the file that is the bridge's."""
-    nodes = {}
-    for node, content in (data if isinstance(data, dict) else {}).items():
-        parameters = content.get("ros__parameters") if isinstance(content, dict) else None
-        if isinstance(parameters, dict) and "server_ip" in parameters:
-            nodes[node] = parameters
+    nodes = bridge_nodes(data)
     if not nodes:
         words = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
         raise SessionError(path, [Problem("", words)])

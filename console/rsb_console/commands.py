@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.keys import Key
     from rsb_bridge.session import Session, Topic
 
+_IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_port": "--port N"}  # by what they give
 LAST_SAFE_DOMAIN = 101  # above it, DDS's ports lie in Linux's ephemeral range: docs.ros.org, "The ROS_DOMAIN_ID"
 
 
@@ -132,6 +133,9 @@ def import_thesis(arguments: Namespace) -> int:
             save(session, output)
     except SessionError as error:
         complain(f"not imported\n{error}")
+        missing = {each.place for each in error.problems if not each.line} & _IMPORT_OPTIONS.keys()
+        for place in sorted(missing):  # those in the file have its line
+            complain(f"{place} is given with {_IMPORT_OPTIONS[place]}")
         return USAGE
     if output is None:
         say(dump(session).removesuffix("\n"))

@@ -209,7 +209,23 @@ def test_import_to_standard_output_and_its_mistakes() -> None:
     refused = rsb_console("import", "bringup.yaml", "--name", "robot1")
     assert refused.returncode == 2
     assert "key_file: missing" in refused.stderr
+    assert "key_file is given with --key-file PATH, or --no-encryption\n" in refused.stderr
+    assert "--port" not in refused.stderr
     assert rsb_console("import", "bringup.yaml").returncode == 2
+    Path("bringup.yaml").write_text("server_node:\n  ros__parameters:\n    server_ip: '127.0.0.1'\n")
+    refused = rsb_console("import", "bringup.yaml", "--name", "robot1", "--no-encryption")
+    assert "server_port is given with --port N\n" in refused.stderr
+
+
+@pytest.mark.parametrize("command", [("check",), ("run", "--no-ui")])
+def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[str, ...]) -> None:
+    Path("bringup.yaml").write_text(BRINGUP)
+    run = rsb_console(*command, "bringup.yaml")
+    assert run.returncode == 2
+    assert run.stderr == (
+        "rsb-console: bringup.yaml: is of ros2_socket_bridge, no session yet: "
+        "`rsb-console import bringup.yaml --name NAME` makes one\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -246,7 +262,9 @@ def test_bad_arguments_are_refused_in_words() -> None:
         (("chekc", "robot1.yaml"), "did you mean `rsb-console check`?"),
         (("run", "--no-ui"), "--no-ui needs a session file"),
         (("run", "--log-format", "xml", "robot1.yaml"), "invalid choice: 'xml'"),
-        (("demo", "--seconds", "0"), "argument --seconds"),
+        (("demo", "--seconds", "0"), "argument --seconds: '0' is not a number of seconds above 0"),
+        (("run", "--status-every", "soon", "robot1.yaml"), "--status-every: 'soon' is not a number of seconds above 0"),
+        (("run", "--status-every", "nan", "robot1.yaml"), "--status-every: 'nan' is not a number of seconds above 0"),
         (("check",), "the following arguments are required: SESSION"),
     ]:
         run = rsb_console(*arguments)
