@@ -219,6 +219,48 @@ def test_a_topic_over_bluetooth_on_an_ip_link(addresses: tuple[str, str], base: 
         assert (route(client, "/odom").transport, route(client, "/odom").port) == ("tcp", 49152)
 
 
+_SIZES = {"/map": 100_000, "/joy": 80, "/cmd": 5_000, "/odom": 700}
+
+
+def _all_cross(client_side: StandIn, server_side: StandIn) -> None:
+    """Messages of `_SIZES` at once, each topic's whole and in order; /cmd goes to the client."""
+    wait_until(lambda: client_side.subscribed("/map", "/joy", "/odom"), "the client's are open", 20.0)
+    wait_until(lambda: server_side.subscribed("/cmd"), "the server's is open", 20.0)
+    ways = dict.fromkeys(_SIZES, (client_side, server_side)) | {"/cmd": (server_side, client_side)}
+    for topic, (source, sink) in ways.items():
+        sink.arrived[topic].clear()
+        for number in range(5):
+            source.publish(topic, bytes([number]) * _SIZES[topic])
+    for topic, (_, sink) in ways.items():
+        _let_arrive(sink, topic, 5)
+        assert [one.payload for one in sink.arrived[topic]] == [bytes([n]) * _SIZES[topic] for n in range(5)]
+
+
+def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
+    """Also after one was made anew, and after the radio link broke. The kernel has one connection on a channel."""
+    client_side, server_side = StandIn(map=Qos(), joy=Qos(), odom=Qos()), StandIn(cmd=Qos())
+    radio = {"protocol": "bluetooth", "port": 11, "compression": "none"}
+    on_radio = [
+        Topic("/map", "transmit", **radio),
+        Topic("/joy", "transmit", **radio),
+        Topic("/cmd", "receive", **radio),
+    ]
+    common = {"server_port": 49152, "bluetooth_address": addresses[0]}
+    listening = structs.replace(session("server", "127.0.0.1"), **common)
+    calling = structs.replace(session("client", "127.0.0.1", *on_radio, Topic("/odom", "transmit")), **common)
+    with running(listening, base, server_side) as server, running(calling, base, client_side) as client:
+        _all_cross(client_side, server_side)
+        wait_until(lambda: held_channels(listening, server.snapshot()) == {(addresses[0], 11)}, "the snapshot has it")
+        client.remove_topic("robot1 → /map").result(5)
+        client.add_topic(on_radio[0]).result(5)
+        _all_cross(client_side, server_side)
+        before = link(client).since
+        subprocess.run(_DISCONNECT[0].format(server=addresses[0]).split(), check=True)
+        wait_until(lambda: any("data connection" in event.text for event in client.events()), "it is noticed")
+        _all_cross(client_side, server_side)
+        assert link(client).since == before
+
+
 def _channels(found: Scan, address: str, use: Use) -> set[int]:
     return {number for number, what in found.channels[address].items() if what is use}
 
