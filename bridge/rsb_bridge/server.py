@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach, Established
 
 _FIRST_PORT, _MOST_PORTS = 1024, 64
+_NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
 _REPLACED_PAUSE = 10.0
 """s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
 
@@ -93,7 +94,7 @@ class ServerLink(Link):
         """The route that a stream is asked for; raises Refusal where none waits for it."""
         route = self.open_route(opening.route)
         if self.keys is None or route is None or route.path is not None or route.transport == "udp":
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, "no such route waits for a stream")
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
         try:
             self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
         except SealError as error:
@@ -219,7 +220,7 @@ class Server:
         """A stream was opened for a route; raises Refusal where it may not be."""
         link = self._link_of(event.link_id)
         if link is None:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, "no such link waits for a stream")
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
         route = link.waiting_route(event)
         stream.write(connection.accept_attach())
         link.attach_stream(route, stream, connection.leftover())
