@@ -8,13 +8,16 @@ from rsb_bridge.shared import SharedStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.fields import plain
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
 from rsb_bridge.wire.messages import ControlMessage, Shutdown
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from rsb_bridge.link import Link
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
+
+_MOST_WAITING = 8 * CONTROL_LIMIT
+"""Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
 
 
 class Control(StreamHandler):
@@ -37,6 +40,8 @@ class Control(StreamHandler):
     def send(self, message: ControlMessage) -> None:
         """Send a message."""
         self.stream.write(self._connection.send(message))
+        if self.stream.waiting_bytes > _MOST_WAITING:
+            self.stream.abort("the peer asks for more than it takes")  # it is over once this call's caller is done
 
     def shut_down(self, reason: str, *, retry_after: float | None) -> None:
         """Tell the peer that this ends on purpose, and end it."""

@@ -61,6 +61,7 @@ class Dialogue:
         self.newest_route = 0
         self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
         self._listing = False
+        self._refused: dict[str, str] = {}
 
     def end(self) -> None:
         """The connection is over: nobody will answer."""
@@ -68,6 +69,7 @@ class Dialogue:
             if not future.done():
                 future.set_exception(LinkError(f"{self._link.name}: the link was lost"))
         self._requests.clear()
+        self._refused.clear()
         self.newest_route = 0
 
     def handle(self, message: ControlMessage) -> None:
@@ -148,7 +150,11 @@ class Dialogue:
         route.agreed()
 
     def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
-        self._link.log(Level.WARNING, f"refused {proposal.topic}: {reason}", source="route", topic=proposal.topic)
+        if self._refused.get(proposal.topic) != reason:  # the other side goes on trying; once is enough
+            if len(self._refused) >= MOST_ROUTES:
+                self._refused.clear()
+            self._refused[proposal.topic] = reason
+            self._link.log(Level.WARNING, f"refused {proposal.topic}: {reason}", source="route", topic=proposal.topic)
         self._link.send(Refuse(route=proposal.route, code=code, reason=plain(reason)))
 
     def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:

@@ -10,6 +10,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.graph import type_hint
+from rsb_bridge.latched import LATCHED_LIMIT, Latched
 from rsb_bridge.qos import incompatible
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.route import Peer, Route
@@ -39,6 +40,7 @@ class IncomingRoute(Route):
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._publisher: Publisher | None = None
+        self._latched: Latched | None = None
         self._decompressor = zstandard.ZstdDecompressor()
         self._received = 0
         self._delivered = 0
@@ -67,20 +69,21 @@ class IncomingRoute(Route):
             self._refuse_type(clash)
             return
         if self._publisher is None or self._current() != (description.type, description.type_hash, description.qos):
-            if self._publisher is not None:
-                self._publisher.close()
-                self._publisher = None
+            self._close_publisher()
+            qos = _bounded(description.qos)
             try:
                 self._publisher = self.context.ros.advertise(
                     self.remote_topic,
                     description.type,
                     description.type_hash,
-                    _bounded(description.qos),
+                    qos,
                     origin=self.peer.name,
                 )
             except RosError as error:
                 self._refuse_type(str(error))
                 return
+            if qos.durability == "transient_local":
+                self._latched = Latched(self.peer.latched, qos.depth)
             self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
         self.log(Level.INFO, f"← {self.transport} connected ({description.type})")
         self.peer.send(Ready(route=self.id, before=self._before))
@@ -119,9 +122,15 @@ class IncomingRoute(Route):
     def destroy(self) -> None:
         """End it for good, its publisher too."""
         super().destroy()
+        self._close_publisher()
+
+    def _close_publisher(self) -> None:
         if self._publisher is not None:
             self._publisher.close()
             self._publisher = None
+        if self._latched is not None:
+            self._latched.clear()
+            self._latched = None
 
     # --- messages
 
@@ -136,7 +145,14 @@ class IncomingRoute(Route):
         for payload, stamp, flags in messages:  # noqa: B007 — the last one's stamp is the batch's latency sample
             self._received += 1
             try:
-                publisher.publish(self._decompress(payload) if flags & ZSTD else payload)
+                content = self._decompress(payload) if flags & ZSTD else payload
+                if self._latched is not None and not self._latched.keep(len(content)):
+                    self._dropped["latched full"] += 1
+                    self._say(
+                        f"this link's latched topics keep more than {LATCHED_LIMIT:,} bytes: give it a smaller depth"
+                    )
+                    continue
+                publisher.publish(content)
             except (RosError, zstandard.ZstdError) as error:
                 self._dropped["publish failed"] += 1
                 self._say(str(error))
@@ -145,7 +161,8 @@ class IncomingRoute(Route):
                 size += len(payload)
         self._delivered += count
         if count:
-            self.latency.add((now - stamp) / 1e9 + (self.peer.clock_offset or 0.0))
+            if (offset := self.peer.clock_offset) is not None:
+                self.latency.add((now - stamp) / 1e9 + offset)
             self.count(count, size)
 
     def tick(self) -> None:
@@ -240,5 +257,7 @@ class IncomingRoute(Route):
 
 def _bounded(qos: Qos) -> Qos:
     """What a publisher here keeps for late joiners and slow readers, whatever the peer asks for."""
-    most = _MOST_LATCHED if qos.durability == "transient_local" else _MOST_KEPT
-    return qos if qos.depth <= most else msgspec.structs.replace(qos, depth=most)
+    if qos.durability != "transient_local":
+        return qos if qos.depth <= _MOST_KEPT else msgspec.structs.replace(qos, depth=_MOST_KEPT)
+    depth = _MOST_LATCHED if qos.history == "keep_all" else min(max(qos.depth, 1), _MOST_LATCHED)
+    return msgspec.structs.replace(qos, history="keep_last", depth=depth)

@@ -199,6 +199,8 @@ class DatagramPath:
         return None
 
     def close(self, reason: str) -> None:
+        if isinstance(self._end, DatagramReader):
+            self._end.close()
         self._lane.remove(self._route_id)
 
     def received(self, datagram: bytes, now: float) -> None:

@@ -11,6 +11,7 @@ from rsb_bridge.dialogue import Dialogue, LinkError
 from rsb_bridge.incoming import IncomingRoute
 from rsb_bridge.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
+from rsb_bridge.latched import LATCHED_LIMIT
 from rsb_bridge.outgoing import OutgoingRoute
 from rsb_bridge.paths import StreamPath, datagram_end, stream_end
 from rsb_bridge.radio import RadioStream
@@ -19,8 +20,9 @@ from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.shared import SharedPath, SharedStream
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.fields import plain
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
 from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Shutdown, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
+_NOT_YET = "not connected yet"
+
 
 class Link:
     """A peer and its routes. It lives on while the peer is away.
@@ -45,6 +49,8 @@ class Link:
         routes: by key.
         control: the authenticated connection; None: not linked.
         keys: what the present connection's handshake left; None: not linked.
+        unfinished: what the peer may have this side hold of messages that are not whole yet.
+        latched: likewise for late joiners.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -59,11 +65,13 @@ class Link:
         self.peer: Hello | Welcome | None = None
         self.fingerprint = fingerprint
         self.encrypted = encrypted
-        self.reason = "not connected yet"
+        self.reason = _NOT_YET
         self.retry_at: float | None = None
         self.attempts = 0
         self.prober: Prober | None = None
         self.lanes: dict[int, Lane] = {}
+        self.unfinished = Budget(UNFINISHED_LIMIT)
+        self.latched = Budget(LATCHED_LIMIT)
         self._by_id: dict[int, Route] = {}
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = time.time()
@@ -375,7 +383,7 @@ class Link:
         return LinkSnapshot(
             name=self.name,
             peer=self.address,
-            state=State.OK if self.linked else State.DOWN,
+            state=self._state(),
             reason=self.down_reason,
             since=self._since,
             retry_in=None if self.retry_at is None else max(0.0, self.retry_at - now),
@@ -391,6 +399,10 @@ class Link:
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
         )
+
+    def _state(self) -> State:
+        """One that nobody has joined yet, and nothing is known against, is no fault."""
+        return State.OK if self.linked else State.WAITING if self.reason is _NOT_YET else State.DOWN
 
     def log(self, level: Level, text: str, *, source: str = "link", topic: str = "") -> None:
         """Add an event about this link."""

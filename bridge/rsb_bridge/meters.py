@@ -11,6 +11,8 @@ HISTORY = 120
 _WINDOWS = (3, 10, 30)
 _BUSY_SECONDS = 5
 _LATENCIES = 512
+_EARLIEST, _LATEST = -1.0, 3600.0
+"""s: what a message can take, give or take what two clocks are compared to; a slow radio link has minutes waiting."""
 _PINGS = 16
 
 
@@ -101,7 +103,15 @@ class LatencyMeter:
         self.jitter: float | None = None
 
     def add(self, transit: float) -> None:
-        """Take one message's transit time (s): arrival on our clock minus departure on the peer's."""
+        """Take one message's transit time (s): arrival on our clock minus departure on the peer's.
+
+        One that no message can take means that a clock was set: all is forgotten, until the clocks are compared anew.
+        """
+        if not _EARLIEST < transit < _LATEST:
+            self._samples.clear()
+            self._transit = self.p50 = self.p99 = self.jitter = None
+            self._fresh = False
+            return
         if self._transit is not None:
             jitter = self.jitter or 0.0
             self.jitter = jitter + (abs(transit - self._transit) - jitter) / 16

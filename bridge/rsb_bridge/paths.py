@@ -99,6 +99,8 @@ class StreamPath(StreamHandler):
         return None
 
     def close(self, reason: str) -> None:
+        if isinstance(self._end, DataReader):
+            self._end.close()
         self.stream.handler = StreamHandler()
         self.stream.abort(reason)  # the peer closes its half too: nobody would read what waits
 
@@ -134,7 +136,7 @@ def stream_end(link: Link, route: Route) -> DataWriter | DataReader:
     assert link.keys is not None
     if route.outgoing:
         return DataWriter(link.keys.route_sealer(route.id, link.side), route.id)
-    return DataReader(link.keys.stream_opener(route.id, link.other_side), route.id)
+    return DataReader(link.keys.stream_opener(route.id, link.other_side), route.id, budget=link.unfinished)
 
 
 def datagram_end(link: Link, route: Route) -> DatagramWriter | DatagramReader:
@@ -142,4 +144,4 @@ def datagram_end(link: Link, route: Route) -> DatagramWriter | DatagramReader:
     assert link.keys is not None
     if route.outgoing:
         return DatagramWriter(link.keys.route_sealer(route.id, link.side), link.keys.link_id, route.id)
-    return DatagramReader(link.keys.datagram_opener(route.id, link.other_side), route.id)
+    return DatagramReader(link.keys.datagram_opener(route.id, link.other_side), route.id, budget=link.unfinished)

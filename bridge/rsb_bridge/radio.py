@@ -31,7 +31,7 @@ class RadioStream(SharedStream, StreamHandler):
         super().__init__(stream)
         self.channel = channel
         self._link = link
-        self._frames = FrameReader(CONTROL_LIMIT)
+        self._frames = FrameReader(CONTROL_LIMIT, link.unfinished)
         stream.handler = self
 
     def carry(self, route: Route) -> None:
@@ -79,5 +79,6 @@ class RadioStream(SharedStream, StreamHandler):
             path.route.path_lost(reason)
 
     def _end(self, reason: str) -> None:
+        self._frames.close()
         self.stream.handler = StreamHandler()
         self.stream.abort(reason)  # the peer closes its half too: nobody would read what waits

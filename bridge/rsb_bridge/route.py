@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.paths import Path
     from rsb_bridge.qos import Qos
     from rsb_bridge.session import Topic
+    from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.framing import Message
 
 _LONGEST_PAUSE = 10.0
@@ -37,6 +38,7 @@ class Peer(Protocol):
 
     name: str
     is_client: bool
+    latched: Budget
 
     @property
     def linked(self) -> bool:
@@ -111,6 +113,7 @@ class Route:
         self.closed_at = 0.0
         self.retry_at = 0.0
         self.refusals = 0
+        self._told = ""
         self.paused = proposal.paused
         self.path: Path | None = None
         self.type_name = ""
@@ -198,7 +201,8 @@ class Route:
 
     def refuse(self, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
-        if reason != self.refusal:
+        if reason != self._told:  # until messages flow, the next tries need not say the same
+            self._told = reason
             self.log(Level.ERROR, reason)
         self.close(reason)
         self.refusal = self.last_error = reason
@@ -250,6 +254,7 @@ class Route:
 
     def count(self, messages: int, size: int) -> None:
         """Note that messages passed."""
+        self._told = ""
         now = self.context.now()
         self.meter.add(messages, size, now)
         quiet = self.stale.seen(now)

@@ -129,5 +129,7 @@ class SharedPath(Path):
         return None
 
     def close(self, reason: str) -> None:
+        if isinstance(self._end, DataReader):
+            self._end.close()
         self._chunks.clear()
         self.shared.forget(self)

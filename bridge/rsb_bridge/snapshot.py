@@ -157,7 +157,7 @@ class LinkSnapshot:
     Attributes:
         name: the client's name (on a client: its own, which is the link's).
         peer: address of the other side, ``host:port`` or ``MAC channel n``.
-        state: OK when linked; `reason` says why where it is not.
+        state: OK when linked, WAITING where nothing has been tried yet, else DOWN; `reason` says why.
         since: s since the epoch, when it came into this state.
         retry_in: s until the next attempt; None: none is planned.
         attempts: failed since it was last linked.

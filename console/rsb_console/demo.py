@@ -21,7 +21,7 @@ from rsb_bridge.keys import write_key
 from rsb_bridge.session import Session, Topic
 from rsb_bridge.session_file import save
 from rsb_console.headless import Signals, bridge_until_told
-from rsb_console.shell import FAILURE, INTERRUPTED, OK, complain, say
+from rsb_console.shell import FAILURE, INTERRUPTED, OK, complain, keep_output_clean, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -139,6 +139,7 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
                 return run_console(
                     demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop", temporary=True
                 )
+            keep_output_clean()
             say(f"a simulated robot, a desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}")
             engine = Engine(demo.session, base=demo.path.parent)
             engine.start()

@@ -19,18 +19,8 @@ if TYPE_CHECKING:
 
     from textual.color import Color
 
-    from rsb_bridge.snapshot import LinkSnapshot
-
 STATE_SIGN = {State.OK: "●", State.WAITING: "◌", State.PAUSED: "‖", State.STALE: "▲", State.DOWN: "✗"}
 STATE_WORD = {State.OK: "ok", State.WAITING: "WAIT", State.PAUSED: "PAUSED", State.STALE: "STALE", State.DOWN: "DOWN"}
-_NOT_YET = "not connected yet"  # the engine's reason before anything has been tried
-
-
-def link_state(link: LinkSnapshot) -> State:
-    """How a link is to be shown: one that nobody has joined yet is no fault."""
-    return State.WAITING if link.state is State.DOWN and link.reason == _NOT_YET else link.state
-
-
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN = "✓", "✗", "·"
 BARS = " ▁▂▃▄▅▆▇█"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.engine import Engine, EngineError
 from rsb_bridge.snapshot import Level, State
-from rsb_console.shell import FAILURE, OK, complain, say
+from rsb_console.shell import FAILURE, OK, complain, keep_output_clean, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +40,7 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
     Returns:
         The exit code.
     """
+    keep_output_clean()
     engine = Engine(session, base=path.parent)
     with Signals(ignore_hangup=on_hangup == "continue") as signals:
         try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 
 OK, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
@@ -11,6 +13,15 @@ def say(text: str) -> None:
     """Write a line to standard output. What its encoding lacks is escaped: a name may be in any script."""
     encoding = sys.stdout.encoding
     sys.stdout.write(f"{text}\n".encode(encoding, "backslashreplace").decode(encoding))
+
+
+def keep_output_clean() -> None:
+    """Keep standard output for what is said here: what libraries write there, as Fast DDS does, goes to the errors."""
+    with contextlib.suppress(OSError):  # one of the two is closed
+        sys.stdout.flush()
+        own = os.dup(1)
+        os.dup2(2, 1)
+        sys.stdout = os.fdopen(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
 
 
 def complain(text: str) -> None:

@@ -102,6 +102,7 @@ class ConsoleDriver(LinuxDriver):
         self._file: Any = TerminalFile(app.terminal, app.terminal_gone)
         self._behind = False
         self._unwatched = threading.Event()
+        self._continuing = False
 
     def _get_terminal_size(self) -> tuple[int, int]:
         """Columns and lines; Textual would ask standard output, which need not be the terminal."""
@@ -139,17 +140,22 @@ class ConsoleDriver(LinuxDriver):
         self._enable_mouse_support()
 
     def _sigcont_application(self, *_: object) -> None:
+        """Take the terminal again, soon: signals may come faster than that goes, and one taking is enough for all."""
+        if self._writer_thread is not None and not self._continuing:
+            self._continuing = True
+            self._app.call_later(self._continue)
+
+    def _continue(self) -> None:
         """Take the terminal again, and draw everything.
 
         Textual would begin a second time where SIGTSTP had not ended the first, as after SIGSTOP and at a hangup: it
         would leave threads behind, and raw mode as the one to go back to.
         """
-        if self._writer_thread is None:
-            return
+        self._continuing = False
         if not self._must_signal_resume:
             self.suspend_application_mode()
         super()._sigcont_application()
-        self._app.call_later(self._app.refresh)
+        self._app.refresh()
 
     def run_input_thread(self) -> None:
         """Read keys until the terminal is gone: what reads as nothing would be read again and again."""

@@ -333,7 +333,7 @@ async def test_an_unencrypted_link_is_an_alarm_however_narrow(app, pilot) -> Non
 
 @on_main()
 async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app, pilot) -> None:
-    put(app, links=(replace(LINK, state=State.DOWN, reason="not connected yet"),), role="server")
+    put(app, links=(replace(LINK, state=State.WAITING, reason="not connected yet"),), role="server")
     await shown(pilot, "◌ WAIT")
     await pilot.press("c")
     await shown(pilot, "esc close")

@@ -78,6 +78,7 @@ def test_unknown_names_are_not_installed() -> None:
     assert installed_class("no_such_msgs/msg/Name") is None
     assert installed_class("std_msgs/msg/NoSuch") is None
     assert installed_class("std_msgs/srv/String") is None
+    assert installed_class("std_srvs/msg/Trigger") is None  # a package without messages
 
 
 def test_split_type_name() -> None:

@@ -106,8 +106,8 @@ def test_a_hundred_topics_at_20_hz(bridge: Bridge, programs: Programs, robot: Do
         for publisher in publishers:
             publisher.publish(text(f"{number}"))
         time.sleep(max(0.0, began + (number + 1) / 20 - time.monotonic()))
-    assert time.monotonic() - began < 3.5
+    assert time.monotonic() - began < 4.5
     for listener, count in zip(listeners, before, strict=True):
         eventually(lambda listener=listener, count=count: len(listener.payloads) >= count + 60)
         assert listener.texts(60) == [f"{number}" for number in range(60)]
-        assert 2.7e9 < listener.received[-1] - listener.received[-60] < 3.5e9
+        assert 2.7e9 < listener.received[-1] - listener.received[-60] < 4.5e9

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.datagram import (
     FRAGMENTS_LIMIT,
     PROBE_ROUTE,
@@ -88,7 +89,7 @@ def test_every_message_is_accounted_for_whatever_is_lost(data, sizes):
         assert reader.newest == reader.received + reader.expired + reader.pending + reader.lost
     reader.expire(10.0)
     assert reader.pending == 0
-    assert reader._cost == 0
+    assert reader._budget.held == 0
 
 
 def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again():
@@ -119,7 +120,7 @@ def test_a_message_given_up_before_an_older_one_is_not_kept_again():
 
 
 def test_what_is_kept_is_bounded_and_the_oldest_gives_way():
-    writer, reader = ends(max_bytes=3 * 1200)
+    writer, reader = ends(budget=Budget(3 * 1400))
     messages = [writer.write(bytes(2000), 0, 0, OVERHEAD + 1000) for _ in range(4)]
     for fragments in messages:
         assert reader.receive(fragments[0], 0.0) is None
@@ -129,11 +130,29 @@ def test_what_is_kept_is_bounded_and_the_oldest_gives_way():
 
 
 def test_tiny_fragments_cost_what_they_take():
-    peer, (_, reader) = Peer(), ends(max_bytes=10_000)
+    peer, (_, reader) = Peer(), ends(budget=Budget(20_000))
     for number in range(1, 200):
         assert reader.receive(peer.datagram(b"", index=0, count=2, number=number), 0.0) is None
     assert reader.pending == 50
     assert reader.expired == 149
+
+
+def test_what_other_routes_hold_is_not_to_be_had():
+    """Then the newest message is the oldest too, and is given up; a whole one still passes, and so does all again."""
+    budget = Budget(2000)
+    writer, reader = ends(budget=budget)
+    messages = [writer.write(bytes(2000), 0, 0, OVERHEAD + 1000) for _ in range(3)]
+    assert budget.take(1000)
+    assert reader.receive(messages[0][0], 0.0) is None
+    assert (reader.pending, reader.expired, reader.rejected, budget.held) == (0, 1, 0, 1000)
+    assert reader.receive(writer.write(b"whole", 0, 0, 1400)[0], 0.0) == (b"whole", 0, 0)
+    budget.give(1000)
+    assert reader.receive(messages[1][0], 0.0) is None
+    assert budget.held == 1400
+    assert reader.receive(messages[1][1], 0.0) == (bytes(2000), 0, 0)
+    assert reader.receive(messages[2][0], 0.0) is None
+    reader.close()
+    assert (reader.pending, reader.expired, budget.held) == (0, 1, 0)
 
 
 def test_a_message_too_long_is_given_up():

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import DATA, MORE, ZSTD, DataReader, DataWriter, FrameReader, ProtocolError, pack_frame
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
@@ -26,10 +27,10 @@ def pieces(draw, stream):
     return [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
 
 
-def data_ends(suite, route=ROUTE, limit=1 << 20, key=KEY):
+def data_ends(suite, route=ROUTE, limit=1 << 20, key=KEY, budget=None):
     return (
         DataWriter(Sealer(suite, None if suite is Suite.PLAIN else KEY), route),
-        DataReader(StreamOpener(suite, None if suite is Suite.PLAIN else key), route, limit),
+        DataReader(StreamOpener(suite, None if suite is Suite.PLAIN else key), route, limit, budget),
     )
 
 
@@ -39,6 +40,7 @@ def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data, frames)
     stream = b"".join(pack_frame(frame) for frame in frames)
     out = [bytes(frame) for piece in data.draw(pieces(stream)) for frame in reader.feed(piece)]
     assert out == frames
+    assert reader._budget.held == 0
 
 
 @given(st.data(), st.binary(max_size=200))
@@ -135,6 +137,43 @@ def test_a_message_may_have_the_limit_and_no_byte_more(suite):
     assert reader.receive_data(b"".join(writer.write_chunks(bytes(100), 0, 0, 30))) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match="more than 100 bytes in chunks"):
         reader.receive_data(b"".join(writer.write_chunks(bytes(101), 0, 0, 30)))
+
+
+@SUITES
+@given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
+def test_what_is_held_is_what_has_come_of_the_unfinished(suite, data, sent, chunk_size):
+    """Chunks beside a frame that is cut; whatever came, nothing is held once the reader is closed."""
+    budget = Budget(1 << 20)
+    writer, reader = data_ends(suite, budget=budget)
+    stream = b"".join(frame for message in sent for frame in writer.write_chunks(*message, chunk_size))
+    for piece in data.draw(pieces(stream))[: data.draw(st.integers(0, 10))]:
+        reader.receive_data(piece)
+        assert budget.held == len(reader._frames._tail) + len(reader._chunks)
+    reader.close()
+    assert budget.held == 0
+
+
+@pytest.mark.parametrize("began", ["a frame", "chunks"])
+def test_readers_hold_no_more_than_their_budget_together(began):
+    budget = Budget(1000)
+    ends = [data_ends(Suite.AESGCM, route, budget=budget) for route in (1, 3)]
+    if began == "a frame":
+        begun = [writer.write(bytes(700), 0)[:600] for writer, _ in ends]
+    else:
+        begun = [writer.write(bytes(600), 0, MORE) for writer, _ in ends]
+    (_, first), (_, second) = ends
+    assert first.receive_data(begun[0]) == []
+    with pytest.raises(ProtocolError, match="would hold more than 1,000 bytes"):
+        second.receive_data(begun[1])
+    second.close()
+    assert budget.held == 600
+    first.close()
+    assert budget.held == 0
+
+
+def test_a_message_that_comes_at_once_costs_the_budget_nothing():
+    writer, reader = data_ends(Suite.AESGCM, budget=Budget(0))
+    assert reader.receive_data(writer.write(bytes(5000), 0)) == [(bytes(5000), 0, 0)]
 
 
 def test_empty_chunks_are_harmless():

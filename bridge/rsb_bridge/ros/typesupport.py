@@ -81,7 +81,11 @@ def installed_class(type_name: str) -> type | None:
     package, kind, name = split_type_name(type_name)
     if kind != "msg" or not _is_interface_package(package):
         return None
-    found: type | None = getattr(importlib.import_module(f"{package}.msg"), name, None)
+    try:
+        messages = importlib.import_module(f"{package}.msg")
+    except ImportError:  # it has services or actions only, or is broken
+        return None
+    found: type | None = getattr(messages, name, None)
     return found
 
 

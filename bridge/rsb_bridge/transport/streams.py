@@ -89,6 +89,11 @@ class Stream(asyncio.Protocol):
             self._transport.abort()
 
     @property
+    def waiting_bytes(self) -> int:
+        """What was written and the kernel has not taken yet."""
+        return self._transport.get_write_buffer_size() if self._transport is not None else 0
+
+    @property
     def over(self) -> bool:
         """Whether it is closed or closing."""
         return self._transport is None or self._transport.is_closing()

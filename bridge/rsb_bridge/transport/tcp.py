@@ -8,6 +8,7 @@ import errno
 import socket
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.transport.names import look_up
 from rsb_bridge.transport.streams import Stream, StreamHandler, os_words
 
 if TYPE_CHECKING:
@@ -29,9 +30,7 @@ async def connect(host: str, port: int, handler: StreamHandler) -> Stream:
     Raises:
         OSError: none did, or the name is not known.
     """
-    loop = asyncio.get_running_loop()
-    async with asyncio.timeout(CONNECT_TIMEOUT):
-        found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    found = await look_up(host, port, CONNECT_TIMEOUT)
     failure: OSError = OSError(f"{host}: the name has no address")
     for family, kind, proto, _, address in found:
         try:

@@ -6,7 +6,8 @@ import struct
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 MAGIC = 0xB5
@@ -16,8 +17,9 @@ PROBE_ROUTE = 0
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
-_FRAGMENT_COST = 200
-"""What Python spends on keeping a fragment beside its bytes: many tiny ones must not cost more than is counted."""
+_FRAGMENT_COST = 400
+"""What Python spends on keeping a message's first fragment beside its bytes: many tiny ones must not cost more than is
+counted."""
 
 
 def addressee(datagram: Buffer) -> tuple[int, bytes] | None:
@@ -134,16 +136,16 @@ class DatagramReader:
         self,
         opener: DatagramOpener,
         route: int,
-        max_bytes: int = 2 * MESSAGE_LIMIT,
         max_message: int = MESSAGE_LIMIT,
+        budget: Budget | None = None,
     ) -> None:
         """Read one route.
 
         Args:
             opener: of the peer's direction.
             route: its id.
-            max_bytes: what incomplete messages may hold together; the oldest give way.
             max_message: the longest message.
+            budget: what incomplete messages are held from, the route's oldest giving way; None: one of its own.
         """
         self.authentic = 0
         self.rejected = 0
@@ -153,10 +155,9 @@ class DatagramReader:
         self.newest = 0
         self._open = opener.open
         self._route = route
-        self._max_bytes = max_bytes
+        self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._max_message = max_message
         self._incomplete: dict[int, _Incomplete] = {}  # by message number, the longest kept first
-        self._cost = 0
         self._given_up = 0  # the highest number that was: what comes late of those is not kept again
 
     @property
@@ -194,6 +195,11 @@ class DatagramReader:
                 break
             self._give_up(number)
 
+    def close(self) -> None:
+        """Hold nothing any more: the rest will not come."""
+        for number in tuple(self._incomplete):
+            self._forget(number)
+
     def _receive(self, datagram: Buffer, now: float) -> Message | None:
         if len(datagram) < _HEADER.size:
             raise ProtocolError(f"a datagram of {len(datagram)} bytes: its header alone has {_HEADER.size}")
@@ -230,15 +236,20 @@ class DatagramReader:
             raise ProtocolError(f"the fragments of message {number} do not go together, or are too many")
         message.fragments[index] = content
         message.size += len(content)
-        cost = len(content) + _FRAGMENT_COST
-        message.cost += cost
-        self._cost += cost
         if len(message.fragments) == count:
             self._forget(number)
             return b"".join([message.fragments[i] for i in range(count)])
-        while self._cost > self._max_bytes:
-            self._give_up(next(iter(self._incomplete)))
+        self._hold(number, len(content) + _FRAGMENT_COST)
         return None
+
+    def _hold(self, number: int, cost: int) -> None:
+        """Take what a message's next fragment costs from the budget, or give up the message, as the last of all."""
+        while not self._budget.take(cost):
+            oldest = next(iter(self._incomplete))
+            self._give_up(oldest)
+            if oldest == number:
+                return
+        self._incomplete[number].cost += cost
 
     def _give_up(self, number: int) -> None:
         self._forget(number)
@@ -246,4 +257,4 @@ class DatagramReader:
         self._given_up = max(self._given_up, number)
 
     def _forget(self, number: int) -> None:
-        self._cost -= self._incomplete.pop(number).cost
+        self._budget.give(self._incomplete.pop(number).cost)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, TypeAlias
 
+from rsb_bridge.wire.budget import Budget
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -14,6 +16,8 @@ OPENING_LIMIT = 4096
 CONTROL_LIMIT = 1 << 20
 MESSAGE_LIMIT = 64 << 20
 """The longest message that crosses, bytes as sent (compressed, if it is)."""
+UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
+"""Bytes that a link's readers hold together of what is not whole yet: 64 messages of 8 MB, each half come."""
 
 CONTROL = 0
 DATA = 1
@@ -48,8 +52,15 @@ class FrameReader:
         limit: the longest frame that may come, bytes.
     """
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, limit: int, budget: Budget | None = None) -> None:
+        """Begin.
+
+        Args:
+            limit: the longest frame that may come, bytes.
+            budget: what the frame that is not whole yet is held from; None: one of its own.
+        """
         self.limit = limit
+        self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._tail = bytearray()  # a frame that is not whole yet
         self._needed = 0  # bytes the tail must have before it is worth a look
 
@@ -63,13 +74,14 @@ class FrameReader:
             Every frame that is whole now, without its length.
 
         Raises:
-            ProtocolError: a frame is longer than the limit.
+            ProtocolError: a frame is longer than the limit, or the budget is spent.
         """
         if self._tail:
-            self._tail += data
+            self._keep(data)
             if len(self._tail) < self._needed:
                 return []
             data, self._tail = self._tail, bytearray()
+            self._budget.give(len(data))
         frames: list[memoryview] = []
         view = memoryview(data)
         unpack, limit = LENGTH.unpack_from, self.limit
@@ -85,8 +97,18 @@ class FrameReader:
                 break
             frames.append(view[start + _LENGTH_SIZE : stop])
             start = stop
-        self._tail += view[start:]
+        if start < end:
+            self._keep(view[start:])
         return frames
+
+    def close(self) -> None:
+        """Hold nothing any more."""
+        self._budget.give(len(self._tail))
+        self._tail = bytearray()
+
+    def _keep(self, data: Buffer) -> None:
+        _take(self._budget, len(data))
+        self._tail += data
 
 
 class DataWriter:
@@ -129,11 +151,22 @@ class DataWriter:
 class DataReader:
     """Opens a route's data frames, and puts chunks together again."""
 
-    def __init__(self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT) -> None:
+    def __init__(
+        self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT, budget: Budget | None = None
+    ) -> None:
+        """Read one route.
+
+        Args:
+            opener: of the peer's direction.
+            route: its id.
+            limit: the longest message, bytes.
+            budget: what messages that are not whole yet are held from; None: one of its own.
+        """
+        self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._open = opener.open
         self._route = route
         self._limit = limit
-        self._frames = FrameReader(_HEADER_SIZE + limit + opener.suite.tag_length)
+        self._frames = FrameReader(_HEADER_SIZE + limit + opener.suite.tag_length, self._budget)
         self._chunks = bytearray()
 
     def receive_data(self, data: Buffer) -> list[Message]:
@@ -143,7 +176,7 @@ class DataReader:
             Every message that is whole now.
 
         Raises:
-            ProtocolError: the format is broken.
+            ProtocolError: the format is broken, or the budget is spent.
             SealError: a seal does not hold.
         """
         open_frame = self.open_frame
@@ -156,7 +189,7 @@ class DataReader:
             The message, or None where more chunks of it are to come.
 
         Raises:
-            ProtocolError: the format is broken.
+            ProtocolError: the format is broken, or the budget is spent.
             SealError: the seal does not hold.
         """
         if len(frame) < _HEADER_SIZE:
@@ -172,8 +205,22 @@ class DataReader:
             return content, stamp, flags
         if len(self._chunks) + len(content) > self._limit:
             raise ProtocolError(f"a message of more than {self._limit} bytes in chunks")
-        self._chunks += content
         if flags & MORE:
+            _take(self._budget, len(content))
+            self._chunks += content
             return None
+        self._budget.give(len(self._chunks))
+        self._chunks += content
         content, self._chunks = bytes(self._chunks), bytearray()
         return content, stamp, flags
+
+    def close(self) -> None:
+        """Hold nothing any more: the rest will not come."""
+        self._frames.close()
+        self._budget.give(len(self._chunks))
+        self._chunks = bytearray()
+
+
+def _take(budget: Budget, size: int) -> None:
+    if not budget.take(size):
+        raise ProtocolError(f"the messages that this link has begun would hold more than {budget.limit:,} bytes")

@@ -13,7 +13,7 @@ from textual.widgets import Static
 
 from rsb_bridge.snapshot import State
 from rsb_console import formats
-from rsb_console.glyphs import STATE_SIGN, STATE_WORD, link_state
+from rsb_console.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.widgets.cursor_lines import CursorLines
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
@@ -43,7 +43,7 @@ class LinksTable(CursorLines):
         """Show its links."""
         order = list(State)
         self._now = snapshot
-        worst_first = sorted(snapshot.links, key=lambda link: (order.index(link_state(link)), link.name))
+        worst_first = sorted(snapshot.links, key=lambda link: (order.index(link.state), link.name))
         self._links = {link.name: link for link in worst_first}
         self.show_keys(list(self._links))
 
@@ -58,7 +58,7 @@ class LinksTable(CursorLines):
         if index < self.sticky or self._now is None:
             return ((HEADING, "head"),)
         link = self._links[self.keys[index - self.sticky]]
-        state = link_state(link)
+        state = link.state
         name = fit(((f"{link.name:<12}", "strong"),), 12)
         topics = sum(route.link == link.name for route in self._now.routes)
         figures = (
@@ -109,7 +109,7 @@ def _detail(link: LinkSnapshot, width: int) -> Iterator[Line]:
     if link.state is not State.OK:
         retry = "" if link.retry_in is None else f"; attempt {link.attempts + 1} in {link.retry_in:.0f} s"
         for number, words in enumerate(textwrap.wrap(f"{link.reason}{retry}", max(20, width - LABEL))):
-            yield (_label("" if number else "why"), (words, link_state(link).value))
+            yield (_label("" if number else "why"), (words, link.state.value))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
     version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.snapshot import State
 from rsb_console import formats
-from rsb_console.glyphs import STATE_SIGN, STATE_WORD, link_state, sparkline
+from rsb_console.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
 if TYPE_CHECKING:
@@ -150,13 +150,13 @@ def _warnings(snapshot: Snapshot) -> list[tuple[str, str]]:
 def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
     linked = [link for link in links if link.state is State.OK]
     if len(links) > 1:
-        worst = next(state for state in State if any(link_state(link) is state for link in links))
+        worst = next(state for state in State if any(link.state is state for link in links))
         return f"   {STATE_SIGN[worst]} {len(linked)} of {len(links)} linked", worst.value
     (link,) = links
     if linked:
         return f"   ● LINKED {formats.clock(now - link.since)}", "ok"
     retry = "" if link.retry_in is None else f" · retry {link.attempts + 1} in {link.retry_in:.0f} s"
-    state = link_state(link)
+    state = link.state
     return f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry}", state.value
 
 

@@ -1,0 +1,139 @@
+"""What a peer can make the other side hold: bounded over its whole link, and no robot notices."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tests.support.bridge import carries, eventually, heard, linked, route, said, settled
+from tests.support.domain import text
+from tests.support.rogue import Rogue
+
+from rsb_bridge.keys import read_key
+from rsb_bridge.qos import Qos
+from rsb_bridge.session import Topic
+from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT
+from rsb_bridge.wire.messages import Ping
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.link import Link
+
+ROUTES = 8
+WORDS = f"would hold more than {UNFINISHED_LIMIT:,} bytes"
+
+
+@pytest.fixture
+def server(bridge: Bridge) -> Engine:
+    return bridge.server()
+
+
+@pytest.fixture
+def rogue(bridge: Bridge, server: Engine) -> Iterator[Rogue]:
+    made = Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
+    yield made
+    made.close()
+
+
+def link_of(server: Engine) -> Link:
+    assert server._end is not None
+    return next(iter(server._end.links()))
+
+
+@pytest.mark.parametrize("how", ["frames", "chunks"])
+def test_on_streams(how: str, bridge: Bridge, server: Engine, rogue: Rogue, robot: Domain, pc: Domain) -> None:
+    """Eight times the longest message, all but its end: half of that is kept; then a robot is served as ever."""
+    assert ROUTES * MESSAGE_LIMIT >= 2 * UNFINISHED_LIMIT
+    link = link_of(server)
+    for number in range(ROUTES):
+        stream, writer = rogue.stream(rogue.route(f"/begun{number}", "tcp", Qos()))
+        if how == "frames":
+            rogue.begin_frame(stream)
+        else:
+            rogue.begin_chunks(stream, writer)
+        assert link.unfinished.held <= UNFINISHED_LIMIT
+    eventually(lambda: said(server, WORDS))
+    assert linked(server)
+    rogue.close()
+    eventually(lambda: not linked(server) and link.unfinished.held == 0)
+    there, out = pc.listener("/beat"), robot.publisher("/beat")
+    bridge.client(Topic("/beat", "transmit"))
+    carries([out], server, ["/beat"])
+    out.publish(text("x" * (8 << 20)))
+    heard(there, 1)
+    eventually(lambda: link.unfinished.held == 0)
+
+
+def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
+    """The last fragment never comes: routes share what one of them could have, and it is all given back in time."""
+    writers = [rogue.datagrams(rogue.route(f"/begun{number}", "udp", Qos())) for number in range(3)]
+    rogue.probe()
+    link = link_of(server)
+    eventually(lambda: link.lanes, what="the server has heard the probe")
+    highest, over = 0, time.monotonic() + 4.0
+    while time.monotonic() < over:
+        for writer in writers:
+            rogue.udp.send(writer.write(bytes(120_000), 0, 0, 60_000)[0])
+        highest = max(highest, link.unfinished.held)
+    assert MESSAGE_LIMIT // 16 < highest <= UNFINISHED_LIMIT
+    eventually(lambda: link.unfinished.held == 0)
+
+
+def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue) -> None:
+    with contextlib.suppress(OSError):
+        for number in range(1_000_000):
+            rogue.say(Ping(n=number, sent=number))
+    eventually(lambda: said(server, "the peer asks for more than it takes"))
+    assert not linked(server)
+
+
+def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
+    """The oldest gives way where the depth says so; a topic that would have too much kept is told what to do."""
+    link = link_of(server)
+    link.latched.limit = 10_000_000
+    names = ("/fits", "/hoards")
+    keep_all = {"durability": "transient_local", "history": "keep_all"}
+    qos: dict[str, Any] = {"/fits": {"durability": "transient_local", "depth": 2}, "/hoards": keep_all}
+    theres = [pc.listener(name) for name in names]
+    outs = [
+        robot.publisher(name, qos=QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)) for name in names
+    ]
+    client = bridge.client(*(Topic(name, "transmit", qos=qos[name], compression="zstd") for name in names))
+    carries(outs, server, names)
+    for count in range(1, 9):  # one by one: of more than wait for the stream at once, only two would be kept
+        for out in outs:
+            out.publish(text("x" * 1_500_000))
+        heard(theres[0], count)
+    assert settled(client, "/fits", 8).delivered == 8
+    ledger = settled(client, "/hoards", 8)
+    assert (ledger.delivered, ledger.dropped) == (4, {"latched full": 4})
+    assert "give it a smaller depth" in route(server, "/hoards").last_error
+    client.remove_topic(route(client, "/hoards").key).result(5)
+    eventually(lambda: 3_000_000 <= link.latched.held < 3_001_000)
+    client.remove_topic(route(client, "/fits").key).result(5)
+    eventually(lambda: link.latched.held == 0)
+
+
+def test_many_large_messages_at_once(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
+    """Eight topics of 8 MB, all at the same moment, three times."""
+    names = [f"/large{number}" for number in range(ROUTES)]
+    theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
+    client = bridge.client(*(Topic(name, "transmit") for name in names))
+    carries(outs, server, names)
+    payload = text("x" * ((8 << 20) - 100))
+    for count in (1, 2, 3):
+        for out in outs:
+            out.publish(payload)
+        for there in theres:
+            assert heard(there, count, 30)[-1] == payload
+    for name in names:
+        assert settled(client, name, 3).delivered == 3
+    assert link_of(server).unfinished.held == 0

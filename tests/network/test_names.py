@@ -1,0 +1,30 @@
+"""A host name whose name server does not answer."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from tests.network.bridging import Program, Sessions
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.network.hosts import Host
+
+
+def test_a_silent_name_server_is_named_and_holds_up_no_stop(robot: Host, tmp_path: Path) -> None:
+    servers = tmp_path / "resolv.conf"
+    servers.write_text("nameserver 127.0.0.2\n")
+    robot.run("mount", "--bind", str(servers), "/etc/resolv.conf")
+    robot.nft(
+        "add table inet wall;"
+        "add chain inet wall in { type filter hook input priority 0; };"
+        "add rule inet wall in udp dport 53 drop"
+    )
+    client = Program(robot, Sessions(tmp_path, "pc.example", domains=(80, 81)).client)
+    client.says("no name server answers within 3 s; trying again")
+    client.says("connecting to")
+    began = time.monotonic()
+    client.close()
+    assert time.monotonic() - began < 5.0

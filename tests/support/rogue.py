@@ -1,0 +1,119 @@
+"""A client that holds the key and does what no robot would: it begins messages and never ends them."""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+from typing import TYPE_CHECKING
+
+from rsb_bridge.wire.connection import ClientConnection, DataConnection
+from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
+from rsb_bridge.wire.events import Accepted, Established, Received
+from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
+from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
+from rsb_bridge.wire.sealing import Suite
+
+if TYPE_CHECKING:
+    from rsb_bridge.qos import Qos
+    from rsb_bridge.wire.events import Event
+    from rsb_bridge.wire.messages import ControlMessage
+    from rsb_bridge.wire.sealing import SessionKeys
+
+BLOB = ("made_up_msgs/msg/Blob", "RIHS01_" + "5a" * 32)
+"""A type that nobody has, and its hash."""
+
+
+class Rogue:
+    """A link to a server, made by hand, on blocking sockets.
+
+    Attributes:
+        keys: what the handshake left.
+        streams: of its routes, as long as it lives.
+    """
+
+    def __init__(self, port: int, key: bytes | None, name: str = "robot1") -> None:
+        self._address = ("127.0.0.1", port)
+        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, Suite.AESGCM)
+        self._control = socket.create_connection(self._address, timeout=10)
+        self._control.sendall(self._connection.start())
+        self._events: list[Event] = []
+        self._next_route = 1
+        self.streams: list[socket.socket] = []
+        self.udp = socket.socket(type=socket.SOCK_DGRAM)
+        self.udp.connect(self._address)
+        established = self._wait(Established)
+        assert isinstance(established, Established)
+        self.keys: SessionKeys = established.keys
+        self._probes = DatagramWriter(self.keys.route_sealer(PROBE_ROUTE, "client"), self.keys.link_id, PROBE_ROUTE)
+
+    def _wait(self, kind: type[object]) -> Event | ControlMessage:
+        while True:
+            for index, event in enumerate(self._events):
+                said = event.message if isinstance(event, Received) else event
+                if isinstance(said, kind):
+                    del self._events[: index + 1]
+                    return said
+            self._events = self._connection.receive_data(self._control.recv(CONTROL_LIMIT))
+            self._control.sendall(self._connection.data_to_send())
+
+    def say(self, message: ControlMessage) -> None:
+        """Send a control message."""
+        self._control.sendall(self._connection.send(message))
+
+    def route(self, topic: str, transport: str, qos: Qos) -> int:
+        """Have the server open a route for what this side says that it sends; its id."""
+        number = self._next_route
+        self._next_route += 2
+        self.say(Propose(route=number, topic=topic, remote_topic=topic, from_client=True, transport=transport))  # type: ignore[arg-type]
+        assert isinstance(self._wait((Accept, Refuse)), Accept)  # type: ignore[arg-type]
+        self.say(Describe(route=number, type=BLOB[0], type_hash=BLOB[1], qos=qos))
+        assert isinstance(self._wait((Ready, Refuse)), Ready)  # type: ignore[arg-type]
+        return number
+
+    def stream(self, route: int) -> tuple[socket.socket, DataWriter]:
+        """A route's stream, let in, and what writes its frames."""
+        stream = socket.create_connection(self._address, timeout=10)
+        self.streams.append(stream)
+        data = DataConnection(self.keys, route)
+        stream.sendall(data.start())
+        assert data.receive_data(stream.recv(4096)) == [Accepted()]
+        return stream, DataWriter(self.keys.route_sealer(route, "client"), route)
+
+    def begin_frame(self, stream: socket.socket, size: int = MESSAGE_LIMIT) -> bool:
+        """Announce a message of `size` bytes, and send all of it but the last; whether the server took that."""
+        try:
+            stream.sendall(struct.pack(">I", size))
+            for _ in range((size - 1) >> 16):
+                stream.sendall(bytes(1 << 16))
+        except OSError:
+            return False
+        return not _closed(stream)
+
+    def begin_chunks(self, stream: socket.socket, writer: DataWriter, size: int = MESSAGE_LIMIT) -> bool:
+        """As `begin_frame`, in whole frames of which each says that more are to come."""
+        try:
+            for _ in range((size - 1) >> 18):
+                stream.sendall(writer.write(bytes(1 << 18), 0, MORE))
+        except OSError:
+            return False
+        return not _closed(stream)
+
+    def probe(self) -> None:
+        """Show the server the way for datagrams."""
+        for datagram in self._probes.write(Probe(pong=False, opaque=0).pack(), 0, 0, 1400):
+            self.udp.send(datagram)
+
+    def datagrams(self, route: int) -> DatagramWriter:
+        """What writes a route's datagrams."""
+        return DatagramWriter(self.keys.route_sealer(route, "client"), self.keys.link_id, route)
+
+    def close(self) -> None:
+        """Go without a word."""
+        for each in (self._control, self.udp, *self.streams):
+            each.close()
+
+
+def _closed(stream: socket.socket) -> bool:
+    """Whether the other side has closed a stream on which it has nothing to say."""
+    return bool(select.select([stream], [], [], 0)[0])
