@@ -129,7 +129,7 @@ def test_throughput_beside_a_bare_socket(addresses: tuple[str, str], base: Path)
 
 
 def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
-    """Eight topics; maps fill the link all the time, and the 10 Hz topic is as prompt as without them."""
+    """Eight topics; maps fill the link all the time, and the 10 Hz topic waits for a chunk or two, never for a map."""
     sizes = {"map": 100_000, "costmap": 100_000, "cloud": 30_000, "scan": 6_000, "odom": 700, "imu": 320, "pose": 80}
     client_side = StandIn(joy=Qos(), **dict.fromkeys(sizes, Qos(depth=1)))
     topics = [Topic(topic, "transmit", compression="none") for topic in client_side.offered]
@@ -146,17 +146,20 @@ def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
             client_side.publish_at(50, f"/{name}", partial(_message, size))
         wait_until(lambda: route(client, "/map").ledger.dropped.get("queue full", 0) > 5, "the link is full")
         server_side.arrived["/joy"].clear()
+        server_side.arrived["/map"].clear()
         _let_arrive(server_side, "/joy", 50)
         beside, arrived = _latencies(server_side), server_side.arrived["/joy"][:50]
+        maps = [each.time for each in server_side.arrived["/map"]]
         assert all(len(server_side.arrived[f"/{name}"]) > 1 for name in sizes)
+    a_map = (maps[-1] - maps[0]) / (len(maps) - 1)
     rate = 49 / (arrived[-1].time - arrived[0].time)
     sys.stdout.write(
         f"joystick: median {1e3 * alone[len(alone) // 2]:.1f} ms alone, {1e3 * beside[len(beside) // 2]:.1f} ms beside "
-        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz\n"
+        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz; a map takes {1e3 * a_map:.0f} ms\n"
     )
     assert 9.5 < rate < 10.5
-    assert beside[len(beside) // 2] < 0.05
-    assert beside[-1] < 0.2
+    assert beside[len(beside) // 2] < a_map / 4
+    assert beside[-1] < a_map
 
 
 def _message(size: int, _: int) -> bytes:
