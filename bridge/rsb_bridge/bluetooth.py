@@ -94,10 +94,12 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
 
 def held_channels(session: Session, snapshot: Snapshot) -> set[tuple[str, int]]:
     """The channels that an engine listens on: `scan`'s `own_channels`."""
-    if not (session.is_bluetooth and session.role == "server" and snapshot.running):
+    if session.adapter is None or session.role != "server" or not snapshot.running:
         return set()
-    channels = {session.server_port, *(route.port for route in snapshot.routes if route.transport == "bluetooth")}
-    return {(session.server_ip, channel) for channel in channels}
+    channels = {route.port for route in snapshot.routes if route.transport == "bluetooth"}
+    if session.is_bluetooth:
+        channels.add(session.server_port)
+    return {(session.adapter, channel) for channel in channels}
 
 
 def _names(adapter: Adapter) -> tuple[str, str]:

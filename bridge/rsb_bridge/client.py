@@ -10,6 +10,8 @@ from rsb_bridge.control import Control
 from rsb_bridge.keys import Key, fingerprint
 from rsb_bridge.lanes import Lane
 from rsb_bridge.link import Link
+from rsb_bridge.radio import RadioStream
+from rsb_bridge.shared import SharedPath
 from rsb_bridge.snapshot import Level
 from rsb_bridge.transport import rfcomm, tcp, udp
 from rsb_bridge.transport.streams import Stream, StreamHandler, address_words, os_words
@@ -52,6 +54,7 @@ class ClientLink(Link):
         self._stays_down = False
         self._refused = False
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
+        self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
 
     @property
     def address(self) -> str:
@@ -134,6 +137,7 @@ class ClientLink(Link):
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
+        self._waiting.clear()
         self._ended.set()
 
     def told_to_stop(self, message: Shutdown) -> None:
@@ -184,15 +188,51 @@ class ClientLink(Link):
         return
 
     def open_stream(self, route: Route) -> None:
-        if route.id not in self._streams_opening:
+        if route.transport == "bluetooth":
+            self._share_radio(route)
+        elif route.id not in self._streams_opening:
             self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id))
 
     async def _open_stream(self, route: Route, route_id: int) -> None:
-        assert self.keys is not None
-        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
-        failure = await self._open(route.transport, route.proposal.port or self.port, opening)
+        failure = await self._attach(route, route_id)
         if failure is not None and route.id == route_id:
             route.path_lost(failure.reason)
+
+    async def _attach(self, route: Route, route_id: int) -> _Failure | None:
+        assert self.keys is not None
+        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
+        return await self._open(route.transport, route.proposal.port or self.port, opening)
+
+    def _share_radio(self, route: Route) -> None:
+        """Join the stream of the route's channel; open it, where it is not there and nobody does already."""
+        assert self.keys is not None
+        channel = route.proposal.port
+        if radio := self._radio(channel):
+            radio.stream.write(DataConnection(self.keys, route.id).start())
+            radio.carry(route)
+        elif channel in self._waiting:
+            self._waiting[channel][route.id] = route
+        else:
+            self._waiting[channel] = {route.id: route}
+            self._streams_opening[route.id] = self.spawn(self._open_radio(route, route.id))
+
+    def _radio(self, channel: int) -> RadioStream | None:
+        for route in self.routes.values():
+            match route.path:
+                case SharedPath(shared=RadioStream() as radio) if radio.channel == channel and not radio.stream.over:
+                    return radio
+        return None
+
+    async def _open_radio(self, first: Route, first_id: int) -> None:
+        failure = await self._attach(first, first_id)
+        waiting = self._waiting.pop(first.proposal.port, {})
+        if first.id != first_id:  # it was closed meanwhile, and the others ask again
+            return
+        for route_id, route in waiting.items():
+            if route.id == route_id and failure is not None:
+                route.path_lost(failure.reason)
+            elif route.id == route_id:
+                route.advance()
 
     def open_lane(self, port: int) -> Lane | None:
         assert self.control is not None

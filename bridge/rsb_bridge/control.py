@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.shared import SharedPath, SharedStream
+from rsb_bridge.shared import SharedStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.fields import plain
@@ -75,11 +75,11 @@ class Control(StreamHandler):
                     self.abort(words)
 
     def _take_data(self, route_id: int, frame: memoryview) -> None:
-        route = self.link.open_route(route_id)
-        if route is None or not isinstance(route.path, SharedPath):
+        path = self.shared.paths.get(route_id)
+        if path is None:
             return  # it was closed here while the frame was under way
         try:
-            route.path.received(frame)
+            path.received(frame)
         except (ProtocolError, SealError) as error:
             self.abort(f"the peer broke the format: {error}")
 

@@ -49,12 +49,16 @@ class LinkError(Exception):
 
 
 class Dialogue:
-    """Acts on the peer's control messages, and asks it for its topics."""
+    """Acts on the peer's control messages, and asks it for its topics.
+
+    Attributes:
+        newest_route: the newest id of those that the peer has proposed on this connection; 0: none.
+    """
 
     def __init__(self, link: Link) -> None:
         self._link = link
         self._numbers = itertools.count(1)
-        self._newest_route = 0  # of those that the peer has proposed on this connection
+        self.newest_route = 0
         self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
         self._listing = False
         self._refused: dict[str, str] = {}
@@ -66,7 +70,7 @@ class Dialogue:
                 future.set_exception(LinkError(f"{self._link.name}: the link was lost"))
         self._requests.clear()
         self._refused.clear()
-        self._newest_route = 0
+        self.newest_route = 0
 
     def handle(self, message: ControlMessage) -> None:
         """Do what a control message says."""
@@ -98,10 +102,10 @@ class Dialogue:
     def _proposed(self, proposal: Propose) -> None:
         link = self._link
         assert link.control is not None
-        if proposal.route % 2 == link.is_client or proposal.route <= self._newest_route:
+        if proposal.route % 2 == link.is_client or proposal.route <= self.newest_route:
             link.control.abort(f"the peer broke the format: {proposal.route} is no new route id of its own")
             return
-        self._newest_route = proposal.route
+        self.newest_route = proposal.route
         try:
             route = self._taken_up(proposal)
         except LinkError as error:

@@ -14,16 +14,16 @@ from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.latched import LATCHED_LIMIT
 from rsb_bridge.meters import ClockOffset
 from rsb_bridge.outgoing import OutgoingRoute
-from rsb_bridge.paths import StreamPath
+from rsb_bridge.paths import StreamPath, datagram_end, stream_end
+from rsb_bridge.radio import RadioStream
 from rsb_bridge.route import Route, route_key
 from rsb_bridge.session_rules import validate_topic
-from rsb_bridge.shared import SharedPath
+from rsb_bridge.shared import SharedPath, SharedStream
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.fields import plain
-from rsb_bridge.wire.framing import UNFINISHED_LIMIT, DataReader, DataWriter
+from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
 from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.control import Control
     from rsb_bridge.session import Topic
-    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.transport.streams import Stream, StreamHandler
     from rsb_bridge.transport.udp import Address
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Shutdown, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
@@ -98,7 +98,7 @@ class Link:
         return self.context.session.is_bluetooth
 
     def open_stream(self, route: Route) -> None:
-        """Get a stream of the route's own going; a server waits for the client's."""
+        """Get the route's stream going, or on it; a server waits for the client's."""
         raise NotImplementedError
 
     def open_lane(self, port: int) -> Lane | None:
@@ -251,6 +251,12 @@ class Link:
         """The open route of that id."""
         return self._by_id.get(route_id)
 
+    def spent(self, route_id: int) -> bool:
+        """Whether an opening of that id is over: of what is late on it, nothing need be said."""
+        ours = route_id % 2 == self.is_client
+        newest = self._next_id - 2 if ours else self.dialogue.newest_route
+        return 0 < route_id <= newest and route_id not in self._by_id
+
     def propose(self, route: Route) -> None:
         """Ask the peer to open a route, anew if it was open."""
         self.reopen(route, self._next_id)
@@ -276,7 +282,8 @@ class Link:
         """Set a route's path going."""
         port = route.proposal.port or self.shared_port()
         if self.is_bluetooth and port == self.shared_port():
-            self._share_stream(route)
+            assert self.control is not None
+            route.path = SharedPath(self.control.shared, route, stream_end(self, route))
             return
         if route.transport != "udp":
             self.open_stream(route)
@@ -287,31 +294,23 @@ class Link:
         if lane is None:
             return
         self.lanes[port] = lane
-        route.path = DatagramPath(lane, route, self._datagram_end(route))
-
-    def _datagram_end(self, route: Route) -> DatagramWriter | DatagramReader:
-        assert self.keys is not None
-        if route.outgoing:
-            return DatagramWriter(self.keys.route_sealer(route.id, self.side), self.keys.link_id, route.id)
-        return DatagramReader(self.keys.datagram_opener(route.id, self.other_side), route.id, budget=self.unfinished)
-
-    def _share_stream(self, route: Route) -> None:
-        assert self.control is not None
-        route.path = SharedPath(self.control.shared, route, self._stream_end(route))
-
-    def _stream_end(self, route: Route) -> DataWriter | DataReader:
-        assert self.keys is not None
-        if route.outgoing:
-            return DataWriter(self.keys.route_sealer(route.id, self.side), route.id)
-        return DataReader(self.keys.stream_opener(route.id, self.other_side), route.id, budget=self.unfinished)
+        route.path = DatagramPath(lane, route, datagram_end(self, route))
 
     def attach_stream(self, route: Route, stream: Stream, beginning: bytes) -> None:
-        """A stream of the route's own is let in; `beginning` came behind its opening."""
-        path = StreamPath(stream, route, self._stream_end(route))
-        route.path = path
+        """A stream is let in that was opened for the route; `beginning` came behind its opening."""
+        handler: StreamHandler
+        if route.transport == "bluetooth":
+            handler = radio = RadioStream(stream, self, route.proposal.port)
+            radio.carry(route)
+        else:
+            handler = route.path = StreamPath(stream, route, stream_end(self, route))
         if beginning:
-            path.received(beginning)
+            handler.received(beginning)
         route.advance()
+
+    def join_stream(self, radio: RadioStream, frame: bytes) -> None:
+        """The peer wants a further route on a stream; raises ProtocolError or Refusal where that can't be."""
+        raise ProtocolError("an opening frame came on an open stream")
 
     def datagrams(self, lane: Lane, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
         """Datagrams came that say they are this link's, each with its route id."""
@@ -354,8 +353,11 @@ class Link:
     def _carried(self) -> tuple[int, int]:
         """Wire bytes received and sent by all that the link has now; less than before where something was closed."""
         assert self.control is not None
-        carriers: list[Stream | Lane] = [self.control.stream, *self.lanes.values()]
-        carriers += [route.path.stream for route in self.routes.values() if isinstance(route.path, StreamPath)]
+        carriers: set[Stream | Lane] = {self.control.stream, *self.lanes.values()}
+        for route in self.routes.values():
+            match route.path:
+                case StreamPath(stream=stream) | SharedPath(shared=SharedStream(stream=stream)):
+                    carriers.add(stream)
         return sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
 
     def _tick_lane(self, lane: Lane, now: float) -> None:

@@ -1,16 +1,18 @@
-"""What carries one route's messages: a stream of its own, datagrams, or a share of the control stream."""
+"""What carries one route's messages: a stream of its own, datagrams, or a share of a stream."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter, Message, ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.link import Link
     from rsb_bridge.route import Route
 
 
@@ -127,3 +129,19 @@ class StreamPath(StreamHandler):
         self.stream.handler = StreamHandler()
         self.stream.abort(reason)
         self._route.path_lost(reason)
+
+
+def stream_end(link: Link, route: Route) -> DataWriter | DataReader:
+    """What makes or opens the route's frames on a stream, for its present opening."""
+    assert link.keys is not None
+    if route.outgoing:
+        return DataWriter(link.keys.route_sealer(route.id, link.side), route.id)
+    return DataReader(link.keys.stream_opener(route.id, link.other_side), route.id, budget=link.unfinished)
+
+
+def datagram_end(link: Link, route: Route) -> DatagramWriter | DatagramReader:
+    """The same for its datagrams."""
+    assert link.keys is not None
+    if route.outgoing:
+        return DatagramWriter(link.keys.route_sealer(route.id, link.side), link.keys.link_id, route.id)
+    return DatagramReader(link.keys.datagram_opener(route.id, link.other_side), route.id, budget=link.unfinished)

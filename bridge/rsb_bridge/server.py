@@ -22,13 +22,14 @@ from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.connection import Credential, ServerConnection
 from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
-from rsb_bridge.wire.opening import LINK_ID_LENGTH, Refusal, RefusalCode
+from rsb_bridge.wire.opening import LINK_ID_LENGTH, DataOpening, Refusal, RefusalCode, parse_further
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
+    from rsb_bridge.radio import RadioStream
     from rsb_bridge.route import Route
     from rsb_bridge.session import Client
     from rsb_bridge.transport.streams import Stream
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach, Established
 
 _FIRST_PORT, _MOST_PORTS = 1024, 64
+_NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
 _REPLACED_PAUSE = 10.0
 """s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
 
@@ -87,6 +89,27 @@ class ServerLink(Link):
 
     def open_stream(self, route: Route) -> None:
         """The client opens it."""
+
+    def waiting_route(self, opening: Attach | DataOpening) -> Route:
+        """The route that a stream is asked for; raises Refusal where none waits for it."""
+        route = self.open_route(opening.route)
+        if self.keys is None or route is None or route.path is not None or route.transport == "udp":
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
+        try:
+            self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
+        except SealError as error:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
+        return route
+
+    def join_stream(self, radio: RadioStream, frame: bytes) -> None:
+        opening = parse_further(frame)
+        if self.spent(opening.route):
+            return  # it was closed here while the frame was under way
+        route = self.waiting_route(opening)
+        if (route.transport, route.proposal.port) != ("bluetooth", radio.channel):
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} has no place on channel {radio.channel}")
+        radio.carry(route)
+        route.advance()
 
     def open_lane(self, port: int) -> Lane | None:
         """The client's first probe does."""
@@ -194,15 +217,11 @@ class Server:
         return control
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
-        """A stream wants to be a route's own; raises Refusal where it may not be."""
+        """A stream was opened for a route; raises Refusal where it may not be."""
         link = self._link_of(event.link_id)
-        route = link.open_route(event.route) if link is not None else None
-        if link is None or link.keys is None or route is None or route.path is not None or route.transport == "udp":
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, "no such route waits for a stream")
-        try:
-            link.keys.check_attach_proof(event.header, event.route, event.proof)
-        except SealError as error:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
+        if link is None:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
+        route = link.waiting_route(event)
         stream.write(connection.accept_attach())
         link.attach_stream(route, stream, connection.leftover())
 

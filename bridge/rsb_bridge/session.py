@@ -53,7 +53,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         direction: ``transmit`` goes from client to server, ``receive`` the other way.
         type: ``pkg/msg/Name``, a short thesis name (``LaserScan``), or ``auto``: from either side's graph.
         protocol: what carries it; None is the link's own (udp on IP links is never picked: tcp, or bluetooth).
-        port: a socket of its own (TCP or UDP port, RFCOMM channel); None shares the server's.
+        port: a socket of its own (TCP or UDP port, RFCOMM channel; topics may share a channel); None: the server's.
         qos: ``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.qos.Qos` fields.
         remote_topic: its name on the server; None: the same, with the client's name before it where `use_name` is set.
         compression: None is the link's default (zstd on Bluetooth, none elsewhere).
@@ -108,7 +108,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         server_ip: IPv4, IPv6, host name, or a Bluetooth MAC: then the link is RFCOMM. On a server, what to bind.
         server_port: TCP and UDP port, or RFCOMM channel 1-30.
         bluetooth_address: MAC of the server's adapter, where the link is IP and some topics are to go over Bluetooth:
-            each of those names a channel of its own as its port.
+            each of those names a channel as its port, and those that name the same share it.
         domain_id: ROS domain; None is ``$ROS_DOMAIN_ID``, else 0.
         use_name: prefix the topics a client sends, on the server; and so those it asks for are looked up there.
         use_encryption: off only for experiments: everything crosses in the clear.

@@ -240,7 +240,8 @@ def _protocol(topic: Topic, place: str, session: Session) -> Iterator[Problem]:
         yield Problem(join(place, "protocol"), words)
     elif topic.protocol == "bluetooth" and topic.port is None:
         yield Problem(
-            join(place, "port"), f"a bluetooth topic of an IP link has a channel of its own: 1 to {MAX_CHANNEL}"
+            join(place, "port"),
+            f"a bluetooth topic of an IP link names a channel: 1 to {MAX_CHANNEL}; several may share one",
         )
 
 
@@ -273,7 +274,7 @@ def _clashes(session: Session) -> Iterator[Problem]:
         holder = ports.setdefault((protocol, topic.port), join("topics", at))
         if holder == shared:
             yield Problem(join(place, "port"), f"{topic.port} is the server_port: leave port out to share it")
-        elif holder != place:
+        elif holder != place and protocol != "bluetooth":  # topics of one link share a channel
             yield Problem(join(place, "port"), f"{protocol} {topic.port} is taken by {holder}: give another, or none")
 
 

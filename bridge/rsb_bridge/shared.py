@@ -26,10 +26,16 @@ CHUNK = 2048
 
 
 class SharedStream:
-    """Gives the stream's room to the routes that have something to send."""
+    """Gives the stream's room to the routes that have something to send.
+
+    Attributes:
+        stream: what carries them.
+        paths: the routes' shares of it, by route id.
+    """
 
     def __init__(self, stream: Stream) -> None:
-        self._stream = stream
+        self.stream = stream
+        self.paths: dict[int, SharedPath] = {}
         self._waiting: list[SharedPath] = []
         self._time = 0  # virtual: bytes
         self._pumping = False
@@ -45,16 +51,21 @@ class SharedStream:
         if path in self._waiting:
             self._waiting.remove(path)
 
+    def forget(self, path: SharedPath) -> None:
+        """A path is closed."""
+        self.leave(path)
+        self.paths.pop(path.route.id, None)
+
     def pump(self) -> None:
         """Send while the stream takes it."""
         if self._pumping:
             return  # called by what it calls
         self._pumping = True
         try:
-            while self._waiting and not self._stream.congested and not self._stream.over:
+            while self._waiting and not self.stream.congested and not self.stream.over:
                 path = min(self._waiting, key=lambda path: path.start)
                 self._time = path.start
-                self._stream.write(path.next_chunk())
+                self.stream.write(path.next_chunk())
         finally:
             self._pumping = False
 
@@ -63,6 +74,8 @@ class SharedPath(Path):
     """A route's share of a stream.
 
     Attributes:
+        shared: the stream's.
+        route: whose it is.
         start: virtual time at which its next chunk would begin.
     """
 
@@ -71,10 +84,11 @@ class SharedPath(Path):
 
     def __init__(self, shared: SharedStream, route: Route, end: DataWriter | DataReader) -> None:
         self.start = 0
-        self._shared = shared
-        self._route = route
+        self.shared = shared
+        self.route = route
         self._end = end
         self._chunks: deque[bytes] = deque()
+        shared.paths[route.id] = self
 
     @property
     def congested(self) -> bool:
@@ -84,15 +98,15 @@ class SharedPath(Path):
         assert isinstance(self._end, DataWriter)
         for payload, stamp, flags in batch:
             self._chunks += self._end.write_chunks(payload, stamp, flags, CHUNK)
-        self._shared.join(self)
+        self.shared.join(self)
 
     def next_chunk(self) -> bytes:
         """Take the next chunk, for sending; behind the last one the route may send more."""
         chunk = self._chunks.popleft()
         self.start += len(chunk)
         if not self._chunks:
-            self._shared.leave(self)
-            self._route.flush()
+            self.shared.leave(self)
+            self.route.flush()
         return chunk
 
     def received(self, frame: memoryview) -> None:
@@ -103,10 +117,10 @@ class SharedPath(Path):
             SealError: its seal does not hold.
         """
         if not isinstance(self._end, DataReader):
-            raise ProtocolError(f"data on route {self._route.id}, which goes the other way")
+            raise ProtocolError(f"data on route {self.route.id}, which goes the other way")
         message = self._end.open_frame(frame)
         if message is not None:
-            self._route.deliver((message,))
+            self.route.deliver((message,))
 
     def trouble(self) -> str:
         return ""
@@ -118,4 +132,4 @@ class SharedPath(Path):
         if isinstance(self._end, DataReader):
             self._end.close()
         self._chunks.clear()
-        self._shared.leave(self)
+        self.shared.forget(self)

@@ -61,7 +61,11 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (topic("port: 49152"), 7, "49152 is the server_port: leave port out to share it"),
         (topic("protocol: bluetooth"), 7, "bluetooth needs a Bluetooth MAC: as server_ip"),
         (topic("protocol: udp", BLUETOOTH), 7, "not udp but bluetooth"),
-        (topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"), 8, "a channel of its own: 1 to 30"),
+        (
+            topic("protocol: bluetooth", f"{CLIENT}bluetooth_address: {MAC}\n"),
+            8,
+            "names a channel: 1 to 30; sev",
+        ),
         (topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"), 8, "31"),
         (f"{CLIENT}bluetooth_address: 10.0.0.1\n", 6, "'10.0.0.1' is not a Bluetooth MAC"),
         (f"{BLUETOOTH}bluetooth_address: {MAC}\n", 6, "the whole link is Bluetooth already"),
@@ -170,6 +174,12 @@ def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() 
     assert parse(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: udp}\n", FILE)
     (refusal,) = refusals(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: tcp}\n")
     assert "topics[1].port: tcp 5000 is taken by topics[0]" in refusal
+
+
+@pytest.mark.parametrize("head", [BLUETOOTH, f"{CLIENT}bluetooth_address: {MAC}\n"])
+def test_topics_may_share_a_channel_of_their_own(head: str) -> None:
+    topics = [f"  - {{topic: /{name}, direction: transmit, protocol: bluetooth, port: 11}}\n" for name in "ab"]
+    assert len(parse(head + "topics:\n" + "".join(topics), FILE).topics) == 2
 
 
 @pytest.mark.parametrize(

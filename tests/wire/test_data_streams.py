@@ -5,9 +5,9 @@ from tests.wire.links import OTHER_KEY, SUITES, WELCOME, established, make_serve
 
 from rsb_bridge.wire.connection import DataConnection
 from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, Refused
-from rsb_bridge.wire.framing import DataReader, DataWriter, pack_frame
+from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, ProtocolError, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.opening import Kind, RefusalCode, opening
+from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, opening, parse_further
 from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
 
 
@@ -30,6 +30,28 @@ def test_a_data_stream_is_attached(suite):
     assert reader.receive_data(data.leftover()) == []
     assert reader.receive_data(stream[30:]) == [(b"x" * 10_000, 7, 0)]
     assert data.leftover() == b""
+
+
+@SUITES
+def test_a_further_route_is_attached_by_the_same_frame(suite):
+    _, _, client_keys, server_keys = established(suite)
+    further = parse_further(DataConnection(client_keys, 7).start()[LENGTH.size :])
+    assert (further.link_id, further.route) == (WELCOME.link_id, 7)
+    server_keys.check_attach_proof(further.header, further.route, further.proof)
+
+
+@pytest.mark.parametrize(
+    ("frame", "error", "words"),
+    [
+        (opening(Kind.RETRY), ProtocolError, "kind RETRY has no place on an open stream"),
+        (opening(Kind.DATA), ProtocolError, "ends before its route does"),
+        (b"rsb\x01\x63", ProtocolError, "no opening frame of kind 99"),
+        (b"rsb\x09\x02", Refusal, "the peer version 9"),
+    ],
+)
+def test_what_is_no_further_data_opening(frame, error, words):
+    with pytest.raises(error, match=words):
+        parse_further(frame)
 
 
 def test_what_a_client_sends_behind_its_data_opening_is_left_over():

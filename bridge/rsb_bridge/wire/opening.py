@@ -15,7 +15,7 @@ NAME_LIMIT = 255
 WORDS_LIMIT = 512
 LINK_ID_LENGTH = 8
 
-_MAGIC = b"rsb"
+MAGIC = b"rsb"
 _PREFIX_LENGTH = 5
 _DATA = struct.Struct(f">{LINK_ID_LENGTH}sI")
 
@@ -113,7 +113,7 @@ def take_frame(stream: bytearray) -> bytes | None:
 
 def opening(kind: Kind, body: bytes = b"") -> bytes:
     """An opening frame, without its length."""
-    return _MAGIC + bytes((VERSION, kind)) + body
+    return MAGIC + bytes((VERSION, kind)) + body
 
 
 def control_header(suite: Suite, name: str) -> bytes:
@@ -150,7 +150,7 @@ def parse_opening(frame: bytes) -> tuple[Kind, bytes]:
         ProtocolError: it is no opening frame.
         Refusal: it is one of another version.
     """
-    if len(frame) < _PREFIX_LENGTH or not frame.startswith(_MAGIC):
+    if len(frame) < _PREFIX_LENGTH or not frame.startswith(MAGIC):
         raise ProtocolError("what came first is no opening frame: the other side is not an rsb-console")
     version, kind = frame[3], frame[4]
     if version != VERSION:
@@ -189,6 +189,19 @@ def parse_data(frame: bytes) -> DataOpening:
         raise ProtocolError("a DATA frame ends before its route does")
     link_id, route = _DATA.unpack_from(frame, _PREFIX_LENGTH)
     return DataOpening(link_id, route, frame[:end], frame[end:])
+
+
+def parse_further(frame: bytes) -> DataOpening:
+    """Read a DATA frame that came behind the opening of a stream.
+
+    Raises:
+        ProtocolError: it is not one.
+        Refusal: it is an opening frame of another version.
+    """
+    kind, _ = parse_opening(frame)
+    if kind is not Kind.DATA:
+        raise ProtocolError(f"an opening frame of kind {kind.name} has no place on an open stream")
+    return parse_data(frame)
 
 
 def parse_suite(body: bytes) -> Suite:

@@ -129,7 +129,7 @@ def test_throughput_beside_a_bare_socket(addresses: tuple[str, str], base: Path)
 
 
 def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
-    """Eight topics; maps fill the link all the time, and the 10 Hz topic is as prompt as without them."""
+    """Eight topics; maps fill the link all the time, and the 10 Hz topic waits for a chunk or two, never for a map."""
     sizes = {"map": 100_000, "costmap": 100_000, "cloud": 30_000, "scan": 6_000, "odom": 700, "imu": 320, "pose": 80}
     client_side = StandIn(joy=Qos(), **dict.fromkeys(sizes, Qos(depth=1)))
     topics = [Topic(topic, "transmit", compression="none") for topic in client_side.offered]
@@ -146,17 +146,20 @@ def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
             client_side.publish_at(50, f"/{name}", partial(_message, size))
         wait_until(lambda: route(client, "/map").ledger.dropped.get("queue full", 0) > 5, "the link is full")
         server_side.arrived["/joy"].clear()
+        server_side.arrived["/map"].clear()
         _let_arrive(server_side, "/joy", 50)
         beside, arrived = _latencies(server_side), server_side.arrived["/joy"][:50]
+        maps = [each.time for each in server_side.arrived["/map"]]
         assert all(len(server_side.arrived[f"/{name}"]) > 1 for name in sizes)
+    a_map = (maps[-1] - maps[0]) / (len(maps) - 1)
     rate = 49 / (arrived[-1].time - arrived[0].time)
     sys.stdout.write(
         f"joystick: median {1e3 * alone[len(alone) // 2]:.1f} ms alone, {1e3 * beside[len(beside) // 2]:.1f} ms beside "
-        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz\n"
+        f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz; a map takes {1e3 * a_map:.0f} ms\n"
     )
     assert 9.5 < rate < 10.5
-    assert beside[len(beside) // 2] < 0.05
-    assert beside[-1] < 0.2
+    assert beside[len(beside) // 2] < a_map / 4
+    assert beside[-1] < a_map
 
 
 def _message(size: int, _: int) -> bytes:
@@ -217,6 +220,48 @@ def test_a_topic_over_bluetooth_on_an_ip_link(addresses: tuple[str, str], base: 
         _let_arrive(server_side, "/odom", 1)
         assert (route(client, "/scan").transport, route(client, "/scan").port) == ("bluetooth", 11)
         assert (route(client, "/odom").transport, route(client, "/odom").port) == ("tcp", 49152)
+
+
+_SIZES = {"/map": 100_000, "/joy": 80, "/cmd": 5_000, "/odom": 700}
+
+
+def _all_cross(client_side: StandIn, server_side: StandIn) -> None:
+    """Messages of `_SIZES` at once, each topic's whole and in order; /cmd goes to the client."""
+    wait_until(lambda: client_side.subscribed("/map", "/joy", "/odom"), "the client's are open", 20.0)
+    wait_until(lambda: server_side.subscribed("/cmd"), "the server's is open", 20.0)
+    ways = dict.fromkeys(_SIZES, (client_side, server_side)) | {"/cmd": (server_side, client_side)}
+    for topic, (source, sink) in ways.items():
+        sink.arrived[topic].clear()
+        for number in range(5):
+            source.publish(topic, bytes([number]) * _SIZES[topic])
+    for topic, (_, sink) in ways.items():
+        _let_arrive(sink, topic, 5)
+        assert [one.payload for one in sink.arrived[topic]] == [bytes([n]) * _SIZES[topic] for n in range(5)]
+
+
+def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
+    """Also after one was made anew, and after the radio link broke. The kernel has one connection on a channel."""
+    client_side, server_side = StandIn(map=Qos(), joy=Qos(), odom=Qos()), StandIn(cmd=Qos())
+    radio = {"protocol": "bluetooth", "port": 11, "compression": "none"}
+    on_radio = [
+        Topic("/map", "transmit", **radio),
+        Topic("/joy", "transmit", **radio),
+        Topic("/cmd", "receive", **radio),
+    ]
+    common = {"server_port": 49152, "bluetooth_address": addresses[0]}
+    listening = structs.replace(session("server", "127.0.0.1"), **common)
+    calling = structs.replace(session("client", "127.0.0.1", *on_radio, Topic("/odom", "transmit")), **common)
+    with running(listening, base, server_side) as server, running(calling, base, client_side) as client:
+        _all_cross(client_side, server_side)
+        wait_until(lambda: held_channels(listening, server.snapshot()) == {(addresses[0], 11)}, "the snapshot has it")
+        client.remove_topic("robot1 → /map").result(5)
+        client.add_topic(on_radio[0]).result(5)
+        _all_cross(client_side, server_side)
+        before = link(client).since
+        subprocess.run(_DISCONNECT[0].format(server=addresses[0]).split(), check=True)
+        wait_until(lambda: any("data connection" in event.text for event in client.events()), "it is noticed")
+        _all_cross(client_side, server_side)
+        assert link(client).since == before
 
 
 def _channels(found: Scan, address: str, use: Use) -> set[int]:

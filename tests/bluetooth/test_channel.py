@@ -1,0 +1,290 @@
+"""Topics that share a channel beside an IP link: two whole engines. The radio's place is taken by loopback TCP."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+from tests.bluetooth.guest.conftest import wait_until
+from tests.bluetooth.guest.stand_in import StandIn
+
+from rsb_bridge.bluetooth import held_channels
+from rsb_bridge.engine import Engine
+from rsb_bridge.keys import write_key
+from rsb_bridge.qos import Qos
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.snapshot import Level, State
+from rsb_bridge.transport import rfcomm, tcp
+from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
+from rsb_bridge.wire.opening import Kind, data_header, opening
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from rsb_bridge.snapshot import RouteSnapshot
+
+_MAC = "5C:F3:70:9A:1B:2E"
+_CHANNEL = 11
+
+
+class _End(NamedTuple):
+    """One end of a connection, and the loop it belongs to."""
+
+    stream: Stream
+    loop: asyncio.AbstractEventLoop
+
+    def say(self, data: bytes) -> None:
+        """Send what the engine would not."""
+        self.loop.call_soon_threadsafe(self.stream.write, data)
+
+    def cut(self) -> None:
+        self.loop.call_soon_threadsafe(self.stream.abort, "cut")
+
+
+class _Noting(StreamHandler):
+    """Tells of a connection, then is out of the way."""
+
+    def __init__(self, inner: StreamHandler, ends: list[_End]) -> None:
+        self._inner = inner
+        self._ends = ends
+
+    def connected(self, stream: Stream) -> None:
+        self._ends.append(_End(stream, asyncio.get_running_loop()))
+        stream.handler = self._inner
+        self._inner.connected(stream)
+
+
+class Radio:
+    """What `rsb_bridge.transport.rfcomm` is to the engines.
+
+    Attributes:
+        called: the client's ends of the connections that were made, the oldest first.
+        accepted: the server's ends.
+        off: whoever calls hears that nobody answers.
+    """
+
+    def __init__(self) -> None:
+        self.called: list[_End] = []
+        self.accepted: list[_End] = []
+        self.off = False
+        self._port = 0
+
+    async def listen(self, _: str, channel: int, make_handler: Callable[[], StreamHandler]) -> asyncio.Server:
+        assert channel == _CHANNEL
+        server = await tcp.listen("127.0.0.1", self._port, lambda: _Noting(make_handler(), self.accepted))
+        self._port = server.sockets[0].getsockname()[1]
+        return server
+
+    async def connect(self, _: str, channel: int, handler: StreamHandler) -> Stream:
+        assert channel == _CHANNEL
+        assert all(end.stream.over for end in self.called), "two adapters have one connection on a channel"
+        if self.off:
+            await asyncio.sleep(0.5)  # so that others come to wait for the same
+            raise OSError("no answer")
+        return await tcp.connect("127.0.0.1", self._port, _Noting(handler, self.called))
+
+
+class Pair(NamedTuple):
+    """Both engines, their domains and what is between them."""
+
+    server: Engine
+    client: Engine
+    there: StandIn
+    here: StandIn
+    radio: Radio
+
+    def carries(self, *topics: str) -> None:
+        """Each gets messages of every size across at once, whole and in order, whichever way it goes."""
+        sent = [bytes([number]) * size for number, size in enumerate((10, 5_000, 100_000))]
+        ways = {t: (self.here, self.there) if t in self.here.offered else (self.there, self.here) for t in topics}
+        wait_until(lambda: all(source.subscribed(topic) for topic, (source, _) in ways.items()), "all are open")
+        for topic, (source, sink) in ways.items():
+            sink.arrived[topic].clear()
+            for payload in sent:
+                source.publish(topic, payload)
+        wait_until(lambda: all(len(sink.arrived[topic]) >= 3 for topic, (_, sink) in ways.items()), "all arrived")
+        for topic, (_, sink) in ways.items():
+            assert [one.payload for one in sink.arrived[topic]] == sent
+
+    def route(self, topic: str) -> RouteSnapshot:
+        """A topic as the client has it."""
+        return next(route for route in self.client.snapshot().routes if route.topic == topic)
+
+    def remove(self, topic: str) -> None:
+        self.client.remove_topic(self.route(topic).key).result(5)
+
+    def settled(self, *topics: str) -> None:
+        """Every message is accounted for."""
+        for topic in topics:
+            wait_until(lambda topic=topic: not self.route(topic).ledger.in_flight, f"{topic} is settled")
+            ledger = self.route(topic).ledger
+            assert ledger.offered == ledger.delivered + sum(ledger.dropped.values())
+
+    def complaints(self) -> str:
+        """What the operators were told of mistakes."""
+        events = [event for engine in (self.server, self.client) for event in engine.events()]
+        return "\n".join(event.text for event in events if event.level in (Level.WARNING, Level.ERROR))
+
+
+def _data_frame(route: int) -> bytes:
+    return pack_frame(HEADER.pack(DATA, 0, route, 0), bytes(20))
+
+
+def on_channel(name: str, direction: str = "transmit", **more: object) -> Topic:
+    return Topic(name, direction, protocol="bluetooth", port=_CHANNEL, qos=10, compression="none", **more)
+
+
+_TOPICS = (on_channel("/map"), on_channel("/joy"), on_channel("/cmd", "receive"), Topic("/odom", "transmit"))
+
+
+@contextmanager
+def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic) -> Iterator[Pair]:
+    radio = Radio()
+    monkeypatch.setattr(rfcomm, "listen", radio.listen)
+    monkeypatch.setattr(rfcomm, "connect", radio.connect)
+    write_key(base / "robot.key")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    common = {"name": "robot1", "server_ip": "127.0.0.1", "server_port": port, "key_file": "robot.key"}
+    common |= {"bluetooth_address": _MAC, "domain_id": 1, "shutdown_topic": None}
+    here, there = StandIn(map=Qos(), joy=Qos(), odom=Qos(), late=Qos()), StandIn(cmd=Qos())
+    server = Engine(Session(role="server", **common), base=base, ros=there)
+    client = Engine(Session(role="client", topics=topics, **common), base=base, ros=here)
+    server.start()
+    try:
+        client.start()
+        yield Pair(server, client, there, here, radio)
+    finally:
+        client.stop()
+        server.stop()
+
+
+@pytest.mark.parametrize("topics", [_TOPICS, _TOPICS[::-1]], ids=["in order", "reversed"])
+def test_topics_share_one_connection(
+    topics: tuple[Topic, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with paired(monkeypatch, tmp_path, *topics) as pair:
+        pair.carries("/map", "/joy", "/cmd", "/odom")
+        pair.settled("/map", "/joy", "/odom")
+        assert len(pair.radio.called) == 1
+        assert not pair.complaints()
+        held = {(_MAC, _CHANNEL)}
+        wait_until(lambda: held_channels(pair.server.session, pair.server.snapshot()) == held, "the snapshot has it")
+        assert not held_channels(pair.client.session, pair.client.snapshot())
+
+
+def test_one_goes_and_others_come_while_the_connection_lives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with paired(monkeypatch, tmp_path, *_TOPICS) as pair:
+        pair.carries("/map", "/joy", "/cmd")
+        pair.remove("/map")
+        pair.carries("/joy", "/cmd")
+        pair.server.add_topic(on_channel("/late"), "robot1").result(5)
+        pair.client.add_topic(on_channel("/map")).result(5)
+        pair.carries("/map", "/joy", "/cmd", "/late")
+        for topic in ("/joy", "/cmd", "/late"):
+            pair.remove(topic)
+        pair.carries("/map")
+        assert len(pair.radio.called) == 1
+        assert not pair.radio.called[0].stream.over
+        pair.remove("/map")
+        wait_until(lambda: pair.radio.accepted[0].stream.gone, "the last one takes it along")
+        pair.client.add_topic(on_channel("/map")).result(5)
+        pair.carries("/map", "/odom")
+        assert len(pair.radio.called) == 2
+        assert not pair.complaints()
+
+
+def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with paired(monkeypatch, tmp_path, *_TOPICS) as pair:
+        pair.carries("/map", "/joy", "/cmd")
+        for _ in range(10):
+            pair.here.publish("/map", bytes(1_000_000))
+        pair.server.remove_topic("robot1 → /map").result(5)  # its frames are still under way
+        for late in (_data_frame(1), pack_frame(data_header(bytes(8), 1), bytes(16))):
+            pair.radio.called[0].say(late)
+        pair.carries("/joy", "/cmd")
+        assert len(pair.radio.called) == 1
+        assert not pair.complaints()
+
+
+def test_a_topic_that_begins_paused_joins_when_it_is_resumed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with paired(monkeypatch, tmp_path, on_channel("/map"), on_channel("/cmd", "receive", paused=True)) as pair:
+        pair.carries("/map")
+        pair.client.pause(pair.route("/cmd").key, False).result(5)
+        pair.carries("/map", "/cmd")
+        pair.client.pause(pair.route("/map").key, True).result(5)
+        pair.carries("/cmd")
+        pair.client.pause(pair.route("/map").key, False).result(5)
+        pair.carries("/map", "/cmd")
+        assert len(pair.radio.called) == 1
+        assert not pair.complaints()
+
+
+@pytest.mark.parametrize("side", ["called", "accepted"])
+def test_all_are_begun_anew_when_the_connection_dies(
+    side: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with paired(monkeypatch, tmp_path, *_TOPICS) as pair:
+        pair.carries("/map", "/joy", "/cmd", "/odom")
+        getattr(pair.radio, side)[0].cut()
+        wait_until(lambda: len(pair.radio.called) == 2, "it is opened again")
+        pair.carries("/map", "/joy", "/cmd", "/odom")
+        pair.settled("/map", "/joy", "/odom")
+        assert len(pair.radio.called) == 2
+        assert "link lost" not in pair.complaints()
+        for topic in ("/map", "/joy", "/cmd"):
+            assert f"{topic}: data connection: " in pair.complaints()
+        assert "/odom" not in pair.complaints()
+
+
+def test_all_that_wait_hear_why_there_is_no_connection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with paired(monkeypatch, tmp_path, Topic("/odom", "transmit")) as pair:
+        pair.carries("/odom")
+        pair.radio.off = True
+        for topic in _TOPICS[:3]:
+            pair.client.add_topic(topic).result(5)
+        names = [topic.topic for topic in _TOPICS[:3]]
+        wait_until(lambda: all("no answer" in pair.route(name).reason for name in names), "all say so")
+        assert all(pair.route(name).state is State.DOWN for name in names)
+        pair.radio.off = False
+        pair.carries("/odom", *names)
+
+
+@pytest.mark.parametrize(
+    ("side", "data", "words"),
+    [
+        ("called", _data_frame(9), "a frame of type 1, route 9 on a stream that does not carry it"),
+        ("accepted", _data_frame(9), "a frame of type 1, route 9 on a stream that does not carry it"),
+        ("called", _data_frame(5), "a frame of type 1, route 5 on a stream that does not carry it"),
+        ("called", pack_frame(bytes(HEADER.size)), "a frame of type 0, route 0 on a stream that does not carry it"),
+        ("called", _data_frame(1), "sequence 0 is not what the peer sealed"),
+        ("accepted", _data_frame(1), "data on route 1, which goes the other way"),
+        ("called", pack_frame(b"\1"), "a data frame of 1 bytes"),
+        ("called", LENGTH.pack(CONTROL_LIMIT + 1), f"a frame of {CONTROL_LIMIT + 1} bytes"),
+        ("called", pack_frame(data_header(bytes(8), 9), bytes(16)), "no such route waits for a stream"),
+        ("called", pack_frame(data_header(bytes(8), 1), bytes(16)), "no such route waits for a stream"),
+        ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), "sequence 0 is not what the peer sealed"),
+        ("called", pack_frame(opening(Kind.ACCEPT)), "an opening frame of kind ACCEPT has no place on an open stream"),
+        ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), "an opening frame came on an open stream"),
+    ],
+)
+def test_what_has_no_place_on_it_ends_it_in_words(
+    side: str, data: bytes, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Routes 1 and 3 are on it; 5 is the TCP topic's, 7 is paused and not on it yet, and 9 was never opened."""
+    topics = (on_channel("/map"), on_channel("/joy"), Topic("/odom", "transmit"), on_channel("/late", paused=True))
+    with paired(monkeypatch, tmp_path, *topics) as pair:
+        wait_until(lambda: pair.here.subscribed("/map", "/joy", "/odom"), "all are open")
+        getattr(pair.radio, side)[0].say(data)
+        wait_until(lambda: words in pair.complaints(), "the operators are told")
+        wait_until(
+            lambda: all(end.stream.gone for end in pair.radio.called[:1] + pair.radio.accepted[:1]), "it is over"
+        )
