@@ -354,7 +354,7 @@ class Engine:
                     f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
                 )
             try:
-                keys[name] = read_key(self._base / file)
+                keys[name] = read_key(self._base / Path(file).expanduser())
             except KeyFileError as error:
                 raise EngineError(str(error)) from None
             for warning in keys[name].warnings:
