@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import secrets
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Protocol
 
@@ -79,7 +78,7 @@ class ClientEnd:
 
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
-        hello = Hello(__version__, session.name, secrets.token_hex(8), context.domain_id)
+        hello = Hello(__version__, session.name, context.ros.instance, context.domain_id)
         self._context = context
         self._link = ClientLink(context, hello, keys[session.name], fastest_suite())
         self._calling: asyncio.Task[None] | None = None
@@ -135,12 +134,11 @@ class ServerEnd:
 
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
-        instance = secrets.token_hex(8)
         self._context = context
         self._server = Server(
             context,
             [Entry(client, keys[client.name]) for client in clients_of(session)],
-            lambda link_id: Welcome(__version__, session.name, link_id, instance, context.domain_id),
+            lambda link_id: Welcome(__version__, session.name, link_id, context.ros.instance, context.domain_id),
             aes=fastest_suite() is Suite.AESGCM,
         )
 

@@ -129,6 +129,10 @@ class Link:
         """Why it isn't linked."""
         return "" if self.control else self.reason
 
+    def is_at(self, node: str) -> bool:
+        """Whether a ROS node of this domain, by its name, is the peer's own."""
+        return self.peer is not None and node.endswith(f"_{self.peer.instance}")
+
     @property
     def clock_offset(self) -> float | None:
         """s, the peer's clock minus ours."""

@@ -73,6 +73,12 @@ class OutgoingRoute(Route):
             self._unsubscribe()
             return
         self._publishers = self.context.ros.publishers(self.topic)
+        if any(self.peer.is_at(publisher.node) for publisher in self._publishers):
+            self.begin_anew(
+                f"the other side publishes {self.topic} in this same domain, {self.context.domain_id}: all would come "
+                "back for ever; give the two sides different domains (domain_id), or use_name on the server"
+            )
+            return
         described = self._resolve()
         if described is None:
             return

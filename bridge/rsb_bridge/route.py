@@ -60,6 +60,10 @@ class Peer(Protocol):
         """Why it isn't linked, in words."""
         ...
 
+    def is_at(self, node: str) -> bool:
+        """Whether a ROS node of this domain, by its name, is the peer's own."""
+        ...
+
     def send(self, message: ControlMessage) -> None:
         """Send a control message; without a connection, nothing happens."""
         ...

@@ -17,6 +17,7 @@ from rsb_bridge.engine import Engine, EngineError
 from rsb_bridge.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.session import Topic
+from rsb_bridge.snapshot import State
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -88,6 +89,22 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     for engine in (server, client):
         eventually(lambda engine=engine: down(engine, "/count", f"{INT32} differs between the two sides"))
         assert "install the same version on both" in route(engine, "/count").reason
+
+
+def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> None:
+    """Said on both sides; with the client's name before the server's topics there is nothing to loop."""
+    words = "publishes /loop in this same domain"
+    publisher = robot.publisher("/loop")
+    server, client = bridge.server(domain_id=robot.id), bridge.client(Topic("/loop", "transmit"))
+    eventually(lambda: publisher.publish(text("round")) or (down(client, "/loop", words) and said(server, words)))
+    assert route(client, "/loop").state is State.DOWN
+
+    bridge.close()
+    bridge.move()
+    listener = robot.listener("/robot1/loop")
+    client = bridge.both(Topic("/loop", "transmit"), domain_id=robot.id, use_name=True)[1]
+    eventually(lambda: publisher.publish(text("on")) or listener.payloads)
+    assert route(client, "/loop").state is State.OK
 
 
 def test_qos_by_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -83,7 +83,13 @@ Sink = Callable[[Sequence[Taken]], None]
 
 
 class RosSide(Protocol):
-    """One domain's ROS graph, and our node in it. Every method may be called from any thread."""
+    """One domain's ROS graph, and our node in it. Every method may be called from any thread.
+
+    Attributes:
+        instance: random, new each time: our node's name ends with it.
+    """
+
+    instance: str
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.

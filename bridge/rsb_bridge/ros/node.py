@@ -39,8 +39,9 @@ class RosNode:
     """
 
     def __init__(self, domain_id: int, name: str) -> None:
+        self.instance = secrets.token_hex(4)
         self._domain_id = domain_id
-        self._node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{secrets.token_hex(3)}"
+        self._node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance}"
         self._lock = threading.Lock()
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None

@@ -6,6 +6,7 @@ raw, from a thread of its own.
 
 from __future__ import annotations
 
+import secrets
 import threading
 import time
 from collections import defaultdict
@@ -37,11 +38,13 @@ class StandIn:
     """One domain.
 
     Attributes:
+        instance: as a real node's.
         offered: the topics that this domain's own nodes publish, with their QoS.
         arrived: what the engine published, by topic.
     """
 
     def __init__(self, **offered: Qos) -> None:
+        self.instance = secrets.token_hex(4)
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
         self._sinks: dict[str, Sink] = {}
