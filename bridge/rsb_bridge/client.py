@@ -18,6 +18,7 @@ from rsb_bridge.transport.streams import Stream, StreamHandler, address_words, o
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
+from rsb_bridge.wire.messages import Welcome
 from rsb_bridge.wire.opening import RefusalCode
 
 if TYPE_CHECKING:
@@ -62,6 +63,10 @@ class ClientLink(Link):
 
     def shared_port(self) -> int:
         return self.port
+
+    @property
+    def use_name(self) -> bool:
+        return self.context.session.use_name or (isinstance(self.peer, Welcome) and self.peer.use_name)
 
     # --- calling
 

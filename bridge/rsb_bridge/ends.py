@@ -138,7 +138,9 @@ class ServerEnd:
         self._server = Server(
             context,
             [Entry(client, keys[client.name]) for client in clients_of(session)],
-            lambda link_id: Welcome(__version__, session.name, link_id, context.ros.instance, context.domain_id),
+            lambda link_id, use_name: Welcome(
+                __version__, session.name, link_id, context.ros.instance, context.domain_id, use_name=use_name
+            ),
             aes=fastest_suite() is Suite.AESGCM,
         )
 
@@ -159,9 +161,7 @@ class ServerEnd:
 
     def add(self, topic: Topic, link: str) -> Route:
         robot = self._chosen(link)
-        client, session = robot.entry.client, self._context.session
-        use_name = session.use_name if client.use_name is None else client.use_name
-        proposal = proposal_of(topic, client_name=client.name, use_name=use_name, bluetooth=robot.is_bluetooth)
+        proposal = proposal_of(topic, client_name=robot.name, use_name=robot.use_name, bluetooth=robot.is_bluetooth)
         return robot.add(topic, proposal, proposed_here=True)
 
     def _chosen(self, name: str) -> ServerLink:

@@ -19,6 +19,7 @@ from rsb_bridge.radio import RadioStream
 from rsb_bridge.route import Route, route_key
 from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.shared import SharedPath, SharedStream
+from rsb_bridge.side import Side
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.budget import Budget
@@ -35,13 +36,13 @@ if TYPE_CHECKING:
     from rsb_bridge.session import Topic
     from rsb_bridge.transport.streams import Stream, StreamHandler
     from rsb_bridge.transport.udp import Address
-    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Shutdown, Welcome
+    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _NOT_YET = "not connected yet"
 
 
-class Link:
+class Link(Side):
     """A peer and its routes. It lives on while the peer is away.
 
     Attributes:
@@ -81,42 +82,6 @@ class Link:
         self.dialogue = Dialogue(self)
         self._tasks: set[asyncio.Task[None]] = set()
 
-    # --- what client and server do differently
-
-    @property
-    def address(self) -> str:
-        """The peer's address in words."""
-        raise NotImplementedError
-
-    def shared_port(self) -> int:
-        """The port or channel of the link itself."""
-        raise NotImplementedError
-
-    @property
-    def is_bluetooth(self) -> bool:
-        """Whether the link is RFCOMM."""
-        return self.context.session.is_bluetooth
-
-    def open_stream(self, route: Route) -> None:
-        """Get the route's stream going, or on it; a server waits for the client's."""
-        raise NotImplementedError
-
-    def open_lane(self, port: int) -> Lane | None:
-        """Datagrams to and from the peer by that port; None: not now."""
-        raise NotImplementedError
-
-    async def prepare_port(self, route: Route) -> None:
-        """Have the port that a route names ready for the client; ListenError where it is taken."""
-        raise NotImplementedError
-
-    def admit(self, proposal: Propose) -> Propose:
-        """The peer's proposal with this side's name for the topic; LinkError where it may not be."""
-        raise NotImplementedError
-
-    def told_to_stop(self, message: Shutdown) -> None:
-        """The peer closes the link on purpose."""
-        raise NotImplementedError
-
     # --- up and down
 
     @property
@@ -128,6 +93,11 @@ class Link:
     def down_reason(self) -> str:
         """Why it isn't linked."""
         return "" if self.control else self.reason
+
+    @property
+    def is_bluetooth(self) -> bool:
+        """Whether the link is RFCOMM."""
+        return self.context.session.is_bluetooth
 
     def is_at(self, node: str) -> bool:
         """Whether a ROS node of this domain, by its name, is the peer's own."""
@@ -404,6 +374,7 @@ class Link:
             tx_bytes_per_second=keepalive.tx_rate if self.linked else 0.0,
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
+            use_name=self.use_name,
         )
 
     def _state(self) -> State:

@@ -67,6 +67,11 @@ class ServerLink(Link):
     def shared_port(self) -> int:
         return self.context.session.server_port
 
+    @property
+    def use_name(self) -> bool:
+        own = self.entry.client.use_name
+        return self.context.session.use_name if own is None else own
+
     def told_to_stop(self, message: Shutdown) -> None:
         if self.control is not None:
             self.control.abort(f"the client left: {message.reason}")
@@ -76,8 +81,7 @@ class ServerLink(Link):
         client = self.entry.client
         ours = proposal.remote_topic if proposal.from_client else proposal.topic
         prefix = f"/{client.name}"
-        use_name = self.context.session.use_name if client.use_name is None else client.use_name
-        if use_name and not ours.startswith(prefix + "/"):
+        if self.use_name and not ours.startswith(prefix + "/"):
             ours = prefix + ours
         names = (ours, ours.removeprefix(prefix))
         if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
@@ -155,7 +159,7 @@ class Server:
     """
 
     def __init__(
-        self, context: Context, entries: list[Entry], make_welcome: Callable[[bytes], Welcome], *, aes: bool
+        self, context: Context, entries: list[Entry], make_welcome: Callable[[bytes, bool], Welcome], *, aes: bool
     ) -> None:
         self.context = context
         self._make_welcome = make_welcome
@@ -202,7 +206,7 @@ class Server:
         return Credential(entry.key.secret if entry.key else None)
 
     def _welcome(self, hello: Hello) -> Welcome:
-        return self._make_welcome(os.urandom(LINK_ID_LENGTH))
+        return self._make_welcome(os.urandom(LINK_ID_LENGTH), self.links[hello.name].use_name)
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> Control:
         """A client is authenticated; it takes the place of an older connection of its name."""

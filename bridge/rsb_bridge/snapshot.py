@@ -171,6 +171,7 @@ class LinkSnapshot:
         tx_bytes_per_second: wire bytes sent.
         peer_version: the other side's rsb-console version, or empty.
         peer_domain: the other side's ROS domain; None: not linked yet.
+        use_name: the server's names of the client's topics have the client's before them.
     """
 
     name: str
@@ -190,6 +191,7 @@ class LinkSnapshot:
     tx_bytes_per_second: float
     peer_version: str
     peer_domain: int | None
+    use_name: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import msgspec
 from rich.cells import cell_len
 
 from rsb_bridge.qos import AUTO
-from rsb_bridge.session import Client, Session, Topic
+from rsb_bridge.session import Session, Topic
 from rsb_bridge.session_file import SessionError, read_yaml, validate, validate_topic
 from rsb_console.glyphs import IN, OUT
 from rsb_console.widgets.lines import Line, fit_middle
@@ -20,7 +20,7 @@ from rsb_console.widgets.picker import Offer
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from rsb_bridge.snapshot import RouteSnapshot, TopicInfo
+    from rsb_bridge.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 NUMBERS = ("port", "max_rate", "expected_rate", "stale_after")
 _NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name has what is left, but no less than this
@@ -41,11 +41,9 @@ class Ends:
     use_name: bool
 
     @classmethod
-    def of(cls, session: Session, client: str) -> Ends:
-        """Those of a session and one of its clients."""
-        entry = next((each for each in session.clients if each.name == client), Client(name=client))
-        use_name = session.use_name if entry.use_name is None else entry.use_name
-        return cls(session.role == "server", client, use_name)
+    def of(cls, now: Snapshot, client: str) -> Ends:
+        """Those of a running engine and one of its links, by the client's name."""
+        return cls(now.role == "server", client, any(link.use_name for link in now.links if link.name == client))
 
     def client_topic(self, topic: str, *, on_server: bool) -> str | None:
         """A topic's name on the client; None: a topic of the server's that this client's names cannot mean."""

@@ -9,7 +9,7 @@ from scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
 from rsb_bridge.qos import Qos
-from rsb_bridge.session import Client, Session, Topic
+from rsb_bridge.session import Client, Topic
 from rsb_bridge.snapshot import TopicInfo
 from rsb_console.topic_draft import Ends, offers_of, topic_of, values_of
 
@@ -265,8 +265,6 @@ def test_a_long_name_is_cut_in_its_middle(width: int) -> None:
 
 
 def test_the_servers_names_lose_the_clients_prefix() -> None:
-    session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=1, use_name=True)
-    offers = offers_of(Ends.of(session, "robot1"), [], [info("/robot1/map"), info("/robot2/map"), info("/map")], [])
+    there = [info("/robot1/map"), info("/robot2/map"), info("/map")]
+    offers = offers_of(Ends(False, "robot1", use_name=True), [], there, [])
     assert [(offer.value, offer.fills["direction"]) for offer in offers] == [("/map", "receive")]
-    assert Ends.of(SERVER, "robot2").use_name is False
-    assert Ends.of(SERVER, "robot1").use_name is True

@@ -16,7 +16,7 @@ from tests.support.domain import BEST_EFFORT, LATCHED, text
 from rsb_bridge.engine import Engine, EngineError
 from rsb_bridge.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.session import Topic
+from rsb_bridge.session import Client, Topic
 from rsb_bridge.snapshot import State
 
 if TYPE_CHECKING:
@@ -104,7 +104,18 @@ def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> No
     listener = robot.listener("/robot1/loop")
     client = bridge.both(Topic("/loop", "transmit"), domain_id=robot.id, use_name=True)[1]
     eventually(lambda: publisher.publish(text("on")) or listener.payloads)
+    assert link(client).use_name
     assert route(client, "/loop").state is State.OK
+
+
+def test_a_client_learns_whether_its_name_stands_before_its_topics(bridge: Bridge) -> None:
+    """The server's session may say so of all its clients, or of each."""
+    clients = (Client("robot1", key_file=bridge.key_file), Client("robot2", use_name=False))
+    server = bridge.server(use_name=True, clients=clients)
+    client = bridge.client()
+    eventually(lambda: link(client).state is State.OK)
+    assert link(client).use_name
+    assert [each.use_name for each in server.snapshot().links] == [True, False]
 
 
 def test_qos_by_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -61,6 +61,7 @@ class Welcome(_Message, frozen=True):
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
         features: what it can beyond version 1; none yet.
+        use_name: its names of this client's topics have the client's before them.
     """
 
     version: Name
@@ -69,6 +70,7 @@ class Welcome(_Message, frozen=True):
     instance: Name
     domain_id: Count
     features: Features = ()
+    use_name: bool = False
 
 
 class Propose(_Message, frozen=True, kw_only=True):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.engine import Engine
     from rsb_bridge.session import Session, Topic
-    from rsb_bridge.snapshot import RouteSnapshot, TopicInfo
+    from rsb_bridge.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 LOOK_EVERY = 2.0  # s between two looks at the graphs
 
@@ -48,7 +48,7 @@ class TopicScreen(FormScreen[Draft]):
     def __init__(self, engine: Engine, route: RouteSnapshot | None = None) -> None:
         self._engine, self._route = engine, route
         self._links = [route.link] if route is not None else [link.name for link in engine.snapshot().links]
-        fields = [self._field(spec) for spec in _specs(engine.session, self._links, route)]
+        fields = [self._field(spec) for spec in _specs(engine.session, engine.snapshot(), self._links, route)]
         title, yes = ("Add a topic", "Add") if route is None else (f"Edit {route.topic}", "Change")
         super().__init__(title, fields, yes)
 
@@ -90,8 +90,9 @@ class TopicScreen(FormScreen[Draft]):
             except EngineError as error:
                 found.append([])
                 missing = str(error)
-        ends = Ends.of(self._engine.session, self._link)
-        bridged = [route for route in self._engine.snapshot().routes if route.link == self._link]
+        now = self._engine.snapshot()
+        ends = Ends.of(now, self._link)
+        bridged = [route for route in now.routes if route.link == self._link]
         field = self.form.fields["topic"]
         assert isinstance(field, PickField)
         field.offer(
@@ -114,12 +115,12 @@ class TopicScreen(FormScreen[Draft]):
         self.form.fields["direction"].control.focus()
 
 
-def _specs(session: Session, links: list[str], route: RouteSnapshot | None) -> Iterator[Spec]:
+def _specs(session: Session, now: Snapshot, links: list[str], route: RouteSnapshot | None) -> Iterator[Spec]:
     """The fields, in the order in which an operator thinks of them."""
     values = {} if route is None else values_of(route.spec)
     if len(links) > 1:
         yield Spec("link", "Client", "The client whose topic it is.", options=tuple((name, name) for name in links))
-    for spec in (*_what(session, Ends.of(session, links[0]), new=route is None), *_how(session)):
+    for spec in (*_what(session, Ends.of(now, links[0]), new=route is None), *_how(session)):
         value = values.get(spec.key, "")
         if spec.key == "paused":
             value = "yes" if value else ""
