@@ -19,7 +19,7 @@ from rsb_bridge.dialogue import LinkError
 from rsb_bridge.ends import ClientEnd, End, Keys, ServerEnd, clients_of
 from rsb_bridge.event_log import EventLog
 from rsb_bridge.graph import topics_of
-from rsb_bridge.keys import KeyFileError, read_key
+from rsb_bridge.keys import KeyFileError, key_path, read_key
 from rsb_bridge.observer import Observer, in_slices
 from rsb_bridge.ros.api import RosError, RosSide, Subscription
 from rsb_bridge.shutdown_topic import watch_shutdown_topic
@@ -354,7 +354,7 @@ class Engine:
                     f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
                 )
             try:
-                keys[name] = read_key(self._base / Path(file).expanduser())
+                keys[name] = read_key(key_path(self._base, file))
             except KeyFileError as error:
                 raise EngineError(str(error)) from None
             for warning in keys[name].warnings:

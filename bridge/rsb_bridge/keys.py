@@ -9,12 +9,9 @@ import os
 import re
 import stat
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from rsb_bridge.files import kind_of_file, replace_file
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 KEY_BYTES = 32
 DEFAULT_KEY_FILE = "key.txt"
@@ -91,6 +88,16 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
     return _parse(text.decode(), path)
+
+
+def key_path(base: Path, key_file: str) -> Path:
+    """Where a session's key file is.
+
+    Args:
+        base: the session file's folder.
+        key_file: as the session names it: relative to that, absolute, or from ``~``.
+    """
+    return base / Path(key_file).expanduser()
 
 
 def read_key(path: Path) -> Key:

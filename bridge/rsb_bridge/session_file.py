@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -19,8 +18,9 @@ from rsb_bridge.session_shape import join
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from pathlib import Path
 
-__all__ = ["Problem", "SessionError", "dump", "key_path", "load", "parse", "save", "validate", "validate_topic"]
+__all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
 MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
 MAX_DEPTH = 20
@@ -104,11 +104,6 @@ def save(session: Session, path: Path) -> None:
         replace_file(path, text.encode())
     except OSError as error:
         raise SessionError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
-
-
-def key_path(session_path: Path, key_file: str) -> Path:
-    """Where a session's key file is: relative to the session file."""
-    return session_path.parent / Path(key_file).expanduser()
 
 
 def read_text(path: Path) -> str:

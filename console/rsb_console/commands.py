@@ -9,8 +9,8 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from rsb_bridge.keys import KeyFileError, fingerprint, read_key, write_key
-from rsb_bridge.session_file import SessionError, dump, key_path, load, save
+from rsb_bridge.keys import KeyFileError, fingerprint, key_path, read_key, write_key
+from rsb_bridge.session_file import SessionError, dump, load, save
 from rsb_bridge.thesis import import_bringup
 from rsb_console.shell import FAILURE, OK, USAGE, complain, say
 
@@ -180,7 +180,7 @@ def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:
     names = [client.key_file or session.key_file for client in session.clients] or [session.key_file]
     for name in dict.fromkeys(name for name in names if name is not None):
         try:
-            yield read_key(key_path(path, name))
+            yield read_key(key_path(path.parent, name))
         except KeyFileError as error:
             yield error
 

@@ -351,6 +351,14 @@ def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: 
     drive(app, steps)
 
 
+async def save_as(pilot: Pilot, path: str) -> None:
+    """Save the session to another file."""
+    await pilot.press("W")
+    await shown(pilot, "Save as")
+    await fill(pilot, path=path)
+    await pilot.press("enter")
+
+
 def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> None:
     session = msgspec.structs.replace(SESSION, role="server")
     save(session, folder / "pc.yaml")
@@ -361,10 +369,7 @@ def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> Non
         await pilot.press("w")
         await shown(pilot, "nothing has changed:")
         await shown(pilot, "no topics")
-        await pilot.press("W")
-        await shown(pilot, "Save as")
-        await fill(pilot, path="other.yaml")
-        await pilot.press("enter")
+        await save_as(pilot, "other.yaml")
         await shown(pilot, "saved: other.yaml")
         assert load(folder / "other.yaml") == session
 
@@ -381,10 +386,7 @@ def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
 
     async def steps(pilot: Pilot) -> None:
         await shown(pilot, "/robot2/scan")
-        await pilot.press("W")
-        await shown(pilot, "Save as")
-        await fill(pilot, path=str(folder / "robots" / "r.yaml"))
-        await pilot.press("enter")
+        await save_as(pilot, str(folder / "robots" / "r.yaml"))
         await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
         await pilot.press("w")  # once more, over itself
         await shown(pilot, "nothing has changed:")

@@ -12,7 +12,7 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_bridge.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, read_key, write_key
+from rsb_bridge.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_console.saving import path_problem
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
@@ -73,7 +73,7 @@ def key_files(session: Session, base: Path) -> dict[Path, str]:
     found: dict[Path, str] = {}
     for user, name in users or [(session.name, session.key_file)]:
         if name is not None:
-            path = base / Path(name).expanduser()
+            path = key_path(base, name)
             found[path] = f"{found[path]}, {user}" if path in found else user
     return found
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import work
 from textual.widgets import Button, Input
 
-from rsb_bridge.keys import KeyFileError, fingerprint, read_key, write_key
+from rsb_bridge.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.session import Session
 from rsb_bridge.session_file import validate
 from rsb_console.saving import path_problem, save_asking
@@ -163,7 +163,7 @@ def _number(text: str) -> int | str:
 
 def _key_path(new: NewSession) -> Path:
     assert new.session.key_file is not None
-    return new.path.parent / Path(new.session.key_file).expanduser()
+    return key_path(new.path.parent, new.session.key_file)
 
 
 def _key_problem(path: Path) -> str:

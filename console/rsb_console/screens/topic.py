@@ -47,8 +47,9 @@ class TopicScreen(FormScreen[Draft]):
 
     def __init__(self, engine: Engine, route: RouteSnapshot | None = None) -> None:
         self._engine, self._route = engine, route
-        self._links = [route.link] if route is not None else [link.name for link in engine.snapshot().links]
-        fields = [self._field(spec) for spec in _specs(engine.session, engine.snapshot(), self._links, route)]
+        now = engine.snapshot()
+        self._links = [route.link] if route is not None else [link.name for link in now.links]
+        fields = [self._field(spec) for spec in _specs(engine.session, now, self._links, route)]
         title, yes = ("Add a topic", "Add") if route is None else (f"Edit {route.topic}", "Change")
         super().__init__(title, fields, yes)
 
