@@ -29,10 +29,17 @@ if TYPE_CHECKING:
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
 
 
+class Panes(Horizontal):
+    """Topics and detail, side by side."""
+
+    BLANK = True  # the panes cover it: nothing to draw
+
+
 class MainScreen(OperationsScreen):
     """Topics, detail and log."""
 
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
+    BLANK = True  # as its `Panes`
     AUTO_FOCUS = "#topics"
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual says it is no ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- Textual says it is no ClassVar
@@ -49,7 +56,7 @@ class MainScreen(OperationsScreen):
     def compose(self) -> ComposeResult:
         """Status, panes, log, keys."""
         yield self.status
-        with Horizontal(id="panes"):
+        with Panes(id="panes"):
             yield self.topics
             yield self.detail
         yield self.log_pane

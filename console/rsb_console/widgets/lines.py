@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+import time
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from rich.cells import cell_len
 from rich.segment import Segment
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 Line = tuple[tuple[str, str], ...]
 """Pieces of one line: text, and the name of its look (one of `LOOKS`, or empty for the pane's own)."""
+
+BREATH = 0.5e-3  # s
 
 LOOKS = ("ok", "waiting", "paused", "stale", "down", "dim", "strong", "key", "head", "alarm", "plot")
 
@@ -40,8 +43,10 @@ class LiveLines(ScrollView):
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002 -- Textual's name
         super().__init__(id=id, classes=classes)
         self._drawn: dict[int, tuple[Line, bool]] = {}
+        self._finished: tuple[Region, list[Strip]] | None = None
+        self._looks: dict[tuple[str, bool], Style] = {}
         self._title = ""
-        self.width = 0
+        self.width = self._top = 0
 
     @property
     def line_count(self) -> int:
@@ -58,14 +63,16 @@ class LiveLines(ScrollView):
 
     def index_at(self, y: int) -> int:
         """The line that stands at screen row `y` of this pane."""
-        return y if y < self.sticky else y + round(self.scroll_offset.y)
+        return y if y < self.sticky else y + self._top
 
     def sync(self) -> None:
         """Redraw what differs from what is on screen."""
+        give_way()
         size = Size(0, self.line_count)
         if size != self.virtual_size:
             self.virtual_size = size
-        self.width = width = self.size.width
+        self._measure()
+        width = self.width
         for y, (old, was_cursor) in list(self._drawn.items()):
             new, cursor = self._make(y)
             if cursor != was_cursor:
@@ -73,26 +80,47 @@ class LiveLines(ScrollView):
             elif new != old:
                 self.refresh(Region(0, y, changed_width(old, new, width), 1))
 
+    def _measure(self) -> None:
+        self.width, self._top = self.size.width, round(self.scroll_offset.y)
+
     def _make(self, y: int) -> tuple[Line, bool]:
         index = self.index_at(y)
         if index >= self.line_count:
             return (), False
         return self.line(index), self.is_cursor(index)
 
+    def refresh(self, *regions: Region, repaint: bool = True, layout: bool = False, recompose: bool = False) -> Self:
+        """Have it drawn anew (Textual's)."""
+        self._finished = None
+        return super().refresh(*regions, repaint=repaint, layout=layout, recompose=recompose)
+
+    def notify_style_update(self) -> None:
+        """Forget how the looks look (Textual's)."""
+        self._looks.clear()
+        super().notify_style_update()
+
     def render_lines(self, crop: Region) -> list[Strip]:
-        """Draw the lines in `crop` (Textual's line API)."""
-        self.width = self.size.width
-        return super().render_lines(crop)
+        """Draw the lines in `crop` (Textual's line API), which asks all panes whenever one of them has changed."""
+        if self._finished is None or self._finished[0] != crop:
+            give_way()
+            self._measure()
+            self._finished = crop, super().render_lines(crop)
+        return self._finished[1]
 
     def render_line(self, y: int) -> Strip:
         """Draw screen row `y` (Textual's line API)."""
         made, cursor = self._drawn[y] = self._make(y)
-        base = self.get_component_rich_style("line--cursor") if cursor else self.rich_style
-        strip = Strip([Segment(text, self._style(look, base)) for text, look in made])
-        return strip.adjust_cell_length(self.width, base).simplify()
+        strip = Strip([Segment(text, self._style(look, cursor=cursor)) for text, look in made])
+        return strip.adjust_cell_length(self.width, self._style("", cursor=cursor)).simplify()
 
-    def _style(self, look: str, base: Style) -> Style:
-        return base + self.get_component_rich_style(look_class(look), partial=True) if look else base
+    def _style(self, look: str, *, cursor: bool) -> Style:
+        style = self._looks.get((look, cursor))
+        if style is None:  # Textual's own cache of these ends with every refresh
+            style = self.get_component_rich_style("line--cursor") if cursor else self.visual_style.rich_style
+            if look:
+                style += self.get_component_rich_style(look_class(look), partial=True)
+            self._looks[look, cursor] = style
+        return style
 
     def entitle(self, title: str) -> None:
         """Set the title on the border; Textual would redraw the pane even for the same one."""
@@ -105,6 +133,15 @@ class LiveLines(ScrollView):
         self._drawn.clear()
         self.refresh()
         self.sync()
+
+
+def give_way() -> None:
+    """Let the bridge's threads run, before a pane's worth of work.
+
+    A thread that only computes keeps the interpreter from all others for 5 ms, unless it sleeps. Having it taken from
+    it sooner (`sys.setswitchinterval`) costs the bridge more than it gains: docs/performance.md has the figures.
+    """
+    time.sleep(BREATH)
 
 
 def changed_width(old: Line, new: Line, width: int) -> int:
