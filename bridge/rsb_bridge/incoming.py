@@ -11,7 +11,7 @@ import zstandard
 
 from rsb_bridge.graph import type_hint
 from rsb_bridge.latched import LATCHED_LIMIT, Latched
-from rsb_bridge.qos import incompatible
+from rsb_bridge.qos import incompatible, match_subscriptions
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.route import Peer, Route
 from rsb_bridge.snapshot import Ledger, Level, Stage
@@ -47,6 +47,7 @@ class IncomingRoute(Route):
         self._dropped: Counter[str] = Counter()
         self._before: ReceivedReport | None = None
         self._report: SentReport | None = None
+        self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
         self._received_before = 0
@@ -113,11 +114,14 @@ class IncomingRoute(Route):
             return
         if self.accepted and not self.paused and self.path is None:
             self.peer.make_path(self)
-        self._subscribers = self._publisher.subscriber_count
+        before, self._subscribers = self._subscribers, self._publisher.subscriber_count
+        if self._subscribers and self._subscribers == before and self._subscriber_qos is not None:
+            return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._clash = ""
+        requested = [endpoint.qos for endpoint in self.context.ros.subscriptions(self.remote_topic)]
+        self._subscriber_qos = match_subscriptions(requested) if requested else None
         if not self._subscribers and self.qos is not None:
-            for endpoint in self.context.ros.subscriptions(self.remote_topic):
-                self._clash = self._clash or incompatible(self.qos, endpoint.qos)
+            self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
 
     def destroy(self) -> None:
         """End it for good, its publisher too."""
@@ -219,12 +223,16 @@ class IncomingRoute(Route):
             newest=counts.newest if counts else self._received,
             dropped=dict(self._dropped),
             subscribers=self._subscribers,
+            subscriber_qos=self._subscriber_qos,
             type=self._hint[0],
             type_hash=self._hint[1],
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
         )
+
+    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
+        return self._report.publisher_qos if self._report else None, self._subscriber_qos
 
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher there to the subscriber here."""

@@ -282,9 +282,14 @@ class OutgoingRoute(Route):
             dropped=ledger.dropped,
             lost_in_dds=ledger.lost_in_dds,
             publishers=len(self._publishers),
+            publisher_qos=self._matched_qos(),
             subscribed=self._subscription is not None,
             problem=plain(self.problem),
         )
+
+    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
+        report = self._account.report
+        return self._matched_qos(), report.subscriber_qos if report else None
 
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""

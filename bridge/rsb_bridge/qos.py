@@ -117,6 +117,20 @@ def match_publishers(offered: Sequence[Qos]) -> Qos:
     )
 
 
+def match_subscriptions(requested: Sequence[Qos]) -> Qos:
+    """The QoS that a publisher has to offer at the least, to match all these subscriptions.
+
+    Args:
+        requested: at least one; depths are not known to others and do not matter.
+    """
+    deadlines = [qos.deadline for qos in requested if qos.deadline]
+    return Qos(
+        reliability="reliable" if any(qos.reliability == "reliable" for qos in requested) else "best_effort",
+        durability="transient_local" if any(qos.durability == "transient_local" for qos in requested) else "volatile",
+        deadline=min(deadlines, default=0.0),
+    )
+
+
 def _loosest(seconds: list[float]) -> float:
     return 0.0 if 0.0 in seconds else max(seconds)
 

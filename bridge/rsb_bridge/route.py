@@ -165,6 +165,10 @@ class Route:
     def _stages(self) -> tuple[Stage, ...]:
         raise NotImplementedError
 
+    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
+        """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
+        raise NotImplementedError
+
     def named(self, topic: str) -> None:
         """The peer says what the topic is called on its side."""
         if self.outgoing:
@@ -315,6 +319,7 @@ class Route:
         now = self.context.now()
         stages = self.stages()
         state, reason = self._state(stages)
+        publisher_qos, subscriber_qos = self._end_qos()
         return RouteSnapshot(
             key=self.key,
             link=self.peer.name,
@@ -327,6 +332,8 @@ class Route:
             type_name=self.type_name,
             type_hash=self.type_hash,
             qos=self.qos,
+            publisher_qos=publisher_qos,
+            subscriber_qos=subscriber_qos,
             transport=self.transport,
             port=self.proposal.port or self.peer.shared_port(),
             stages=stages,

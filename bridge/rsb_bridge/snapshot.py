@@ -104,7 +104,9 @@ class RouteSnapshot:
         state: how it is; `reason` says why where it is not OK.
         type_name: resolved, or empty.
         type_hash: resolved, or empty.
-        qos: resolved, or None.
+        qos: the bridge's own, on both sides; None: not known yet.
+        publisher_qos: what the publishers at its beginning offer, as one; depths are not known to others. None: none.
+        subscriber_qos: likewise, what the subscriptions at its end ask for.
         transport: ``tcp``, ``udp`` or ``bluetooth``.
         port: the port or channel that carries it.
         stages: in order.
@@ -133,6 +135,8 @@ class RouteSnapshot:
     type_name: str
     type_hash: str
     qos: Qos | None
+    publisher_qos: Qos | None
+    subscriber_qos: Qos | None
     transport: str
     port: int
     stages: tuple[Stage, ...]

@@ -54,6 +54,8 @@ def route(topic: str, state: State = State.OK, **changes: object) -> RouteSnapsh
         type_name="sensor_msgs/msg/LaserScan",
         type_hash="RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
         qos=Qos(reliability="best_effort", depth=5),
+        publisher_qos=Qos(reliability="best_effort"),
+        subscriber_qos=None,
         transport="udp",
         port=49152,
         stages=stages(),

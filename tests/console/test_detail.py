@@ -7,6 +7,7 @@ from driving import NARROW, drive, scripted_app, settled, shown, text, until
 from scripted import ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
+from rsb_bridge.qos import Qos
 from rsb_bridge.session import Topic
 from rsb_bridge.snapshot import RouteSnapshot, State
 from rsb_console import formats
@@ -138,3 +139,13 @@ def test_control_characters_never_go_out() -> None:
         assert all(line.isprintable() for line in text(app).split("\n"))
 
     drive(app, steps, NARROW)
+
+
+def test_the_qos_of_both_ends_and_of_the_bridge() -> None:
+    words = said(route("/scan", publisher_qos=Qos("best_effort", deadline=0.5), subscriber_qos=Qos()))
+    assert "QoS         best effort, volatile, last 5\n" in words
+    assert "publishers  offer best effort, volatile, deadline 500.0 ms\n" in words
+    assert "subscribers ask for reliable, volatile\n" in words
+    nobody = said(route("/scan", publisher_qos=None, subscriber_qos=None))
+    assert "publishers" not in nobody
+    assert "subscribers" not in nobody

@@ -160,12 +160,22 @@ def test_qos_follows_the_publishers(bridge: Bridge, robot: Domain, pc: Domain) -
         heard(there, count + 1)
 
     crosses(best_effort, Qos("best_effort"))
+    ends = (Qos("best_effort"), Qos("best_effort"))
+    eventually(lambda: [end_qos(side) for side in (server, client)] == [ends, ends])
     robot.node.destroy_publisher(best_effort)
     latched = robot.publisher("/chat", qos=LATCHED)
     crosses(latched, Qos(durability="transient_local"))
     late = pc.listener("/chat", qos=LATCHED)
     assert heard(late, 1) == [text("new")]
+    ends = (Qos(durability="transient_local"), Qos(durability="transient_local"))  # the stricter of two subscriptions
+    eventually(lambda: [end_qos(side) for side in (server, client)] == [ends, ends])
     crosses(robot.publisher("/chat", qos=BEST_EFFORT), Qos("best_effort"))
+
+
+def end_qos(side: Engine) -> tuple[Qos | None, Qos | None]:
+    """Of the publishers where /chat begins, and of the subscriptions where it ends."""
+    chat = route(side, "/chat")
+    return chat.publisher_qos, chat.subscriber_qos
 
 
 def test_a_subscriber_that_asks_for_more(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -231,6 +231,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         dropped: by cause.
         lost_in_dds: lost before they could be taken.
         publishers: on its topic.
+        publisher_qos: what they offer, as one; None: none.
         subscribed: messages are being taken.
         problem: what keeps it from flowing on this side, in words; empty: nothing.
     """
@@ -244,8 +245,12 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     dropped: Causes = {}
     lost_in_dds: Count = 0
     publishers: Count = 0
+    publisher_qos: Qos | None = None
     subscribed: bool = False
     problem: Words = ""
+
+    def __post_init__(self) -> None:
+        _check_qos(self.publisher_qos)
 
 
 class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -260,6 +265,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         newest: the highest message number seen on datagrams.
         dropped: by cause.
         subscribers: on its topic.
+        subscriber_qos: what they ask for, as one; None: none.
         type: what the receiver's graph knows of the topic's type, as long as the sender has described none.
         type_hash: likewise.
         latency_p50: s, one way, the clock offset taken off; None: no figure.
@@ -275,11 +281,15 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     newest: Count = 0
     dropped: Causes = {}
     subscribers: Count = 0
+    subscriber_qos: Qos | None = None
     type: Name = ""
     type_hash: Name = ""
     latency_p50: Figure | None = None
     latency_p99: Figure | None = None
     jitter: Figure | None = None
+
+    def __post_init__(self) -> None:
+        _check_qos(self.subscriber_qos)
 
 
 class Report(_Message, frozen=True):

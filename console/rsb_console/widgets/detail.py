@@ -191,6 +191,10 @@ def _figures(route: RouteSnapshot) -> Iterator[Line]:
         yield _figure("jitter", formats.span(route.jitter))
     if route.qos is not None:
         yield _figure("QoS", qos_words(route.qos))
+    if route.publisher_qos is not None:
+        yield _figure("publishers", f"offer {qos_words(route.publisher_qos, depth_known=False)}")
+    if route.subscriber_qos is not None:
+        yield _figure("subscribers", f"ask for {qos_words(route.subscriber_qos, depth_known=False)}")
     if route.type_hash:
         yield _figure("type hash", route.type_hash)
     if route.last_error:
@@ -201,10 +205,11 @@ def _figure(name: str, text: str) -> Line:
     return ((f" {name:<{LABEL}} ", "dim"), (text, ""))
 
 
-def qos_words(qos: Qos) -> str:
-    """``reliable, volatile, last 10``."""
-    kept = "all" if qos.history == "keep_all" else f"last {qos.depth}"
-    words = [qos.reliability.replace("_", " "), qos.durability.replace("_", " "), kept]
+def qos_words(qos: Qos, *, depth_known: bool = True) -> str:
+    """``reliable, volatile, last 10``; without how many are kept where that is not known."""
+    words = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
+    if depth_known:
+        words.append("all" if qos.history == "keep_all" else f"last {qos.depth}")
     if qos.deadline:
         words.append(f"deadline {formats.span(qos.deadline)}")
     if qos.lifespan:
