@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.snapshot import Ledger
 
 if TYPE_CHECKING:
-    from rsb_bridge.wire.messages import ReceivedReport
+    from rsb_bridge.wire.records import ReceivedReport
 
 _OVERDUE_AFTER = 2.0
 

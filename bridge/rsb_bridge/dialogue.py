@@ -30,9 +30,9 @@ from rsb_bridge.wire.messages import (
     Refuse,
     Report,
     Shutdown,
-    TopicEntry,
     TopicList,
 )
+from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
     from rsb_bridge.link import Link

@@ -17,7 +17,8 @@ from rsb_bridge.route import Peer, Route
 from rsb_bridge.snapshot import Ledger, Level, Stage
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
-from rsb_bridge.wire.messages import Describe, Propose, Ready, ReceivedReport, Refuse, SentReport
+from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
+from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -16,7 +16,8 @@ from rsb_bridge.route import LARGEST_DATAGRAM_MESSAGE, Peer, Route
 from rsb_bridge.snapshot import Ledger, Level, Stage
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
-from rsb_bridge.wire.messages import Describe, Propose, ReceivedReport, SentReport
+from rsb_bridge.wire.messages import Describe, Propose
+from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -24,8 +24,9 @@ from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConne
 from rsb_bridge.wire.events import Established, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
-from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicEntry, TopicList, encode
+from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, encode
 from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, opening, refuse_frame
+from rsb_bridge.wire.records import TopicEntry
 from rsb_bridge.wire.sealing import Sealer, Suite
 
 

@@ -9,15 +9,15 @@ import pytest
 
 import rsb_bridge
 from rsb_bridge.qos import Qos
-from rsb_bridge.wire import messages, opening
+from rsb_bridge.wire import messages, opening, records
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
 STRUCTS = {
     "Hello": messages.Hello,
     "Welcome": messages.Welcome,
-    "SentReport": messages.SentReport,
-    "ReceivedReport": messages.ReceivedReport,
-    "TopicEntry": messages.TopicEntry,
+    "SentReport": records.SentReport,
+    "ReceivedReport": records.ReceivedReport,
+    "TopicEntry": records.TopicEntry,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
 

@@ -8,13 +8,10 @@ import msgspec
 
 from rsb_bridge.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.wire.fields import (
-    DEEPEST,
     LOWEST_RATE,
-    Causes,
     Compression,
     Count,
     Features,
-    Figure,
     Hertz,
     LinkId,
     Name,
@@ -27,6 +24,7 @@ from rsb_bridge.wire.fields import (
     Words,
 )
 from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.records import ReceivedReport, SentReport, TopicEntry, check_qos
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="message", tag=str.lower):
@@ -107,7 +105,7 @@ class Propose(_Message, frozen=True, kw_only=True):
     paused: bool = False
 
     def __post_init__(self) -> None:
-        _check_qos(self.qos)
+        check_qos(self.qos)
         if any(0 < rate < LOWEST_RATE for rate in (self.max_rate, self.expected_rate)):
             raise ValueError(f"a rate is 0 or at least {LOWEST_RATE} Hz")
 
@@ -154,7 +152,7 @@ class Describe(_Message, frozen=True):
     qos: Qos
 
     def __post_init__(self) -> None:
-        _check_qos(self.qos)
+        check_qos(self.qos)
 
 
 class Ready(_Message, frozen=True):
@@ -218,80 +216,6 @@ class Pong(_Message, frozen=True):
     answered: Nanoseconds
 
 
-class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + in flight.
-
-    Attributes:
-        route: which.
-        offered: messages taken from ROS, since the route was made; so for all counts here.
-        delivered: published by the receiver, as it last said.
-        throttled: left out for `Propose.max_rate`.
-        expired: datagram messages that the receiver gave up incomplete.
-        in_flight: not accounted for yet.
-        dropped: by cause.
-        lost_in_dds: lost before they could be taken.
-        publishers: on its topic.
-        publisher_qos: what they offer, as one; None: none.
-        subscribed: messages are being taken.
-        problem: what keeps it from flowing on this side, in words; empty: nothing.
-    """
-
-    route: RouteId
-    offered: Count = 0
-    delivered: Count = 0
-    throttled: Count = 0
-    expired: Count = 0
-    in_flight: Count = 0
-    dropped: Causes = {}
-    lost_in_dds: Count = 0
-    publishers: Count = 0
-    publisher_qos: Qos | None = None
-    subscribed: bool = False
-    problem: Words = ""
-
-    def __post_init__(self) -> None:
-        _check_qos(self.publisher_qos)
-
-
-class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What the receiving side counted of a route since it was opened.
-
-    Attributes:
-        route: which.
-        received: whole messages that arrived.
-        delivered: published.
-        expired: datagram messages given up incomplete.
-        incomplete: datagram messages that wait for fragments.
-        newest: the highest message number seen on datagrams.
-        dropped: by cause.
-        subscribers: on its topic.
-        subscriber_qos: what they ask for, as one; None: none.
-        type: what the receiver's graph knows of the topic's type, as long as the sender has described none.
-        type_hash: likewise.
-        latency_p50: s, one way, the clock offset taken off; None: no figure.
-        latency_p99: likewise.
-        jitter: s (RFC 3550, 6.4.1); None: no figure.
-    """
-
-    route: RouteId
-    received: Count = 0
-    delivered: Count = 0
-    expired: Count = 0
-    incomplete: Count = 0
-    newest: Count = 0
-    dropped: Causes = {}
-    subscribers: Count = 0
-    subscriber_qos: Qos | None = None
-    type: Name = ""
-    type_hash: Name = ""
-    latency_p50: Figure | None = None
-    latency_p99: Figure | None = None
-    jitter: Figure | None = None
-
-    def __post_init__(self) -> None:
-        _check_qos(self.subscriber_qos)
-
-
 class Report(_Message, frozen=True):
     """Either side: its counts, every second.
 
@@ -302,29 +226,6 @@ class Report(_Message, frozen=True):
 
     sent: tuple[SentReport, ...]
     received: tuple[ReceivedReport, ...]
-
-
-class TopicEntry(msgspec.Struct, frozen=True):
-    """A topic of a side's graph.
-
-    Attributes:
-        topic: its name.
-        type: empty where its endpoints disagree.
-        type_hash: or empty.
-        qos: what its publishers offer; None: no publisher.
-        publishers: how many.
-        subscriptions: how many.
-    """
-
-    topic: Name
-    type: Name
-    type_hash: Name
-    qos: Qos | None
-    publishers: Count
-    subscriptions: Count
-
-    def __post_init__(self) -> None:
-        _check_qos(self.qos)
 
 
 class ListTopics(_Message, frozen=True):
@@ -405,14 +306,3 @@ def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
         return decoder.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(f"a control message does not read: {error}") from None
-
-
-def _check_qos(qos: Qos | None) -> None:
-    # A peer's, not a session file's: nothing else has looked at it. An unknown depth is 0.
-    if qos is not None and not (0 <= qos.depth <= DEEPEST and _sensible(qos.deadline) and _sensible(qos.lifespan)):
-        raise ValueError("qos: depth, deadline or lifespan is out of range")
-
-
-def _sensible(seconds: float) -> bool:
-    """None at all, or a time that costs no timer storm."""
-    return seconds == 0 or 0.001 <= seconds < 1e9

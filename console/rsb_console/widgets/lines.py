@@ -139,7 +139,7 @@ def give_way() -> None:
     """Let the bridge's threads run, before a pane's worth of work.
 
     A thread that only computes keeps the interpreter from all others for 5 ms, unless it sleeps. Having it taken from
-    it sooner (`sys.setswitchinterval`) costs the bridge more than it gains: docs/performance.md has the figures.
+    it sooner (`sys.setswitchinterval`) costs the bridge more than it gains: docs/console.md has the figures.
     """
     time.sleep(BREATH)
 
