@@ -1,8 +1,11 @@
 """A live pane redraws no more than it must, and never less."""
 
+from driving import drive, scripted_app, shown, until
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
+from textual.pilot import Pilot
+from textual.strip import Strip
 
 from rsb_console.widgets.lines import LOOKS, changed_width, clip, fit, width_of
 
@@ -36,3 +39,26 @@ def test_a_fitted_line_fits(line: tuple, width: int) -> None:
 
 def test_clip_never_cuts_a_wide_character_in_two() -> None:
     assert clip("日本", 3) == "日"
+
+
+def test_a_pane_keeps_what_it_has_drawn_until_its_look_changes() -> None:
+    """The line under the cursor changes with the focus, and all of it with the theme; else it is the very same."""
+    app = scripted_app()
+
+    def cursor_line() -> Strip:
+        table = app.main.topics
+        return table.render_lines(table.outer_size.region)[1 + table.sticky]  # below the border and the heading
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        focused = cursor_line()
+        assert cursor_line() is focused
+        await pilot.press("l")
+        await until(pilot, lambda: cursor_line() != focused, "a paler cursor")
+        assert cursor_line().text == focused.text
+        await pilot.press("l")
+        await until(pilot, lambda: cursor_line() == focused, "the cursor as it was")
+        await pilot.press("t")
+        await until(pilot, lambda: cursor_line() != focused, "the other theme's colours")
+
+    drive(app, steps)
