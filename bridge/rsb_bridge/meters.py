@@ -14,6 +14,8 @@ _LATENCIES = 512
 _EARLIEST, _LATEST = -1.0, 3600.0
 """s: what a message can take, give or take what two clocks are compared to; a slow radio link has minutes waiting."""
 _PINGS = 16
+_DRIFT = 2e-3
+"""s: how far two clocks drift apart over as many pings, at 100 ppm."""
 
 
 class RateMeter:
@@ -148,9 +150,18 @@ class ClockOffset:
     def add(self, sent: int, received: int, answered: int, back: int) -> None:
         """Take one exchange. All in ns: sent and back on our clock, received and answered on the peer's."""
         self.rtt = max(0, (back - sent) - (answered - received)) / 1e9
-        self._samples.append((self.rtt, ((received - sent) + (answered - back)) / 2e9))
+        offset = ((received - sent) + (answered - back)) / 2e9
+        if self._stepped(offset, self.rtt / 2):
+            self._samples.clear()
+        self._samples.append((self.rtt, offset))
         shortest, self.offset = min(self._samples)
         self.uncertainty = shortest / 2
+
+    def _stepped(self, offset: float, uncertainty: float) -> bool:
+        """Whether one of the clocks was set: two exchanges contradict each other, each within its bounds."""
+        if self.offset is None or self.uncertainty is None:
+            return False
+        return abs(offset - self.offset) > uncertainty + self.uncertainty + _DRIFT
 
 
 class StaleWatch:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.meters import LatencyMeter
+from rsb_bridge.meters import ClockOffset, LatencyMeter
 
 
 @pytest.mark.parametrize("absurd", [-1.79e9, -3600.0, 1.79e9])
@@ -20,3 +20,41 @@ def test_a_latency_that_only_a_set_clock_explains_is_none(absurd: float) -> None
     meter.add(0.002)
     meter.tick()
     assert meter.p99 == 0.002
+
+
+def exchange(clock: ClockOffset, offset: float, there: float = 0.001, back: float = 0.001) -> None:
+    """One ping and pong: seconds that they take, and the peer's clock minus ours."""
+    sent = 10**18
+    received = sent + int((there + offset) * 1e9)
+    clock.add(sent, received, received, sent + int((there + back) * 1e9))
+
+
+def test_the_clock_offset_is_that_of_the_shortest_round_trip() -> None:
+    clock = ClockOffset()
+    exchange(clock, offset=5.0)
+    exchange(clock, offset=5.0, there=0.100)
+    assert clock.offset == pytest.approx(5.0)
+    assert clock.rtt == pytest.approx(0.101)
+    assert clock.uncertainty == pytest.approx(0.001)
+    exchange(clock, offset=5.001, there=0.050)  # within its bounds: no contradiction
+    assert clock.offset == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("step", [-3600.0, -0.01, 0.01, 30.0])
+def test_a_clock_that_is_set_is_believed_at_the_next_exchange(step: float) -> None:
+    clock = ClockOffset()
+    for _ in range(20):
+        exchange(clock, offset=0.2)
+    exchange(clock, offset=0.2 + step, there=0.002)
+    assert clock.offset == pytest.approx(0.2 + step, abs=clock.uncertainty)
+    assert clock.uncertainty == pytest.approx(0.0015)
+
+
+def test_an_exchange_during_which_a_clock_is_set_misleads_only_until_the_next() -> None:
+    clock = ClockOffset()
+    exchange(clock, offset=0.0)
+    sent = 10**18
+    clock.add(sent, sent + 1_000_000, sent + 1_000_000, sent - 10 * 10**9)  # ours was set back by 10 s meanwhile
+    exchange(clock, offset=10.0)
+    assert clock.offset == pytest.approx(10.0)
+    assert clock.rtt == pytest.approx(0.002)
