@@ -27,10 +27,16 @@ if TYPE_CHECKING:
     from rsb_bridge.qos import Qos
     from rsb_bridge.session import Topic
 
+EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
+EXPANSION_A_SECOND = 256 << 20
+"""Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB, and to
+unpack and publish them keeps the thread of all links busy for 60 ms."""
 _INCOMPLETE_IN_A_ROW = 3
-
-
 _MOST_KEPT, _MOST_LATCHED = 10_000, 100  # messages
+
+
+class _ExpansionError(Exception):
+    """A peer's compressed messages would keep this side too busy."""
 
 
 class IncomingRoute(Route):
@@ -158,6 +164,9 @@ class IncomingRoute(Route):
                     )
                     continue
                 publisher.publish(content)
+            except _ExpansionError as error:
+                self._dropped["expands too much"] += 1
+                self._say(str(error))
             except (RosError, zstandard.ZstdError) as error:
                 self._dropped["publish failed"] += 1
                 self._say(str(error))
@@ -183,6 +192,11 @@ class IncomingRoute(Route):
         size = zstandard.frame_content_size(payload)
         if not 0 <= size <= MESSAGE_LIMIT:
             raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
+        if not self.peer.expansion.take(size - len(payload), self.context.now()):
+            raise _ExpansionError(
+                f"this link's compressed messages grow by more than {EXPANSION_A_SECOND:,} bytes a second here: "
+                "send less, or without compression"
+            )
         return self._decompressor.decompress(payload)
 
     def _say(self, text: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.dialogue import Dialogue, LinkError
-from rsb_bridge.incoming import IncomingRoute
+from rsb_bridge.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE, IncomingRoute
 from rsb_bridge.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.lanes import DatagramPath, Lane, Prober
 from rsb_bridge.latched import LATCHED_LIMIT
@@ -21,6 +21,7 @@ from rsb_bridge.session_rules import validate_topic
 from rsb_bridge.shared import SharedPath, SharedStream
 from rsb_bridge.side import Side
 from rsb_bridge.snapshot import Level, LinkSnapshot, State
+from rsb_bridge.token_bucket import TokenBucket
 from rsb_bridge.transport.tcp import ListenError
 from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.fields import plain
@@ -53,6 +54,7 @@ class Link(Side):
         keys: what the present connection's handshake left; None: not linked.
         unfinished: what the peer may have this side hold of messages that are not whole yet.
         latched: likewise for late joiners.
+        expansion: bytes by which its compressed messages may grow here.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -74,6 +76,7 @@ class Link(Side):
         self.lanes: dict[int, Lane] = {}
         self.unfinished = Budget(UNFINISHED_LIMIT)
         self.latched = Budget(LATCHED_LIMIT)
+        self.expansion = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, context.now())
         self._by_id: dict[int, Route] = {}
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = time.time()

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.paths import Path
     from rsb_bridge.qos import Qos
     from rsb_bridge.session import Topic
+    from rsb_bridge.token_bucket import TokenBucket
     from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.framing import Message
 
@@ -39,6 +40,7 @@ class Peer(Protocol):
     name: str
     is_client: bool
     latched: Budget
+    expansion: TokenBucket
 
     @property
     def linked(self) -> bool:

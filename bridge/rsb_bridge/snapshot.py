@@ -73,7 +73,7 @@ class Ledger:
     """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + in_flight``.
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
-    ``lost on the way``, ``too large``, ``publish failed``.
+    ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``expands too much``.
     """
 
     offered: int = 0

@@ -15,6 +15,7 @@ from tests.support.rogue import Rogue
 from rsb_bridge.keys import read_key
 from rsb_bridge.qos import Qos
 from rsb_bridge.session import Topic
+from rsb_bridge.token_bucket import TokenBucket
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT
 from rsb_bridge.wire.messages import Ping
 
@@ -120,6 +121,30 @@ def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Dom
     eventually(lambda: 3_000_000 <= link.latched.held < 3_001_000)
     client.remove_topic(route(client, "/fits").key).result(5)
     eventually(lambda: link.latched.held == 0)
+
+
+def test_compressed_messages_that_grow_too_much(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
+    """What is a few kB on the wire and MBs here has a limit for the whole link; the others are served as ever."""
+    link = link_of(server)
+    link.expansion = TokenBucket(burst=4_000_000, per_second=0.0, now=0.0)
+    names = ("/grows", "/grows_too")
+    theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
+    out, there = robot.publisher("/plain"), pc.listener("/plain")
+    client = bridge.client(
+        *(Topic(name, "transmit", compression="zstd") for name in names), Topic("/plain", "transmit")
+    )
+    carries([*outs, out], server, [*names, "/plain"])
+    for count in range(1, 5):
+        outs[0].publish(text("x" * 900_000))
+        heard(theres[0], count)
+    for _ in range(3):
+        outs[0].publish(text("x" * 900_000))
+        outs[1].publish(text("x" * 900_000))
+    assert settled(client, "/grows", 7).dropped == {"expands too much": 3}
+    assert settled(client, "/grows_too", 3).dropped == {"expands too much": 3}
+    assert "without compression" in route(server, "/grows").last_error
+    out.publish(text("x" * 900_000))
+    heard(there, 1)
 
 
 def test_many_large_messages_at_once(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
