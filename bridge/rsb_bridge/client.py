@@ -90,7 +90,7 @@ class ClientLink(Link):
     async def _call(self) -> None:
         """One attempt; returns when it failed or when the link it made is over."""
         if not self.attempts:
-            self.log(Level.INFO, f"connecting to {self.address}")
+            self.log(Level.INFO, f"connecting to {self.address}", vital=True)
         secret = self._key.secret if self._key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
         transport = "bluetooth" if self.is_bluetooth else "tcp"
@@ -120,7 +120,7 @@ class ClientLink(Link):
         self._refused = failure.refused
         repeated = failure.reason == self.reason
         self.reason = failure.reason
-        self.log(Level.DEBUG if repeated else Level.ERROR, f"{failure.reason}; trying again")
+        self.log(Level.DEBUG if repeated else Level.ERROR, f"{failure.reason}; trying again", vital=True)
 
     async def _pause(self) -> None:
         """Wait until it is time to call again, or until somebody says that it is."""

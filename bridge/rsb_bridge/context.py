@@ -6,8 +6,10 @@ import contextlib
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.event_limit import LimitedLog
 
 if TYPE_CHECKING:
     import asyncio
@@ -75,6 +77,7 @@ class Context:
         events: what happened.
         handoff: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
+        limited: the way to `events` for what a peer may be the cause of.
     """
 
     session: Session
@@ -83,10 +86,19 @@ class Context:
     events: EventLog
     handoff: Handoff
     loop: asyncio.AbstractEventLoop
+    limited: LimitedLog = field(init=False)
 
-    def log(self, level: Level, source: str, text: str, *, link: str = "", topic: str = "") -> None:
-        """Add an event."""
-        self.events.add(level, source, text, link=link, topic=topic)
+    def __post_init__(self) -> None:
+        self.limited = LimitedLog(self.events)
+
+    def log(
+        self, level: Level, source: str, text: str, *, link: str = "", topic: str = "", vital: bool = False
+    ) -> None:
+        """Add an event; of a link's, those that are within its share (`LimitedLog`)."""
+        if link:
+            self.limited.add(level, source, text, link=link, topic=topic, vital=vital)
+        else:
+            self.events.add(level, source, text, topic=topic)
 
     def call(self, work: Callable[[], None]) -> None:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""

@@ -286,6 +286,7 @@ class Engine:
                 self._guarded(link, link.poll)
             tick = polls % _POLLS_PER_TICK == 0
             if tick:
+                context.limited.tick()
                 end.tick()
                 for link in end.links():
                     await self._tick(link)

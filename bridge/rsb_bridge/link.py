@@ -126,7 +126,8 @@ class Link(Side):
         self.attempts = 0
         self.retry_at = None
         words = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
-        self.log(Level.INFO, f"linked with {control.stream.peer}, {words}, rsb-console {peer.version} there")
+        linked = f"linked with {control.stream.peer}, {words}, rsb-console {peer.version} there"
+        self.log(Level.INFO, linked, vital=True)
         for route in tuple(self.routes.values()):
             if route.proposed_here:
                 self.propose(route)
@@ -145,7 +146,8 @@ class Link(Side):
             lane.close()
         self.lanes.clear()
         self.dialogue.end()
-        self.log(Level.INFO if on_purpose else Level.WARNING, f"link {'closed' if on_purpose else 'lost'}: {reason}")
+        level, how = (Level.INFO, "closed") if on_purpose else (Level.WARNING, "lost")
+        self.log(level, f"link {how}: {reason}", vital=True)
 
     def destroy(self) -> None:
         """End routes and tasks for good."""
@@ -384,6 +386,6 @@ class Link(Side):
         """One that nobody has joined yet, and nothing is known against, is no fault."""
         return State.OK if self.linked else State.WAITING if self.reason is _NOT_YET else State.DOWN
 
-    def log(self, level: Level, text: str, *, source: str = "link", topic: str = "") -> None:
+    def log(self, level: Level, text: str, *, source: str = "link", topic: str = "", vital: bool = False) -> None:
         """Add an event about this link."""
-        self.context.log(level, source, text, link=self.name, topic=topic)
+        self.context.log(level, source, text, link=self.name, topic=topic, vital=vital)
