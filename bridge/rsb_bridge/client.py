@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import socket
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.control import Control
@@ -111,7 +112,7 @@ class ClientLink(Link):
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
                 return await opening.outcome
         except OSError as error:
-            return _Failure(f"{address_words((host, port))}: {os_words(error)}", refused=False)
+            return _Failure(f"{address_words((host, port))}: {_connect_words(error)}", refused=False)
         finally:
             opening.end()
 
@@ -156,6 +157,9 @@ class ClientLink(Link):
         match code:
             case RefusalCode.WRONG_KEY if self._key is not None:
                 return f"{words}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
+            case RefusalCode.UNKNOWN_NAME:
+                remedy = "set name in this side's session file to one that the server lets in"
+                return f"{words}: {remedy}, or list {self.name!r} under clients in the server's"
             case RefusalCode.ENCRYPTION_REQUIRED:
                 return f"{words}: set use_encryption and key_file"
             case _:
@@ -261,6 +265,13 @@ class ClientLink(Link):
                 lane,
                 [(to[0], data, address) for data, address in datagrams if (to := addressee(data)) and to[1] == ours],
             )
+
+
+def _connect_words(error: OSError) -> str:
+    if isinstance(error, socket.gaierror):
+        remedy = "correct server_ip in this side's session file (an address in numbers needs no name server)"
+        return f"{os_words(error)}: {remedy}"
+    return os_words(error)
 
 
 class _Failure(NamedTuple):

@@ -180,6 +180,8 @@ class _Guest(StreamHandler):
         if code is RefusalCode.WRONG_KEY:
             fingerprint = self._server.fingerprint_of(self._name)
             return f"{words}; this side's key has the fingerprint {fingerprint}: compare it with the client's"
+        if code is RefusalCode.UNKNOWN_NAME:
+            return f"{words}: {self._server.remedy_for_unknown()}"
         return words
 
     def _leave(self) -> None:

@@ -234,6 +234,14 @@ class Server:
         entry = self._entries.get(name)
         return fingerprint(entry.key) if entry is not None and entry.key is not None else ""
 
+    def remedy_for_unknown(self) -> str:
+        """What an operator does about a client whose name is not known here; the stranger itself is not told."""
+        session = self.context.session
+        if session.clients:
+            return "list it under clients in this side's session file, or set name in the client's to one listed there"
+        remedy = f"set name in the client's to {session.name!r}, or list the client's under clients in this one"
+        return f"this side's session file lists no clients: {remedy}"
+
     def _link_of(self, link_id: bytes) -> ServerLink | None:
         return next(
             (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None

@@ -220,10 +220,11 @@ def test_a_server_whose_port_is_taken(kind: Any, bridge: Bridge) -> None:
 def test_addresses_that_will_not_do(bridge: Bridge) -> None:
     with pytest.raises(EngineError, match=r"192\.0\.2\.1:.* is not an address of this machine"):
         bridge.server(server_ip="192.0.2.1")
-    with pytest.raises(EngineError, match="the name is not known"):
+    with pytest.raises(EngineError, match=r"the name is not known .*: set server_ip in this side's session file to"):
         bridge.server(server_ip="no-such-host.invalid")
     client = bridge.client(server_ip="no-such-host.invalid")
-    eventually(lambda: said(client, "no-such-host.invalid"))
+    eventually(lambda: said(client, f"no-such-host.invalid:{bridge.port}: "))
+    assert "correct server_ip in this side's session file" in link(client).reason
     nobody = bridge.client(server_ip="localhost")
     eventually(lambda: link(nobody).attempts > 1)
     assert f"localhost:{bridge.port}: Connection refused: is the server running there?" in link(nobody).reason

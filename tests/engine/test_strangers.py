@@ -60,19 +60,29 @@ def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, 
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "words", "remedies"),
     [
-        ({"name": "robot2"}, "the two sides' keys for 'robot2' differ; this side's key has the fingerprint"),
-        ({"name": "robot3"}, "the server knows no client of the name 'robot3'"),
-        ({"name": "robot2", "use_encryption": False}, "the server requires encryption for 'robot2'"),
+        ({"name": "robot2"}, "the two sides' keys for 'robot2' differ; this side's key has the fingerprint", ("", "")),
+        (
+            {"name": "robot3"},
+            "the server knows no client of the name 'robot3': ",
+            (
+                "set name in this side's session file to one that the server lets in, or list 'robot3' under clients",
+                "list it under clients in this side's session file, or set name in the client's to one listed",
+            ),
+        ),
+        ({"name": "robot2", "use_encryption": False}, "the server requires encryption for 'robot2'", ("", "")),
     ],
     ids=["wrong key", "unknown name", "no key against a key"],
 )
-def test_those_who_must_not_come_in(changes: dict[str, Any], words: str, friend: Any, bridge: Bridge) -> None:
+def test_those_who_must_not_come_in(
+    changes: dict[str, Any], words: str, remedies: tuple[str, str], friend: Any, bridge: Bridge
+) -> None:
+    """Both sides say what to do: which key of which side's file."""
     server, _, out, there = friend
     stranger = bridge.client(Topic("/beat", "transmit"), **changes)
-    eventually(lambda: said(stranger, words) and link(stranger, changes["name"]).attempts)
-    assert said(server, words)
+    eventually(lambda: said(stranger, words + remedies[0]) and link(stranger, changes["name"]).attempts)
+    assert said(server, words + remedies[1])
     for engine in (stranger, server):
         assert bridge.secret() not in "".join(event.text for event in engine.events())
     served(server, out, there, 0.5)
@@ -80,6 +90,15 @@ def test_those_who_must_not_come_in(changes: dict[str, Any], words: str, friend:
     if "fingerprint" in words:
         assert said(stranger, link(stranger, "robot2").fingerprint)
         assert said(server, link(server, "robot2").fingerprint)
+
+
+def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
+    """A server that lists no clients lets one in, of its own name."""
+    server = bridge.server(name="pc")
+    stranger = bridge.client()
+    words = "the server knows no client of the name 'robot1'"
+    eventually(lambda: said(stranger, f"{words}: set name in this side's session file to one that the server lets in"))
+    assert said(server, f"{words}: this side's session file lists no clients: set name in the client's to 'pc'")
 
 
 def test_a_key_against_none(bridge: Bridge) -> None:

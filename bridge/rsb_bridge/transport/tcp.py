@@ -89,5 +89,6 @@ def listen_words(error: OSError, address: str, kind: str) -> str:
     if error.errno == errno.EACCES:
         return f"{kind} {address}: ports below 1024 need root; choose a higher one"
     if isinstance(error, socket.gaierror):
-        return f"{address}: the name is not known ({error.strerror})"
+        remedy = "set server_ip in this side's session file to an address that `ip addr` shows, or 0.0.0.0 for all"
+        return f"{address}: the name is not known ({error.strerror}): {remedy}"
     return f"{kind} {address}: {os_words(error)}"
