@@ -16,7 +16,7 @@ from rsb_console.shell import FAILURE, OK, USAGE, complain, say
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from rsb_bridge.keys import Key
@@ -69,9 +69,10 @@ def check(arguments: Namespace) -> int:
         return _refuse(error)
     for line in _summary(session):
         say(line)
-    for warning in warnings(session, path):
+    keys = tuple(_keys(session, path))
+    for warning in _warnings(session, keys):
         say(f"warning: {warning}")
-    return USAGE if any(isinstance(key, KeyFileError) for key in _keys(session, path)) else OK
+    return USAGE if any(isinstance(key, KeyFileError) for key in keys) else OK
 
 
 def _refuse(error: SessionError) -> int:
@@ -144,33 +145,19 @@ def import_thesis(arguments: Namespace) -> int:
     return OK
 
 
-def warnings(session: Session, path: Path) -> list[str]:
-    """What is no mistake in a session, but will be asked about when it runs.
-
-    Args:
-        session: loaded.
-        path: of its file, which key files are relative to.
-    """
-    found = []
+def _warnings(session: Session, keys: Iterable[Key | KeyFileError]) -> Iterator[str]:
+    """What is no mistake in a session, but will be asked about when it runs."""
     if not session.use_encryption:
-        found.append("use_encryption is off: everything crosses in the clear, and anyone may connect")
-    else:
-        found += _key_warnings(session, path)
-    if session.domain_id is not None and session.domain_id > LAST_SAFE_DOMAIN:
-        found.append(
-            f"domain {session.domain_id} can collide with other programs' ports; 0 to {LAST_SAFE_DOMAIN} cannot"
-        )
-    if any(topic.topic == session.shutdown_topic for topic in session.topics):
-        found.append(f"{session.shutdown_topic} is bridged, and closes the bridge too: it is the shutdown_topic")
-    return found
-
-
-def _key_warnings(session: Session, path: Path) -> Iterator[str]:
-    for key in _keys(session, path):
+        yield "use_encryption is off: everything crosses in the clear, and anyone may connect"
+    for key in keys:
         if isinstance(key, KeyFileError):
             yield f"{key}; without it the bridge does not start"
         else:
             yield from key.warnings
+    if session.domain_id is not None and session.domain_id > LAST_SAFE_DOMAIN:
+        yield f"domain {session.domain_id} can collide with other programs' ports; 0 to {LAST_SAFE_DOMAIN} cannot"
+    if any(topic.topic == session.shutdown_topic for topic in session.topics):
+        yield f"{session.shutdown_topic} is bridged, and closes the bridge too: it is the shutdown_topic"
 
 
 def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:

@@ -112,6 +112,14 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert "others may read this key (mode 0644)" in run.stdout
 
 
+def test_check_looks_once_at_each_key() -> None:
+    """So what it says and how it exits agree, whatever happens to the file meanwhile."""
+    rsb_console("keygen")
+    heard = "sys.addaudithook(lambda name, what: name == 'open' and str(what[0]) == 'key.txt' and print('opened'))"
+    run = in_process(heard, "check", "robot1.yaml")
+    assert (run.returncode, run.stdout.count("opened")) == (0, 1)
+
+
 def test_check_leaves_out_nothing_that_a_topic_says() -> None:
     Path("full.yaml").write_text(
         SESSION.replace(
