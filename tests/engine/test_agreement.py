@@ -14,12 +14,15 @@ from tests.support.bridge import carries, eventually, find, free_port, heard, li
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 
 from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.keys import fingerprint, read_key, write_key
 from rsb_bridge.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.session import Client, Topic
 from rsb_bridge.snapshot import State
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
@@ -235,6 +238,20 @@ def test_keys_that_are_missing(bridge: Bridge) -> None:
         bridge.server(key_file=None)
     with pytest.raises(EngineError, match=r"lost\.key"):
         bridge.client(key_file="lost.key")
+
+
+def test_a_key_in_the_home_folder(bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`~` in key_file is whose program it is, wherever the session file lies."""
+    home = tmp_path / "home"
+    home.mkdir()
+    write_key(home / "bridge.key")
+    monkeypatch.setenv("HOME", str(home))
+    bridge.folder = tmp_path / "elsewhere"
+    server, client = bridge.both(key_file="~/bridge.key")
+    mark = fingerprint(read_key(home / "bridge.key"))
+    assert {link(server).fingerprint, link(client).fingerprint} == {mark}
+    with pytest.raises(EngineError, match=rf"{home}/lost\.key: no such key file"):
+        bridge.client(key_file="~/lost.key")
 
 
 def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
