@@ -121,7 +121,8 @@ class ServerLink(Link):
 
     async def prepare_port(self, route: Route) -> None:
         port, route_id = route.proposal.port, route.id
-        if not port or port == self.shared_port():
+        shares_namespace = (route.transport == "bluetooth") == self.is_bluetooth  # channel 5 is not port 5
+        if not port or (shares_namespace and port == self.shared_port()):
             return
         if route.transport != "bluetooth" and port < _FIRST_PORT:
             raise ListenError(f"port {port}: topics may have ports from {_FIRST_PORT} up")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.bluetooth.guest.conftest import wait_until
@@ -143,7 +143,7 @@ _TOPICS = (on_channel("/map"), on_channel("/joy"), on_channel("/cmd", "receive")
 
 
 @contextmanager
-def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic) -> Iterator[Pair]:
+def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic, **changes: Any) -> Iterator[Pair]:
     radio = Radio()
     monkeypatch.setattr(rfcomm, "listen", radio.listen)
     monkeypatch.setattr(rfcomm, "connect", radio.connect)
@@ -152,7 +152,7 @@ def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic) -> Itera
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     common = {"name": "robot1", "server_ip": "127.0.0.1", "server_port": port, "key_file": "robot.key"}
-    common |= {"bluetooth_address": _MAC, "domain_id": 1, "shutdown_topic": None}
+    common |= {"bluetooth_address": _MAC, "domain_id": 1, "shutdown_topic": None} | changes
     here, there = StandIn(map=Qos(), joy=Qos(), odom=Qos(), late=Qos()), StandIn(cmd=Qos())
     server = Engine(Session(role="server", **common), base=base, ros=there)
     client = Engine(Session(role="client", topics=topics, **common), base=base, ros=here)
@@ -177,6 +177,18 @@ def test_topics_share_one_connection(
         held = {(_MAC, _CHANNEL)}
         wait_until(lambda: held_channels(pair.server.session, pair.server.snapshot()) == held, "the snapshot has it")
         assert not held_channels(pair.client.session, pair.client.snapshot())
+
+
+def test_a_channel_of_the_servers_ports_number(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Channels and ports are numbered each for themselves."""
+    host = "127.0.0.11"
+    try:
+        socket.create_server((host, _CHANNEL)).close()
+    except PermissionError:
+        pytest.skip(f"port {_CHANNEL} may not be bound here")
+    with paired(monkeypatch, tmp_path, *_TOPICS, server_ip=host, server_port=_CHANNEL) as pair:
+        pair.carries("/map", "/joy", "/cmd", "/odom")
+        assert not pair.complaints()
 
 
 def test_one_goes_and_others_come_while_the_connection_lives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -233,6 +233,18 @@ def test_addresses_that_will_not_do(bridge: Bridge) -> None:
     assert f"localhost:{bridge.port}: Connection refused: is the server running there?" in link(nobody).reason
 
 
+def test_a_channel_of_the_servers_ports_number(bridge: Bridge, robot: Domain) -> None:
+    """It is not the port that is bound already: without Bluetooth it can't be had, and the topic says so."""
+    place = {"server_ip": "127.0.0.11", "server_port": 11, "bluetooth_address": "5C:F3:70:9A:1B:2E"}
+    try:
+        socket.create_server(("127.0.0.11", 11)).close()
+    except PermissionError:
+        pytest.skip("port 11 may not be bound here")
+    robot.publisher("/beat")
+    _, client = bridge.both(Topic("/beat", "transmit", protocol="bluetooth", port=11), **place)
+    eventually(lambda: down(client, "/beat", "refused by the other side", "Bluetooth"))
+
+
 def test_keys_that_are_missing(bridge: Bridge) -> None:
     with pytest.raises(EngineError, match="no key_file for robot1: make one with `rsb-console keygen`"):
         bridge.server(key_file=None)
