@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -117,11 +118,13 @@ class Bridge:
 
 def free_port(host: str = "127.0.0.1") -> int:
     """A port that neither TCP nor UDP has in use."""
-    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-        tcp.bind((host, 0))
-        udp.bind(tcp.getsockname())
-        port: int = tcp.getsockname()[1]
-        return port
+    while True:
+        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+            tcp.bind((host, 0))
+            port: int = tcp.getsockname()[1]
+            with contextlib.suppress(OSError):  # a UDP socket of somebody else's has that number
+                udp.bind((host, port))
+                return port
 
 
 def now(engine: Engine) -> Snapshot:
