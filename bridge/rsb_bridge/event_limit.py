@@ -6,12 +6,13 @@ import time
 from typing import TYPE_CHECKING
 
 from rsb_bridge.snapshot import Level
+from rsb_bridge.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
     from rsb_bridge.event_log import EventLog
 
-AT_ONCE = 200
-"""Lines: more than a robot with a hundred topics makes when it links."""
+AT_ONCE = 1000
+"""Lines: more than a robot with five hundred topics makes when it links."""
 A_SECOND = 5.0
 """Lines; a client that goes by its pauses between two calls makes no more about the link itself."""
 _TOLD_EVERY = 10.0
@@ -68,23 +69,21 @@ class LimitedLog:
 
 
 class _Share:
-    """A bucket of lines that time fills.
+    """A link's lines of one kind.
 
     Attributes:
-        left_out: lines that found it empty, since they were told of last.
+        left_out: lines that were too many, since they were told of last.
         newest: of those.
     """
 
     def __init__(self, now: float) -> None:
         self.left_out = 0
         self.newest = ""
-        self._room = float(AT_ONCE)
-        self._filled_at = self._since = now
+        self._lines = TokenBucket(AT_ONCE, A_SECOND, now)
+        self._since = now
 
     def passes(self, text: str, now: float) -> bool:
-        self._fill(now)
-        if self._room >= 1:
-            self._room -= 1
+        if self._lines.take(1, now):
             return True
         if not self.left_out:
             self._since = now
@@ -93,9 +92,4 @@ class _Share:
         return False
 
     def due(self, now: float) -> bool:
-        self._fill(now)
-        return self.left_out > 0 and (self._room >= 1 or now - self._since >= _TOLD_EVERY)
-
-    def _fill(self, now: float) -> None:
-        self._room = min(float(AT_ONCE), self._room + (now - self._filled_at) * A_SECOND)
-        self._filled_at = now
+        return self.left_out > 0 and (self._lines.left(now) >= 1 or now - self._since >= _TOLD_EVERY)

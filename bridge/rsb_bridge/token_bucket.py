@@ -6,23 +6,26 @@ from __future__ import annotations
 class TokenBucket:
     """Holds at most `burst`, and gets `per_second` more each second (ITU-T I.371, the leaky bucket as a meter).
 
-    Attributes:
-        left: what may be taken at once, as of the last `take`.
+    Times are s, of a clock that nobody sets.
     """
 
-    __slots__ = ("_at", "_burst", "_per_second", "left")
+    __slots__ = ("_at", "_burst", "_left", "_per_second")
 
     def __init__(self, burst: float, per_second: float, now: float) -> None:
         self._burst = burst
         self._per_second = per_second
-        self.left = float(burst)
+        self._left = burst
         self._at = now
 
-    def take(self, amount: float, now: float) -> bool:
-        """Use up `amount` at `now` (s, of a clock that nobody sets); False: there is not so much, none was taken."""
-        self.left = min(self._burst, self.left + (now - self._at) * self._per_second)
+    def left(self, now: float) -> float:
+        """How much may be taken."""
+        self._left = min(self._burst, self._left + (now - self._at) * self._per_second)
         self._at = now
-        if amount > self.left:
+        return self._left
+
+    def take(self, amount: float, now: float) -> bool:
+        """Use up `amount`; False: there is not so much, and none was taken."""
+        if amount > self.left(now):
             return False
-        self.left -= amount
+        self._left -= amount
         return True
