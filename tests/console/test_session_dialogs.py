@@ -7,6 +7,7 @@ import msgspec
 import pytest
 from driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text, until
 from scripted import SESSION
+from textual.events import Key
 from textual.pilot import Pilot
 
 from rsb_bridge.keys import fingerprint, read_key, write_key
@@ -236,6 +237,55 @@ def test_a_new_session_with_a_mistake_is_not_written(folder: Path) -> None:
 
     drive(app, steps)
     assert [path.name for path in folder.iterdir()] == ["nokey"]
+
+
+def type_at_once(app, *keys: str) -> None:
+    """Type faster than the console looks."""
+    for key in keys:
+        app._driver.send_message(Key(key, key if len(key) == 1 else None))
+
+
+@pytest.mark.parametrize("pressed", ["server_port", "use_encryption", "#yes"])
+def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(pressed: str) -> None:
+    app = empty_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "New session")
+        await pilot.press("n")
+        await shown(pilot, "Session file")
+        await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="")
+        form = app.screen.form
+        control = form.fields[pressed].control if pressed in form.fields else app.screen.query_one(pressed)
+        control.focus()
+        await until(pilot, lambda: control.has_focus, "the focus")
+        form.fields["domain_id"].value = "233"  # the refusal's reason
+        before = form.values
+        settle = form.settle
+
+        def settle_and_type() -> bool:
+            fine = settle()
+            type_at_once(app, "y", "backspace")
+            return fine
+
+        listening_at: list[str] = []
+
+        def listen() -> None:
+            end()
+            listening_at.append(text(app))
+
+        end, form.typed_ahead.end = form.typed_ahead.end, listen
+        form.settle = settle_and_type
+        type_at_once(app, "enter", "x", "backspace", "h", "z")
+        await shown(pilot, "0 to 232")
+        await until(pilot, lambda: form.fields["domain_id"].control.has_focus, "the focus on what is wrong")
+        assert form.values == before
+        await until(pilot, lambda: listening_at, "a form that listens again")
+        assert "0 to 232" in listening_at[0], "not before the refusal is to be seen"
+        await fill(pilot, domain_id="3")
+        await pilot.press("4")
+        assert form.values["domain_id"] == "34"
+
+    drive(app, steps)
 
 
 def test_a_file_is_overwritten_only_with_a_yes(folder: Path) -> None:

@@ -11,6 +11,7 @@ from textual.binding import Binding
 from textual.widgets import Input
 
 from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.field_input import FieldInput
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, fit
 
@@ -117,6 +118,8 @@ class PickField(Field):
     def __init__(self, spec: Spec, is_literal: Callable[[str], bool]) -> None:
         super().__init__(spec)
         self.add_class("-picker")
+        assert isinstance(self.control, FieldInput)
+        self.control.submits = False  # enter picks
         self.list = Offers()
         self._offers: Sequence[Offer] = ()
         self._is_literal = is_literal
