@@ -9,9 +9,12 @@ import os
 import re
 import stat
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rsb_bridge.files import kind_of_file, replace_file
+from rsb_bridge.files import kind_of_file, replace_file, typed_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 KEY_BYTES = 32
 DEFAULT_KEY_FILE = "key.txt"
@@ -97,7 +100,7 @@ def key_path(base: Path, key_file: str) -> Path:
         base: the session file's folder.
         key_file: as the session names it: relative to that, absolute, or from ``~``.
     """
-    return base / Path(key_file).expanduser()
+    return base / typed_path(key_file)
 
 
 def read_key(path: Path) -> Key:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.files import typed_path
 from rsb_bridge.session_file import SessionError, load, save
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rsb_bridge.session import Session, Topic
     from rsb_console.app import ConsoleApp
 
@@ -42,7 +44,7 @@ def moved(session: Session, old: Path, new: Path) -> Session:
         return session
 
     def rename(key_file: str | None) -> str | None:
-        if key_file is None or Path(key_file).expanduser().is_absolute():
+        if key_file is None or typed_path(key_file).is_absolute():
             return key_file
         return os.path.relpath((old / key_file).resolve(), new.resolve())
 
@@ -52,14 +54,15 @@ def moved(session: Session, old: Path, new: Path) -> Session:
 
 def path_problem(text: str) -> str:
     """Why a session cannot be written to a path that was typed; empty: it can, as far as one sees."""
-    path = Path(text).expanduser()
+    path = typed_path(text)
     if not text:
         return "missing: name the file"
-    if path.is_dir():
-        return "is a folder: name a file in it"
-    if not path.parent.is_dir():
-        return f"there is no folder {path.parent}"
-    return ""
+    try:
+        if path.is_dir():
+            return "is a folder: name a file in it"
+        return "" if path.parent.is_dir() else f"there is no folder {path.parent}"
+    except OSError as error:  # its name is too long, or a folder on the way is not ours to look into
+        return f"cannot be written: {error.strerror}"
 
 
 def topics_note(session: Session) -> str:

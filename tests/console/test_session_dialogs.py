@@ -338,6 +338,64 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
     assert imported.domain_id == 7
 
 
+@pytest.fixture
+def robots(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Another folder than the working one, the user's home, with a thesis file."""
+    path = folder.parent / "robots"
+    path.mkdir()
+    (path / "nav.yaml").write_text(BRINGUP.format(protocol="UDP"))
+    monkeypatch.setenv("HOME", str(path))
+    return path
+
+
+@pytest.mark.parametrize("typed", ["{robots}/nav.yaml", "../robots/nav.yaml", "~/nav.yaml", "{robots}/nav.yaml  "])
+def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(robots: Path, typed: str) -> None:
+    app = empty_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "Import")
+        await pilot.press("i")
+        await shown(pilot, "config/bringup.yaml")
+        await fill(pilot, bringup=typed.format(robots=robots))
+        await shown(pilot, "the file is there: ⏎ takes it")
+        assert "no such file" not in text(app)
+        await pilot.press("enter")
+        form = app.screen.form
+        await until(pilot, lambda: form.fields["name"].control.has_focus, "the next field")
+        assert form.values["name"] == "nav"
+        await fill(pilot, name="robot1")
+        (robots / "map.yaml").touch()
+        await fill(pilot, bringup=str(robots / "map.yaml"))
+        assert form.values["name"] == "robot1", "a name that was given stays"
+        await fill(pilot, path="robot1.yaml", bringup=typed.format(robots=robots))
+        form.fields["name"].control.focus()
+        await pilot.press("enter")
+        await shown(pilot, "Imported. Run robot1.yaml?")
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("typed", ["nowhere/a.yaml", "~nobody_is_called_so/a", f"{'long' * 100}.yaml"], ids=len)
+@pytest.mark.parametrize(("key", "field"), [("i", "bringup"), ("o", "path"), ("n", "path"), ("n", "key_file")])
+def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, typed: str, key: str, field: str) -> None:
+    app = empty_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "Open a session")
+        await pilot.press(key)
+        await until(pilot, lambda: hasattr(app.screen, "form"), "a form")
+        if key == "n":
+            await fill(pilot, name="robot1", **{field: typed})
+        else:
+            await fill(pilot, **{field: typed})
+            await shown(pilot, "no such file")
+        await pilot.press("enter")
+        problem = app.screen.form.fields[field].problem
+        await until(pilot, lambda: problem.display or key == "i", "what is wrong")
+
+    drive(app, steps)
+
+
 def test_a_thesis_file_with_a_mistake_says_the_line(folder: Path) -> None:
     (folder / "bringup.yaml").write_text(BRINGUP.format(protocol="UDX"))
     app = empty_app()

@@ -12,6 +12,7 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
+from rsb_bridge.files import typed_path
 from rsb_bridge.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_console.saving import path_problem
 from rsb_console.screens.confirm import ConfirmScreen
@@ -182,7 +183,7 @@ class GenerateScreen(FormScreen[Path]):
 
     def result(self, values: Mapping[str, str]) -> Path:
         """The file."""
-        return Path(values["path"]).expanduser()
+        return typed_path(values["path"])
 
     @work
     async def accept(self, result: Path) -> None:

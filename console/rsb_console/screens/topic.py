@@ -98,7 +98,7 @@ class TopicScreen(FormScreen[Draft]):
         assert isinstance(field, PickField)
         field.offer(
             offers_of(ends, found[0], found[1], bridged),
-            missing or "no other topic on either side; type its whole name",
+            lambda _text: missing or "no other topic on either side; type its whole name",
         )
 
     @on(Field.Changed)
