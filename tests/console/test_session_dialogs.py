@@ -239,6 +239,28 @@ def test_a_new_session_with_a_mistake_is_not_written(folder: Path) -> None:
     assert [path.name for path in folder.iterdir()] == ["nokey"]
 
 
+@pytest.mark.parametrize(("key", "typed"), [("server_port", "3"), ("path", "robot.yaml3"), ("name", "3")])
+def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens_a_path(key: str, typed: str) -> None:
+    app = empty_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "New session")
+        await pilot.press("n")
+        await shown(pilot, "Session file")
+        await fill(pilot, name="robot", path="robot.yaml")
+        form = app.screen.form
+        control = form.fields[key].control
+        control.cursor_position = 1  # where it was left
+        for each in (form.fields["role"].control, control):
+            each.focus()
+            await until(pilot, lambda e=each: e.has_focus, "the focus")
+        assert control.selection.is_empty is (key == "path")
+        await pilot.press("3")
+        assert control.value == typed
+
+    drive(app, steps)
+
+
 def type_at_once(app, *keys: str) -> None:
     """Type faster than the console looks."""
     for key in keys:

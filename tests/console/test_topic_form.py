@@ -94,6 +94,24 @@ def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
     drive(app, steps)
 
 
+@pytest.mark.parametrize(("qos", "typed"), [(20, "5"), ("sensor_data", "5"), ({"depth": 3}, "{depth: 3}5")])
+def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: object, typed: str) -> None:
+    routes = (route("/scan", spec=Topic("/scan", "receive", qos=qos)),)
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/scan")
+        await pilot.press("e")
+        await shown(pilot, "Edit /scan")
+        control = app.screen.form.fields["qos"].control
+        control.focus()
+        await until(pilot, lambda: control.has_focus, "the focus")
+        await pilot.press("5")
+        assert control.value == typed
+
+    drive(app, steps)
+
+
 def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
     app = scripted_app(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4
 BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
-               blank="type to look for a file")  # fmt: skip
+               blank="type to look for a file", edited=True)  # fmt: skip
 FIELDS = (
     Spec("name", "Name", "As in the launch file (-name)."),
     Spec("role", "Role", "Of the session to be; a client's file makes a server's session too.",
@@ -34,10 +34,11 @@ FIELDS = (
     Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
     Spec("domain_id", "Domain", "ROS domain of this side, 0 to 101. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
-    Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt"),
+    Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt",
+         edited=True),
     Spec("use_name", "Prefix", "As in the launch file (-usename).", options=tuple(reversed(YES_NO))),
     Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
-    Spec("path", "Session file", "Where the session is kept."),
+    Spec("path", "Session file", "Where the session is kept.", edited=True),
 )  # fmt: skip
 
 

@@ -174,7 +174,7 @@ class GenerateScreen(FormScreen[Path]):
 
     def __init__(self, path: Path) -> None:
         words = "Mode 0600. Copy it to the other side, by a safe way, and keep it to yourself."
-        super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path)))], "Generate")
+        super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path), edited=True))], "Generate")
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """Whether a file can be there."""

@@ -35,8 +35,9 @@ FIELDS = (
          "both sides.", options=tuple(reversed(YES_NO))),
     Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
          options=YES_NO),
-    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other."),
-    Spec("path", "Session file", "Where the session is kept."),
+    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other.",
+         edited=True),
+    Spec("path", "Session file", "Where the session is kept.", edited=True),
 )  # fmt: skip
 
 

@@ -84,7 +84,11 @@ class SessionsScreen(FormScreen[Opened | str]):
 
     def __init__(self, *, runs: bool) -> None:
         spec = Spec(
-            "path", "Session", "↑ ↓ and ⏎ to open one of these; or type any path.", blank="type to look for a file"
+            "path",
+            "Session",
+            "↑ ↓ and ⏎ to open one of these; or type any path.",
+            blank="type to look for a file",
+            edited=True,
         )
         self._field = PickField(spec, is_path)
         super().__init__("Sessions", [self._field], "Open")
@@ -143,7 +147,9 @@ class SaveAsScreen(FormScreen[Path]):
 
     def __init__(self, path: Path) -> None:
         super().__init__(
-            "Save as", [Field(Spec("path", "File", "Key files are named as from its folder.", str(path)))], "Save"
+            "Save as",
+            [Field(Spec("path", "File", "Key files are named as from its folder.", str(path), edited=True))],
+            "Save",
         )
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:

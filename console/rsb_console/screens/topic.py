@@ -125,7 +125,7 @@ def _specs(session: Session, now: Snapshot, links: list[str], route: RouteSnapsh
         value = values.get(spec.key, "")
         if spec.key == "paused":
             value = "yes" if value else ""
-        yield replace(spec, value=value)
+        yield replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
 
 
 def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:

@@ -22,14 +22,19 @@ class FieldInput(Input):
     Args:
         value: at first.
         blank: what an empty one means.
+        edited: the focus comes to its end; else what is typed then replaces it.
     """
 
-    def __init__(self, value: str, blank: str) -> None:
-        super().__init__(value, placeholder=blank, compact=True, select_on_focus=False)
+    def __init__(self, value: str, blank: str, *, edited: bool = False) -> None:
+        super().__init__(value, placeholder=blank, compact=True, select_on_focus=not edited)
         self.typed_ahead = TypedAhead()
         self.submits = True
 
     # Textual calls these of every class, Input's after ours, unless the default is prevented.
+
+    def _on_focus(self, event: events.Focus) -> None:
+        if not self.select_on_focus and not event.from_app_focus:
+            self.cursor_position = len(self.value)
 
     async def _on_key(self, event: events.Key) -> None:
         if self.typed_ahead.covers(event):

@@ -33,6 +33,7 @@ class Spec:
         value: at first.
         blank: what an empty field means, shown in it.
         options: value and words of each, for a choice; empty: text.
+        edited: what stands there is rather changed than replaced, like a path.
     """
 
     key: str
@@ -41,6 +42,7 @@ class Spec:
     value: str = ""
     blank: str = ""
     options: tuple[tuple[str, str], ...] = ()
+    edited: bool = False
 
 
 class Words(Static):
@@ -88,7 +90,7 @@ class Field(Vertical):
         self.spec = spec
         self.touched = False
         self.control: FieldInput | Choice = (
-            Choice(spec.options, spec.value) if spec.options else FieldInput(spec.value, spec.blank)
+            Choice(spec.options, spec.value) if spec.options else FieldInput(spec.value, spec.blank, edited=spec.edited)
         )
         self.problem = Words("problem")
         self.note = Words("hint note")
