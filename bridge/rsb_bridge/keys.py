@@ -93,6 +93,18 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     return _parse(text.decode(), path)
 
 
+def copy_key(key: Key, path: Path) -> None:
+    """Write a key that there is already into a file of its own too, mode 0600; never over a file.
+
+    Raises:
+        KeyFileError: there is a file already, or it could not be written.
+    """
+    try:
+        _write_new(path, base64.urlsafe_b64encode(key.secret) + b"\n")
+    except OSError as error:
+        raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 def key_path(base: Path, key_file: str) -> Path:
     """Where a session's key file is.
 

@@ -527,6 +527,46 @@ def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
     assert read_key(folder / "robots" / saved.key_file) == key
 
 
+def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
+    old = folder / "ends"
+    old.mkdir()
+    key, other = write_key(old / "demo.key"), write_key(folder / "demo.key")
+    session = msgspec.structs.replace(SESSION, key_file="demo.key")
+    save(session, old / "demo.yaml")
+    app = scripted_app(session=session, path=old / "demo.yaml", temporary=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await save_as(pilot, "kept.yaml")
+        await shown(pilot, "with its key: ")
+        await pilot.press("w")
+        await shown(pilot, "nothing has changed:")
+        changed(app, Topic("/new", "transmit"))
+        await pilot.press("w", "y")
+        await until(pilot, lambda: load(folder / "kept.yaml").topics, "the topic")
+
+    drive(app, steps)
+    kept = load(folder / "kept.yaml")
+    assert kept.key_file == "demo-2.key"
+    assert read_key(folder / "demo-2.key") == key
+    assert (folder / "demo-2.key").stat().st_mode & 0o777 == 0o600
+    assert read_key(folder / "demo.key") == other, "another's stays"
+    assert not (folder / "demo-3.key").exists()
+
+
+def test_a_key_that_cannot_be_saved_is_told(folder: Path) -> None:
+    session = msgspec.structs.replace(SESSION, key_file="gone.key")
+    app = scripted_app(session=session, path=folder / "demo.yaml", temporary=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await save_as(pilot, "kept.yaml")
+        await shown(pilot, "The key is not saved")
+        assert not (folder / "kept.yaml").exists()
+
+    drive(app, steps)
+
+
 def test_what_cannot_be_saved_is_said(folder: Path) -> None:
     path = folder / "nav2.yaml"
     app = scripted_app(path=path)
