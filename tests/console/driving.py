@@ -21,6 +21,11 @@ def scripted_app(**options) -> ConsoleApp:
     return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
 
 
+def empty_app(**options) -> ConsoleApp:
+    """The app without a session."""
+    return scripted_app(session=None, path=None, **options)
+
+
 def text(app: ConsoleApp) -> str:
     """What stands on the screen."""
     strips = app.screen._compositor.render_strips()
