@@ -10,6 +10,14 @@ from contextlib import suppress
 from pathlib import Path
 
 
+def typed_path(text: str) -> Path:
+    """A path that a person wrote: ``~`` is a home, where there is such a home."""
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:  # nobody here is called so
+        return Path(text)
+
+
 def kind_of_file(mode: int) -> str:
     """What a file is, in words, of its `os.stat_result.st_mode`."""
     kinds = {

@@ -9,9 +9,12 @@ import os
 import re
 import stat
 from dataclasses import dataclass, field
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rsb_bridge.files import kind_of_file, replace_file
+from rsb_bridge.files import kind_of_file, replace_file, typed_path
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 KEY_BYTES = 32
 DEFAULT_KEY_FILE = "key.txt"
@@ -90,6 +93,18 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     return _parse(text.decode(), path)
 
 
+def copy_key(key: Key, path: Path) -> None:
+    """Write a key that there is already into a file of its own too, mode 0600; never over a file.
+
+    Raises:
+        KeyFileError: there is a file already, or it could not be written.
+    """
+    try:
+        _write_new(path, base64.urlsafe_b64encode(key.secret) + b"\n")
+    except OSError as error:
+        raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 def key_path(base: Path, key_file: str) -> Path:
     """Where a session's key file is.
 
@@ -97,7 +112,7 @@ def key_path(base: Path, key_file: str) -> Path:
         base: the session file's folder.
         key_file: as the session names it: relative to that, absolute, or from ``~``.
     """
-    return base / Path(key_file).expanduser()
+    return base / typed_path(key_file)
 
 
 def read_key(path: Path) -> Key:

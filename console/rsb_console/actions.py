@@ -61,6 +61,7 @@ class Action:
     in_footer: bool = False
 
 
+# In the footer's order too, which shows as many as there is room for: what an operator needs sooner comes first.
 ACTIONS: tuple[Action, ...] = (
     Action("move_down", "j,down", "down", "Next line", Group.MOVE),
     Action("move_up", "k,up", "up", "Previous line", Group.MOVE),
@@ -75,9 +76,9 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
     Action("pause", "p", "pause", "Pause or resume the topic",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
-    Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, changes=True),
-    Action("restart", "R", "restart", "Close all links on both sides and begin anew",
-           Group.OPERATE, changes=True, in_footer=True),
+    Action("detail", "enter", "detail", "Open the topic's details, or the whole of a log line",
+           Group.VIEW, needs_topic=True, in_footer=True),
+    Action("back", "escape", "back", "Close what is open; drop the filter", Group.VIEW),
     Action("filter", "slash", "filter", "Show what matches a regular expression; /! what does not",
            Group.VIEW, in_footer=True),
     Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
@@ -86,9 +87,6 @@ ACTIONS: tuple[Action, ...] = (
     Action("sort_left", "less_than_sign", "sort", "Sort by the column to the left", Group.VIEW),
     Action("sort_right", "greater_than_sign", "sort", "Sort by the column to the right", Group.VIEW),
     Action("reverse", "s", "reverse", "Reverse the order", Group.VIEW),
-    Action("detail", "enter", "detail", "Open the topic's details, or the whole of a log line",
-           Group.VIEW, needs_topic=True, in_footer=True),
-    Action("back", "escape", "back", "Close what is open; drop the filter", Group.VIEW),
     Action("freeze", "space", "freeze", "Freeze the view; the bridge goes on", Group.VIEW),
     Action("faster", "plus", "faster", "Refresh more often", Group.VIEW),
     Action("slower", "minus", "slower", "Refresh less often", Group.VIEW),
@@ -97,6 +95,9 @@ ACTIONS: tuple[Action, ...] = (
     Action("level", "L", "level", "Log level: all, info, WARN, ERROR", Group.VIEW),
     Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
     Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
+    Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, changes=True),
+    Action("restart", "R", "restart", "Close all links on both sides and begin anew",
+           Group.OPERATE, changes=True, in_footer=True),
     Action("links", "c", "links", "Look at the links: one a robot on a server", Group.SESSION, in_footer=True),
     Action("bluetooth", "b", "bluetooth", "Look for Bluetooth adapters, devices and free channels",
            Group.SESSION, in_footer=True),

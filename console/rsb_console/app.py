@@ -87,7 +87,7 @@ class ConsoleApp(App[None]):
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.note = "no session"
         self.main = MainScreen()
-        self._session, self._temporary = session, temporary
+        self._session, self.temporary = session, temporary
         self._make_engine = make_engine or _make_engine
         self._filters_ascii = AsciiFilter()
         self._filters_control = ControlFilter()
@@ -124,7 +124,7 @@ class ConsoleApp(App[None]):
             self.notify(words, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
-            self.run_session(self._session, self.path, temporary=self._temporary)
+            self.run_session(self._session, self.path, temporary=self.temporary)
         else:
             self.main.action_welcome()
 
@@ -150,6 +150,7 @@ class ConsoleApp(App[None]):
         await asyncio.to_thread(self.stop)
         self._belongings = belongings or ExitStack()
         self.base = Path() if path is None else path.parent
+        self.temporary = temporary
         if temporary:
             self.path = self.saved = None
         else:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.files import typed_path
+from rsb_bridge.keys import Key, KeyFileError, copy_key, key_path, read_key
 from rsb_bridge.session_file import SessionError, load, save
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
     from rsb_bridge.session import Session, Topic
     from rsb_console.app import ConsoleApp
 
@@ -41,25 +46,72 @@ def moved(session: Session, old: Path, new: Path) -> Session:
     if old.resolve() == new.resolve():
         return session
 
-    def rename(key_file: str | None) -> str | None:
-        if key_file is None or Path(key_file).expanduser().is_absolute():
-            return key_file
-        return os.path.relpath((old / key_file).resolve(), new.resolve())
+    return _renamed(session, lambda key_file: os.path.relpath((old / key_file).resolve(), new.resolve()))
 
-    clients = tuple(msgspec.structs.replace(each, key_file=rename(each.key_file)) for each in session.clients)
-    return msgspec.structs.replace(session, key_file=rename(session.key_file), clients=clients)
+
+def rescued(session: Session, old: Path, new: Path) -> tuple[Session, dict[Path, Key]]:
+    """As `moved`, but `old` ends with the session: the keys in it are to lie beside the new file.
+
+    Args:
+        session: names its key files relative to `old`.
+        old: a folder that will be gone.
+        new: the folder of its new file.
+
+    Returns:
+        The session, and the key files that are not there yet; none is in the place of another key.
+
+    Raises:
+        KeyFileError: a key cannot be read.
+    """
+    files: dict[Path, Key] = {}
+
+    def rename(key_file: str) -> str:
+        key = read_key(key_path(old, key_file))
+        name = Path(key_file)
+        places = (new / f"{name.stem}{number}{name.suffix}" for number in _numbers())
+        path = next(each for each in places if files.get(each, key) == key and _is_free_for(key, each))
+        if not path.exists():
+            files[path] = key
+        return path.name
+
+    return _renamed(session, rename), files
+
+
+def _numbers() -> Iterator[str]:
+    """What tells a file from others of its name: nothing, -2, -3 and so on."""
+    yield ""
+    yield from (f"-{number}" for number in count(2))
+
+
+def _is_free_for(key: Key, path: Path) -> bool:
+    """Whether a file is not there, or holds just this key."""
+    try:
+        return not os.path.lexists(path) or read_key(path) == key
+    except KeyFileError:
+        return False
+
+
+def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
+    """A session with other names for those of its key files that are relative to its own."""
+
+    def name(key_file: str | None) -> str | None:
+        return key_file if key_file is None or typed_path(key_file).is_absolute() else rename(key_file)
+
+    clients = tuple(msgspec.structs.replace(each, key_file=name(each.key_file)) for each in session.clients)
+    return msgspec.structs.replace(session, key_file=name(session.key_file), clients=clients)
 
 
 def path_problem(text: str) -> str:
     """Why a session cannot be written to a path that was typed; empty: it can, as far as one sees."""
-    path = Path(text).expanduser()
+    path = typed_path(text)
     if not text:
         return "missing: name the file"
-    if path.is_dir():
-        return "is a folder: name a file in it"
-    if not path.parent.is_dir():
-        return f"there is no folder {path.parent}"
-    return ""
+    try:
+        if path.is_dir():
+            return "is a folder: name a file in it"
+        return "" if path.parent.is_dir() else f"there is no folder {path.parent}"
+    except OSError as error:  # its name is too long, or a folder on the way is not ours to look into
+        return f"cannot be written: {error.strerror}"
 
 
 def topics_note(session: Session) -> str:
@@ -75,6 +127,33 @@ def holds(path: Path, session: Session) -> bool:
         return load(path) == session
     except SessionError:
         return False
+
+
+async def save_elsewhere(app: ConsoleApp, session: Session, path: Path) -> bool:
+    """As `save_asking`, for what runs: its key files are named as from the new file.
+
+    Args:
+        app: its session runs; where that is temporary, its key goes along.
+        session: what runs, with its key files named as from `app.base`.
+        path: of the file.
+
+    Returns:
+        Whether the file holds the session now, and its key is there.
+    """
+    note = topics_note(session)
+    if not app.temporary:
+        return await save_asking(app, moved(session, app.base, path.parent), path, note=note)
+    try:
+        session, files = rescued(session, app.base, path.parent)
+        if not await save_asking(app, session, path, note=note):
+            return False
+        for file, key in files.items():
+            copy_key(key, file)
+            app.notify(f"with its key: {file}", markup=False)
+    except KeyFileError as error:
+        app.notify(str(error), title="The key is not saved", severity="error", markup=False, timeout=15)
+        return False
+    return True
 
 
 async def save_asking(app: ConsoleApp, session: Session, path: Path, *, note: str = "") -> bool:

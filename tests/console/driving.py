@@ -21,6 +21,11 @@ def scripted_app(**options) -> ConsoleApp:
     return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
 
 
+def empty_app(**options) -> ConsoleApp:
+    """The app without a session."""
+    return scripted_app(session=None, path=None, **options)
+
+
 def text(app: ConsoleApp) -> str:
     """What stands on the screen."""
     strips = app.screen._compositor.render_strips()
@@ -68,7 +73,9 @@ def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tupl
 async def fill(pilot: Pilot, **values: str) -> None:
     """Paste each value into the form's field of that key, in place of what is there."""
     for key, value in values.items():
-        control = pilot.app.screen.form.fields[key].control
+        form = pilot.app.screen.form
+        await until(pilot, lambda f=form: not f.typed_ahead.covers(Paste("")), "a form that listens")
+        control = form.fields[key].control
         control.focus()
         control.value = ""
         control.post_message(Paste(value))

@@ -474,6 +474,18 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
     drive(app, steps)
 
 
+def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "⏎ detail")
+        footer = text(app).split("\n")[-1]
+        for words in ("a add", "p pause", "/ filter", "f faults", "? help", "q quit"):
+            assert words in footer
+
+    drive(app, steps, size=NARROW)
+
+
 def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: Path) -> None:
     from rsb_console.recents import recent_sessions
 

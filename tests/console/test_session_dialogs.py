@@ -1,19 +1,17 @@
-"""Sessions opened, written, imported and saved from the console: real files, and words for what is wrong with them."""
+"""Sessions opened, written and imported from the console: real files, and words for what is wrong with them."""
 
-import os
 from pathlib import Path
 
 import msgspec
 import pytest
-from driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text, until
+from driving import NARROW, choose, drive, empty_app, fill, gone, shown, text, until
 from scripted import SESSION
 from textual.pilot import Pilot
 
 from rsb_bridge.keys import fingerprint, read_key, write_key
 from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import dump, load, save
-from rsb_console.recents import LIMIT, recent_sessions, remember
-from rsb_console.saving import moved, unsaved
+from rsb_bridge.session_file import load, save
+from rsb_console.recents import recent_sessions, remember
 
 BRINGUP = """\
 client_node:
@@ -27,24 +25,7 @@ client_node:
     transmit_qos: ['qos_profile_sensor_data']
 """
 
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder."""
-    path = tmp_path / "work"
-    path.mkdir()
-    monkeypatch.chdir(path)
-    return path
-
-
-def empty_app(**options):
-    """The app without a session."""
-    return scripted_app(session=None, path=None, **options)
-
-
-async def shut(pilot: Pilot) -> None:
-    """Wait until no dialog is open."""
-    await until(pilot, lambda: pilot.app.screen is pilot.app.main, "the main screen")
+pytestmark = pytest.mark.usefixtures("folder")
 
 
 # -- the beginning ---------------------------------------------------------------------------------------------------
@@ -288,6 +269,64 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
     assert imported.domain_id == 7
 
 
+@pytest.fixture
+def robots(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Another folder than the working one, the user's home, with a thesis file."""
+    path = folder.parent / "robots"
+    path.mkdir()
+    (path / "nav.yaml").write_text(BRINGUP.format(protocol="UDP"))
+    monkeypatch.setenv("HOME", str(path))
+    return path
+
+
+@pytest.mark.parametrize("typed", ["{robots}/nav.yaml", "../robots/nav.yaml", "~/nav.yaml", "{robots}/nav.yaml  "])
+def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(robots: Path, typed: str) -> None:
+    app = empty_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "Import")
+        await pilot.press("i")
+        await shown(pilot, "config/bringup.yaml")
+        await fill(pilot, bringup=typed.format(robots=robots))
+        await shown(pilot, "the file is there: ⏎ takes it")
+        assert "no such file" not in text(app)
+        await pilot.press("enter")
+        form = app.screen.form
+        await until(pilot, lambda: form.fields["name"].control.has_focus, "the next field")
+        assert form.values["name"] == "nav"
+        await fill(pilot, name="robot1")
+        (robots / "map.yaml").touch()
+        await fill(pilot, bringup=str(robots / "map.yaml"))
+        assert form.values["name"] == "robot1", "a name that was given stays"
+        await fill(pilot, path="robot1.yaml", bringup=typed.format(robots=robots))
+        form.fields["name"].control.focus()
+        await pilot.press("enter")
+        await shown(pilot, "Imported. Run robot1.yaml?")
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("typed", ["nowhere/a.yaml", "~nobody_is_called_so/a", f"{'long' * 100}.yaml"], ids=len)
+@pytest.mark.parametrize(("key", "field"), [("i", "bringup"), ("o", "path"), ("n", "path"), ("n", "key_file")])
+def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, typed: str, key: str, field: str) -> None:
+    app = empty_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "Open a session")
+        await pilot.press(key)
+        await until(pilot, lambda: hasattr(app.screen, "form"), "a form")
+        if key == "n":
+            await fill(pilot, name="robot1", **{field: typed})
+        else:
+            await fill(pilot, **{field: typed})
+            await shown(pilot, "no such file")
+        await pilot.press("enter")
+        problem = app.screen.form.fields[field].problem
+        await until(pilot, lambda: problem.display or key == "i", "what is wrong")
+
+    drive(app, steps)
+
+
 def test_a_thesis_file_with_a_mistake_says_the_line(folder: Path) -> None:
     (folder / "bringup.yaml").write_text(BRINGUP.format(protocol="UDX"))
     app = empty_app()
@@ -302,156 +341,3 @@ def test_a_thesis_file_with_a_mistake_says_the_line(folder: Path) -> None:
         assert not (folder / "robot1.yaml").exists()
 
     drive(app, steps)
-
-
-# -- save ------------------------------------------------------------------------------------------------------------
-
-
-def changed(app, *topics: Topic) -> Session:
-    """As if operators had changed the session's topics."""
-    app.engine.session = msgspec.structs.replace(app.engine.session, topics=topics)
-    return app.engine.session
-
-
-def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    save(SESSION, path)
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot) -> None:
-        await shown(pilot, "/robot2/scan")
-        now = changed(app, Topic("/new", "transmit"))
-        await pilot.press("w")
-        await shown(pilot, "Overwrite nav2.yaml?")
-        await pilot.press("n")
-        await shut(pilot)
-        assert load(path) == SESSION
-        await pilot.press("w", "y")
-        await shown(pilot, "saved:")
-        assert load(path) == now
-
-    drive(app, steps)
-
-
-def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    path.write_text(f"# mine\n{dump(SESSION)}")
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("w")
-        await shown(pilot, "nothing has changed:")
-        assert "no topics" not in text(app), "a client's session holds them"
-        assert path.read_text().startswith("# mine")
-        path.write_text("name: [\n")  # somebody broke it meanwhile
-        await pilot.press("w")
-        await shown(pilot, "Overwrite nav2.yaml?")
-
-    drive(app, steps)
-
-
-async def save_as(pilot: Pilot, path: str) -> None:
-    """Save the session to another file."""
-    await pilot.press("W")
-    await shown(pilot, "Save as")
-    await fill(pilot, path=path)
-    await pilot.press("enter")
-
-
-def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> None:
-    session = msgspec.structs.replace(SESSION, role="server")
-    save(session, folder / "pc.yaml")
-    app = scripted_app(session=session, path=folder / "pc.yaml")
-
-    async def steps(pilot: Pilot) -> None:
-        await shown(pilot, "/robot2/scan")
-        await pilot.press("w")
-        await shown(pilot, "nothing has changed:")
-        await shown(pilot, "no topics")
-        await save_as(pilot, "other.yaml")
-        await shown(pilot, "saved: other.yaml")
-        assert load(folder / "other.yaml") == session
-
-    drive(app, steps)
-
-
-def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
-    (folder / "robots").mkdir()
-    (folder / "safe").mkdir()
-    key = write_key(folder / "safe" / "r.key")
-    session = msgspec.structs.replace(SESSION, key_file="safe/r.key")
-    save(session, folder / "nav2.yaml")
-    app = scripted_app(session=session, path=folder / "nav2.yaml")
-
-    async def steps(pilot: Pilot) -> None:
-        await shown(pilot, "/robot2/scan")
-        await save_as(pilot, str(folder / "robots" / "r.yaml"))
-        await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
-        await pilot.press("w")  # once more, over itself
-        await shown(pilot, "nothing has changed:")
-
-    drive(app, steps)
-    saved = load(folder / "robots" / "r.yaml")
-    assert saved.key_file == os.path.join("..", "safe", "r.key")  # noqa: PTH118 -- as it stands in the file
-    assert read_key(folder / "robots" / saved.key_file) == key
-
-
-def test_what_cannot_be_saved_is_said(folder: Path) -> None:
-    path = folder / "nav2.yaml"
-    app = scripted_app(path=path)
-
-    async def steps(pilot: Pilot) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/a", "transmit"), Topic("/a", "transmit"))
-        await pilot.press("w")
-        await shown(pilot, "Not saved")
-        assert not path.exists()
-
-    drive(app, steps)
-
-
-def test_quitting_names_what_is_not_saved(folder: Path) -> None:
-    save(SESSION, folder / "nav2.yaml")
-    app = scripted_app(path=folder / "nav2.yaml")
-
-    async def steps(pilot: Pilot) -> None:
-        await shown(pilot, "/robot2/scan")
-        changed(app, Topic("/new", "transmit"))
-        await pilot.press("q")
-        await shown(pilot, "Not saved (w saves): added /new.")
-        await pilot.press("enter")
-        await shut(pilot)
-        assert app.is_running
-
-    drive(app, steps)
-
-
-def test_differences_in_words() -> None:
-    one, other = Topic("/a", "transmit"), Topic("/b", "receive")
-    saved = msgspec.structs.replace(SESSION, topics=(one, other))
-    louder = msgspec.structs.replace(other, max_rate=5.0)
-    now = msgspec.structs.replace(SESSION, topics=(Topic("/c", "receive"), louder))
-    assert unsaved(saved, now) == "added /c; removed /a; changed /b"
-    assert unsaved(saved, msgspec.structs.replace(SESSION, topics=(other, one))) == ""
-
-
-def test_an_absolute_key_file_stays_as_it_is(folder: Path) -> None:
-    session = msgspec.structs.replace(SESSION, key_file="/etc/rsb/r.key")
-    assert moved(session, folder, folder.parent) == session
-
-
-# -- recents ---------------------------------------------------------------------------------------------------------
-
-
-def test_recent_sessions_are_few_newest_first_and_there(folder: Path) -> None:
-    assert recent_sessions() == []
-    paths = [folder / f"{number}.yaml" for number in range(LIMIT + 5)]
-    for path in paths:
-        path.touch()
-        remember(path)
-    remember(paths[-3])
-    paths[-1].unlink()
-    recent = recent_sessions()
-    assert recent[:2] == [paths[-3], paths[-2]]
-    assert len(recent) == LIMIT - 1

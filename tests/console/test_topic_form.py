@@ -9,7 +9,7 @@ from scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
 from rsb_bridge.qos import Qos
-from rsb_bridge.session import Client, Topic
+from rsb_bridge.session import Client, Session, Topic
 from rsb_bridge.snapshot import TopicInfo
 from rsb_console.topic_draft import Ends, offers_of, topic_of, values_of
 
@@ -94,6 +94,24 @@ def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
     drive(app, steps)
 
 
+@pytest.mark.parametrize(("qos", "typed"), [(20, "5"), ("sensor_data", "5"), ({"depth": 3}, "{depth: 3}5")])
+def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: object, typed: str) -> None:
+    routes = (route("/scan", spec=Topic("/scan", "receive", qos=qos)),)
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/scan")
+        await pilot.press("e")
+        await shown(pilot, "Edit /scan")
+        control = app.screen.form.fields["qos"].control
+        control.focus()
+        await until(pilot, lambda: control.has_focus, "the focus")
+        await pilot.press("5")
+        assert control.value == typed
+
+    drive(app, steps)
+
+
 def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
     app = scripted_app(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
 
@@ -106,6 +124,58 @@ def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
         await shown(pilot, "as transmit: one can go")
         await choose(pilot, "direction", "receive")
         await gone(pilot, "one can go")
+
+    drive(app, steps)
+
+
+RADIO = msgspec.structs.replace(SESSION, bluetooth_address="B8:27:EB:11:22:33")
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetooth(size: tuple[int, int]) -> None:
+    app = scripted_app(session=RADIO)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "Add a topic")
+        await fill(pilot, topic="/scan")
+        await choose(pilot, "protocol", "bluetooth")
+        await pilot.press("enter")
+        await shown(pilot, "names a channel")
+        await fill(pilot, port="31")
+        await shown(pilot, "31 is not an RFCOMM channel")
+        await fill(pilot, port="5")
+        await pilot.press("enter")
+        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
+        expected = Topic("/scan", "transmit", protocol="bluetooth", port=5)
+        assert app.engine.commands[-1] == ("add", expected, "robot1")
+
+    drive(app, steps, size=size)
+
+
+@pytest.mark.parametrize("session", [SESSION, RADIO], ids=["no address", "address"])
+def test_a_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> None:
+    routes = (route("/scan", spec=Topic("/scan", "receive", protocol="bluetooth", port=5)),)
+    app = scripted_app(session=session, make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/scan")
+        await pilot.press("e")
+        await shown(pilot, "bluetooth   ")
+        assert app.screen.form.values["protocol"] == "bluetooth"
+
+    drive(app, steps)
+
+
+def test_without_a_bluetooth_address_bluetooth_is_not_offered() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "○ udp")
+        assert "○ bluetooth" not in text(app)
 
     drive(app, steps)
 

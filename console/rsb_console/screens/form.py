@@ -9,16 +9,19 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button
 
+from rsb_console.widgets.choice import Choice
 from rsb_console.widgets.form import Field, Form
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from textual import events
     from textual.app import ComposeResult
 
     from rsb_console.app import ConsoleApp
 
 T = TypeVar("T")
+SEEN_AFTER = 0.1  # s from a refusal until its picture, which takes two or three refreshes; nobody has read it sooner
 
 
 class FormScreen(ModalScreen[T | None]):
@@ -81,10 +84,20 @@ class FormScreen(ModalScreen[T | None]):
         self.form.show_problems(self.problems(self.form.values))
 
     def submit(self) -> None:
-        """Give the result away, or go to what is wrong."""
+        """Give the result away, or go to what is wrong; until either is to be seen, the form is deaf."""
+        self.form.typed_ahead.begin()
         self.check()
         if self.form.settle():
             self.accept(self.result(self.form.values))
+        self.set_timer(SEEN_AFTER, self.form.typed_ahead.end)
+
+    def on_key(self, event: events.Key) -> None:
+        """Keys that no field has taken: those typed ahead go no further."""
+        if self.form.typed_ahead.covers(event):
+            event.stop()
+            event.prevent_default()
+        elif event.key == "enter" and isinstance(self.focused, Choice):
+            self.form.typed_ahead.begin()
 
     def accept(self, result: T) -> object:
         """Take the result: the dialog's own, unless a subclass has more to do with it first."""

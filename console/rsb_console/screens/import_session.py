@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from textual import on, work
 
+from rsb_bridge.files import typed_path
 from rsb_bridge.session_file import SessionError
 from rsb_bridge.thesis import import_bringup
 from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
 from rsb_console.screens.new_session import YES_NO
-from rsb_console.screens.session_files import Opened, is_path, offers, yaml_files
+from rsb_console.screens.session_files import Opened, is_file, is_path, no_offer, offers, yaml_files
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4
 BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a client's or a server's.",
-               blank="type to look for a file")  # fmt: skip
+               blank="type to look for a file", edited=True)  # fmt: skip
 FIELDS = (
     Spec("name", "Name", "As in the launch file (-name)."),
     Spec("role", "Role", "Of the session to be; a client's file makes a server's session too.",
@@ -33,10 +34,11 @@ FIELDS = (
     Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
     Spec("domain_id", "Domain", "ROS domain of this side, 0 to 101. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
-    Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt"),
+    Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt",
+         edited=True),
     Spec("use_name", "Prefix", "As in the launch file (-usename).", options=tuple(reversed(YES_NO))),
     Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
-    Spec("path", "Session file", "Where the session is kept."),
+    Spec("path", "Session file", "Where the session is kept.", edited=True),
 )  # fmt: skip
 
 
@@ -53,7 +55,15 @@ class ImportScreen(FormScreen[Opened]):
         """List the files."""
         super().on_mount()
         files = yaml_files(Path.cwd(), Path.cwd() / "config")
-        self._bringup.offer(list(offers(files, "here")), "no such file; type its path")
+        self._bringup.offer(list(offers(files, "here")), no_offer)
+
+    @on(Field.Changed)
+    def _name_as_the_file(self, event: Field.Changed) -> None:
+        """The file's name is a name to begin with, unless the operator has given one."""
+        name = self.form.fields["name"]
+        path = typed_path(self._bringup.value)
+        if event.field is self._bringup and not name.touched and is_file(path):
+            name.value = path.stem
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
@@ -85,7 +95,7 @@ class ImportScreen(FormScreen[Opened]):
         encrypted = values["use_encryption"] == "yes"
         try:
             self._made, self._notes = import_bringup(
-                Path(values["bringup"]).expanduser(),
+                typed_path(values["bringup"]),
                 name=values["name"],
                 role=ROLES[values["role"]],
                 server_port=int(values["server_port"]) if values["server_port"] else None,
@@ -106,7 +116,7 @@ class ImportScreen(FormScreen[Opened]):
     def result(self, values: Mapping[str, str]) -> Opened:
         """What was made."""
         assert self._made is not None
-        return Opened(self._made, Path(values["path"]).expanduser())
+        return Opened(self._made, typed_path(values["path"]))
 
     @work
     async def accept(self, result: Opened) -> None:

@@ -12,6 +12,7 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
+from rsb_bridge.files import typed_path
 from rsb_bridge.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_console.saving import path_problem
 from rsb_console.screens.confirm import ConfirmScreen
@@ -173,7 +174,7 @@ class GenerateScreen(FormScreen[Path]):
 
     def __init__(self, path: Path) -> None:
         words = "Mode 0600. Copy it to the other side, by a safe way, and keep it to yourself."
-        super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path)))], "Generate")
+        super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path), edited=True))], "Generate")
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """Whether a file can be there."""
@@ -182,7 +183,7 @@ class GenerateScreen(FormScreen[Path]):
 
     def result(self, values: Mapping[str, str]) -> Path:
         """The file."""
-        return Path(values["path"]).expanduser()
+        return typed_path(values["path"])
 
     @work
     async def accept(self, result: Path) -> None:

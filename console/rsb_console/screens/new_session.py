@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from textual import work
 from textual.widgets import Button, Input
 
+from rsb_bridge.files import typed_path
 from rsb_bridge.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.session import Session
 from rsb_bridge.session_file import validate
@@ -17,6 +17,7 @@ from rsb_console.widgets.form import Field, Spec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from textual.app import ComposeResult
 
@@ -34,8 +35,9 @@ FIELDS = (
          "both sides.", options=tuple(reversed(YES_NO))),
     Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
          options=YES_NO),
-    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other."),
-    Spec("path", "Session file", "Where the session is kept."),
+    Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other.",
+         edited=True),
+    Spec("path", "Session file", "Where the session is kept.", edited=True),
 )  # fmt: skip
 
 
@@ -79,6 +81,8 @@ class NewSessionScreen(FormScreen[NewSession]):
     def _about_key(self, new: NewSession) -> str:
         """What will become of the key."""
         path = _key_path(new)
+        if path_problem(str(path)):
+            return ""
         if not path.exists():
             return "will be made: copy it to the other side"
         try:
@@ -117,7 +121,7 @@ class NewSessionScreen(FormScreen[NewSession]):
             key_file=values.get("key_file") or f"{name}.key" if values["use_encryption"] == "yes" else None,
             **({"server_port": 0} | data),  # type: ignore[arg-type]  # what is no number is the rules' to refuse
         )
-        return NewSession(session, Path(values["path"] or f"{name}.yaml").expanduser())
+        return NewSession(session, typed_path(values["path"] or f"{name}.yaml"))
 
     @work
     async def accept(self, result: NewSession) -> None:
@@ -167,8 +171,9 @@ def _key_path(new: NewSession) -> Path:
 
 
 def _key_problem(path: Path) -> str:
-    if not path.exists():
-        return path_problem(str(path))
+    words = path_problem(str(path))
+    if words or not path.exists():
+        return words
     try:
         read_key(path)
     except KeyFileError as error:

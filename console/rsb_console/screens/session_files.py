@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import on
 from textual.widgets import Button
 
+from rsb_bridge.files import typed_path
 from rsb_bridge.session_file import SessionError, load
 from rsb_console.recents import recent_sessions
 from rsb_console.saving import path_problem
@@ -56,6 +57,24 @@ def offers(files: list[Path], what: str) -> Iterator[Offer]:
         yield Offer(str(path.resolve()), str(path), partial(fit, line))
 
 
+def is_file(path: Path) -> bool:
+    """Whether a file is there, as far as one sees: a path that is being typed may be too long for one, or not ours."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def no_offer(text: str) -> str:
+    """What to say where none of the files offered is what was typed: a path need not be among them."""
+    if not text:
+        return "no YAML file here; type a path"
+    path = typed_path(text)
+    if is_file(path):
+        return "the file is there: ⏎ takes it"
+    return "no such file; type its path"
+
+
 class SessionsScreen(FormScreen[Opened | str]):
     """Open a session, or go on to another way to get one: then gives the action's id.
 
@@ -65,7 +84,11 @@ class SessionsScreen(FormScreen[Opened | str]):
 
     def __init__(self, *, runs: bool) -> None:
         spec = Spec(
-            "path", "Session", "↑ ↓ and ⏎ to open one of these; or type any path.", blank="type to look for a file"
+            "path",
+            "Session",
+            "↑ ↓ and ⏎ to open one of these; or type any path.",
+            blank="type to look for a file",
+            edited=True,
         )
         self._field = PickField(spec, is_path)
         super().__init__("Sessions", [self._field], "Open")
@@ -84,7 +107,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         recent = recent_sessions()
         known = {path.resolve() for path in recent}
         here = [path for path in yaml_files(Path.cwd()) if path.resolve() not in known]
-        self._field.offer([*offers(recent, "recent"), *offers(here, "here")], "no such file; type its path")
+        self._field.offer([*offers(recent, "recent"), *offers(here, "here")], no_offer)
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
@@ -101,7 +124,7 @@ class SessionsScreen(FormScreen[Opened | str]):
 
     def accept(self, result: Opened | str) -> None:
         """Load it; what is wrong in it is said here, with the lines."""
-        path = Path(str(result)).expanduser()
+        path = typed_path(str(result))
         try:
             self.dismiss(Opened(load(path), path))
         except SessionError as error:
@@ -124,7 +147,9 @@ class SaveAsScreen(FormScreen[Path]):
 
     def __init__(self, path: Path) -> None:
         super().__init__(
-            "Save as", [Field(Spec("path", "File", "Key files are named as from its folder.", str(path)))], "Save"
+            "Save as",
+            [Field(Spec("path", "File", "Key files are named as from its folder.", str(path), edited=True))],
+            "Save",
         )
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
@@ -134,4 +159,4 @@ class SaveAsScreen(FormScreen[Path]):
 
     def result(self, values: Mapping[str, str]) -> Path:
         """The file."""
-        return Path(values["path"]).expanduser()
+        return typed_path(values["path"])

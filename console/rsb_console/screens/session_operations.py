@@ -191,11 +191,11 @@ class SessionOperationsScreen(Screen[None]):
             await self._save_to(path)
 
     async def _save_to(self, path: Path) -> None:
-        from rsb_console.saving import moved, save_asking, topics_note  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.saving import save_elsewhere  # noqa: PLC0415 -- keeps the start short
 
         engine = self.app.engine
         if engine is None:
             return
         session = engine.session
-        if await save_asking(self.app, moved(session, self.app.base, path.parent), path, note=topics_note(session)):
+        if await save_elsewhere(self.app, session, path):
             self.app.saved_to(session, path)

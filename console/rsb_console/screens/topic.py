@@ -98,7 +98,7 @@ class TopicScreen(FormScreen[Draft]):
         assert isinstance(field, PickField)
         field.offer(
             offers_of(ends, found[0], found[1], bridged),
-            missing or "no other topic on either side; type its whole name",
+            lambda _text: missing or "no other topic on either side; type its whole name",
         )
 
     @on(Field.Changed)
@@ -121,11 +121,11 @@ def _specs(session: Session, now: Snapshot, links: list[str], route: RouteSnapsh
     values = {} if route is None else values_of(route.spec)
     if len(links) > 1:
         yield Spec("link", "Client", "The client whose topic it is.", options=tuple((name, name) for name in links))
-    for spec in (*_what(session, Ends.of(now, links[0]), new=route is None), *_how(session)):
+    for spec in (*_what(session, Ends.of(now, links[0]), new=route is None), *_how(session, values.get("protocol"))):
         value = values.get(spec.key, "")
         if spec.key == "paused":
             value = "yes" if value else ""
-        yield replace(spec, value=value)
+        yield replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
 
 
 def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
@@ -166,19 +166,25 @@ def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
     )
 
 
-def _how(session: Session) -> tuple[Spec, ...]:
-    """How it crosses."""
+def _how(session: Session, begun: str | None) -> tuple[Spec, ...]:
+    """How it crosses; `begun` is the protocol that it has already."""
     bluetooth = session.is_bluetooth
+    has_radio = session.bluetooth_address is not None or begun == "bluetooth"
     carriers = (("", "the link's (tcp)"), ("tcp", "tcp"), ("udp", "udp"))
     protocol = Spec(
-        "protocol", "Protocol", "tcp delivers all, in order; udp never waits for what was lost.", options=carriers
+        "protocol",
+        "Protocol",
+        "tcp delivers all, in order; udp never waits for what was lost"
+        f"{'; bluetooth goes over the radio, on a channel that it names' if has_radio else ''}.",
+        options=(*carriers, ("bluetooth", "bluetooth")) if has_radio else carriers,
     )
     packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
     port = "Channel" if bluetooth else "Port"
+    channel = " Bluetooth: a channel, 1 to 30, which several may share." if has_radio and not bluetooth else ""
     after = f"{session.stale_after:g} s"
     return (
         *(() if bluetooth else (protocol,)),
-        Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.", blank="shared"),
+        Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared"),
         Spec("max_rate", "Max rate", "Hz; what is more is left out. Empty: everything crosses.", blank="all"),
         Spec("expected_rate", "Expected rate", "Hz, to judge the real one by. Empty: learned.", blank="learned"),
         Spec("stale_after", "Stale after", "Seconds without a message until a warning; 0: never.", blank=after),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name
+TIED = "\N{NO-BREAK SPACE}"
 
 
 class DetailPane(LiveLines, can_focus=True):
@@ -93,7 +94,7 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     yield ()
     yield from _ledger(route.ledger, width)
     yield ()
-    yield from _figures(route)
+    yield from _figures(route, width)
 
 
 def _heading(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
@@ -179,34 +180,40 @@ def _ledger(ledger: Ledger, width: int) -> Iterator[Line]:
         )
 
 
-def _figures(route: RouteSnapshot) -> Iterator[Line]:
-    yield _figure(
-        "bytes", f"{formats.byte_rate(route.bytes_per_second)}, {formats.thousands(route.bytes_total)} in all"
-    )
+def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    total = f"{formats.thousands(route.bytes_total)} in all"
+    yield from _figure("bytes", [f"{formats.byte_rate(route.bytes_per_second)},", total], width)
     if route.latency_p50 is not None and route.latency_p99 is not None:
-        uncertain = "" if route.latency_uncertainty is None else f" ± {formats.span(route.latency_uncertainty)}"
+        uncertain = [] if route.latency_uncertainty is None else [f"± {formats.span(route.latency_uncertainty)}"]
         p50, p99 = (formats.latency(at, route.latency_uncertainty) for at in (route.latency_p50, route.latency_p99))
-        yield _figure("latency", f"p50 {p50}  p99 {p99}{uncertain}")
+        yield from _figure("latency", [f"p50 {p50} ", f"p99 {p99}", *uncertain], width)
     if route.jitter is not None:
-        yield _figure("jitter", formats.span(route.jitter))
+        yield from _figure("jitter", [formats.span(route.jitter)], width)
     if route.qos is not None:
-        yield _figure("QoS", qos_words(route.qos))
+        yield from _figure("QoS", qos_words(route.qos), width)
     if route.publisher_qos is not None:
-        yield _figure("publishers", f"offer {qos_words(route.publisher_qos, depth_known=False)}")
+        yield from _figure("publishers", ["offer", *qos_words(route.publisher_qos, depth_known=False)], width)
     if route.subscriber_qos is not None:
-        yield _figure("subscribers", f"ask for {qos_words(route.subscriber_qos, depth_known=False)}")
+        yield from _figure("subscribers", ["ask for", *qos_words(route.subscriber_qos, depth_known=False)], width)
     if route.type_hash:
-        yield _figure("type hash", route.type_hash)
+        yield _named("type hash", route.type_hash)  # of which a beginning is enough to tell it from another
     if route.last_error:
-        yield _figure("last error", route.last_error)
+        yield from _figure("last error", route.last_error.split(), width)
 
 
-def _figure(name: str, text: str) -> Line:
+def _figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
+    """A figure with its name, on as many lines as it takes; a piece that has room on one stays together."""
+    text = " ".join(piece.replace(" ", TIED) for piece in pieces)
+    for number, line in enumerate(textwrap.wrap(text, max(10, width - LABEL - 2))):
+        yield _named("" if number else name, line.replace(TIED, " ").rstrip())
+
+
+def _named(name: str, text: str) -> Line:
     return ((f" {name:<{LABEL}} ", "dim"), (text, ""))
 
 
-def qos_words(qos: Qos, *, depth_known: bool = True) -> str:
-    """``reliable, volatile, last 10``; without how many are kept where that is not known."""
+def qos_words(qos: Qos, *, depth_known: bool = True) -> list[str]:
+    """``reliable,`` ``volatile,`` ``last 10``; without how many are kept where that is not known."""
     words = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
     if depth_known:
         words.append("all" if qos.history == "keep_all" else f"last {qos.depth}")
@@ -214,4 +221,4 @@ def qos_words(qos: Qos, *, depth_known: bool = True) -> str:
         words.append(f"deadline {formats.span(qos.deadline)}")
     if qos.lifespan:
         words.append(f"lifespan {formats.span(qos.lifespan)}")
-    return ", ".join(words)
+    return [f"{each}," for each in words[:-1]] + words[-1:]

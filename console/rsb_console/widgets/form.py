@@ -12,6 +12,8 @@ from textual.message import Message
 from textual.widgets import Input, Static
 
 from rsb_console.widgets.choice import Choice
+from rsb_console.widgets.field_input import FieldInput
+from rsb_console.widgets.typed_ahead import TypedAhead
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,6 +33,7 @@ class Spec:
         value: at first.
         blank: what an empty field means, shown in it.
         options: value and words of each, for a choice; empty: text.
+        edited: what stands there is rather changed than replaced, like a path.
     """
 
     key: str
@@ -39,6 +42,7 @@ class Spec:
     value: str = ""
     blank: str = ""
     options: tuple[tuple[str, str], ...] = ()
+    edited: bool = False
 
 
 class Words(Static):
@@ -85,10 +89,8 @@ class Field(Vertical):
         super().__init__(classes="field", id=f"field-{spec.key}")
         self.spec = spec
         self.touched = False
-        self.control: Input | Choice = (
-            Choice(spec.options, spec.value)
-            if spec.options
-            else Input(spec.value, placeholder=spec.blank, compact=True, select_on_focus=False)
+        self.control: FieldInput | Choice = (
+            Choice(spec.options, spec.value) if spec.options else FieldInput(spec.value, spec.blank, edited=spec.edited)
         )
         self.problem = Words("problem")
         self.note = Words("hint note")
@@ -146,6 +148,10 @@ class Form(VerticalScroll, can_focus=False):
         self.fields = {field.spec.key: field for field in fields}
         self.help = Words("hint help")
         self.problem = Words("problem", id="form-problem")
+        self.typed_ahead = TypedAhead()
+        for field in fields:
+            if isinstance(field.control, FieldInput):
+                field.control.typed_ahead = self.typed_ahead
         self._problems: Mapping[str, str] = {}
 
     def compose(self) -> ComposeResult:

@@ -11,6 +11,7 @@ from textual.binding import Binding
 from textual.widgets import Input
 
 from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.widgets.field_input import FieldInput
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, fit
 
@@ -117,23 +118,25 @@ class PickField(Field):
     def __init__(self, spec: Spec, is_literal: Callable[[str], bool]) -> None:
         super().__init__(spec)
         self.add_class("-picker")
+        assert isinstance(self.control, FieldInput)
+        self.control.submits = False  # enter picks
         self.list = Offers()
         self._offers: Sequence[Offer] = ()
         self._is_literal = is_literal
         self._entered = False
-        self._empty = ""
+        self._empty: Callable[[str], str] = str
 
     def compose(self) -> ComposeResult:
         """The list comes last."""
         yield from super().compose()
         yield self.list
 
-    def offer(self, offers: Sequence[Offer], empty: str) -> None:
+    def offer(self, offers: Sequence[Offer], empty: Callable[[str], str]) -> None:
         """Set what can be picked.
 
         Args:
             offers: in the order of the list.
-            empty: what to say where nothing matches.
+            empty: what to say where nothing matches the text that it is given.
         """
         self._offers, self._empty = offers, empty
         self._relist()
@@ -141,7 +144,7 @@ class PickField(Field):
     def _relist(self) -> None:
         literal = self._is_literal(self.value)
         self.list.marks_cursor = self._entered or not literal
-        self.list.show(self._offers, self.value.casefold().split(), self._empty)
+        self.list.show(self._offers, self.value.casefold().split(), self._empty(self.value))
 
     @property
     def is_ready(self) -> bool:

@@ -1,0 +1,53 @@
+"""The text of a form's field."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from textual.widgets import Input
+
+from rsb_console.widgets.typed_ahead import TypedAhead
+
+if TYPE_CHECKING:
+    from textual import events
+
+
+class FieldInput(Input):
+    """One line of text, deaf from its submission until what became of that is to be seen.
+
+    Attributes:
+        typed_ahead: the form's.
+        submits: whether enter submits the form.
+
+    Args:
+        value: at first.
+        blank: what an empty one means.
+        edited: the focus comes to its end; else what is typed then replaces it.
+    """
+
+    def __init__(self, value: str, blank: str, *, edited: bool = False) -> None:
+        super().__init__(value, placeholder=blank, compact=True, select_on_focus=not edited)
+        self.typed_ahead = TypedAhead()
+        self.submits = True
+
+    # Textual calls these of every class, Input's after ours, unless the default is prevented.
+
+    def _on_focus(self, event: events.Focus) -> None:
+        if not self.select_on_focus and not event.from_app_focus:
+            self.cursor_position = len(self.value)
+
+    async def _on_key(self, event: events.Key) -> None:
+        if self.typed_ahead.covers(event):
+            event.stop()
+            event.prevent_default()
+        elif event.key == "enter" and self.submits:
+            # As a binding it would be run only after the keys that are here already.
+            self.typed_ahead.begin()
+            event.stop()
+            event.prevent_default()
+            await self.action_submit()
+
+    def _on_paste(self, event: events.Paste) -> None:
+        if self.typed_ahead.covers(event):
+            event.stop()
+            event.prevent_default()

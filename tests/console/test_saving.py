@@ -1,0 +1,213 @@
+"""Sessions saved from the console, over their files and elsewhere; and the list of the recent ones."""
+
+import os
+from pathlib import Path
+
+import msgspec
+import pytest
+from driving import drive, fill, scripted_app, shown, text, until
+from scripted import SESSION
+from textual.pilot import Pilot
+
+from rsb_bridge.keys import read_key, write_key
+from rsb_bridge.session import Session, Topic
+from rsb_bridge.session_file import dump, load, save
+from rsb_console.recents import LIMIT, recent_sessions, remember
+from rsb_console.saving import moved, unsaved
+
+pytestmark = pytest.mark.usefixtures("folder")
+
+
+async def shut(pilot: Pilot) -> None:
+    """Wait until no dialog is open."""
+    await until(pilot, lambda: pilot.app.screen is pilot.app.main, "the main screen")
+
+
+def changed(app, *topics: Topic) -> Session:
+    """As if operators had changed the session's topics."""
+    app.engine.session = msgspec.structs.replace(app.engine.session, topics=topics)
+    return app.engine.session
+
+
+def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    app = scripted_app(path=path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        now = changed(app, Topic("/new", "transmit"))
+        await pilot.press("w")
+        await shown(pilot, "Overwrite nav2.yaml?")
+        await pilot.press("n")
+        await shut(pilot)
+        assert load(path) == SESSION
+        await pilot.press("w", "y")
+        await shown(pilot, "saved:")
+        assert load(path) == now
+
+    drive(app, steps)
+
+
+def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    path.write_text(f"# mine\n{dump(SESSION)}")
+    app = scripted_app(path=path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("w")
+        await shown(pilot, "nothing has changed:")
+        assert "no topics" not in text(app), "a client's session holds them"
+        assert path.read_text().startswith("# mine")
+        path.write_text("name: [\n")  # somebody broke it meanwhile
+        await pilot.press("w")
+        await shown(pilot, "Overwrite nav2.yaml?")
+
+    drive(app, steps)
+
+
+async def save_as(pilot: Pilot, path: str) -> None:
+    """Save the session to another file."""
+    await pilot.press("W")
+    await shown(pilot, "Save as")
+    await fill(pilot, path=path)
+    await pilot.press("enter")
+
+
+def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> None:
+    session = msgspec.structs.replace(SESSION, role="server")
+    save(session, folder / "pc.yaml")
+    app = scripted_app(session=session, path=folder / "pc.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("w")
+        await shown(pilot, "nothing has changed:")
+        await shown(pilot, "no topics")
+        await save_as(pilot, "other.yaml")
+        await shown(pilot, "saved: other.yaml")
+        assert load(folder / "other.yaml") == session
+
+    drive(app, steps)
+
+
+def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
+    (folder / "robots").mkdir()
+    (folder / "safe").mkdir()
+    key = write_key(folder / "safe" / "r.key")
+    session = msgspec.structs.replace(SESSION, key_file="safe/r.key")
+    save(session, folder / "nav2.yaml")
+    app = scripted_app(session=session, path=folder / "nav2.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await save_as(pilot, str(folder / "robots" / "r.yaml"))
+        await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
+        await pilot.press("w")  # once more, over itself
+        await shown(pilot, "nothing has changed:")
+
+    drive(app, steps)
+    saved = load(folder / "robots" / "r.yaml")
+    assert saved.key_file == os.path.join("..", "safe", "r.key")  # noqa: PTH118 -- as it stands in the file
+    assert read_key(folder / "robots" / saved.key_file) == key
+
+
+def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
+    old = folder / "ends"
+    old.mkdir()
+    key, other = write_key(old / "demo.key"), write_key(folder / "demo.key")
+    session = msgspec.structs.replace(SESSION, key_file="demo.key")
+    save(session, old / "demo.yaml")
+    app = scripted_app(session=session, path=old / "demo.yaml", temporary=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await save_as(pilot, "kept.yaml")
+        await shown(pilot, "with its key: ")
+        await pilot.press("w")
+        await shown(pilot, "nothing has changed:")
+        changed(app, Topic("/new", "transmit"))
+        await pilot.press("w", "y")
+        await until(pilot, lambda: load(folder / "kept.yaml").topics, "the topic")
+
+    drive(app, steps)
+    kept = load(folder / "kept.yaml")
+    assert kept.key_file == "demo-2.key"
+    assert read_key(folder / "demo-2.key") == key
+    assert (folder / "demo-2.key").stat().st_mode & 0o777 == 0o600
+    assert read_key(folder / "demo.key") == other, "another's stays"
+    assert not (folder / "demo-3.key").exists()
+
+
+def test_a_key_that_cannot_be_saved_is_told(folder: Path) -> None:
+    session = msgspec.structs.replace(SESSION, key_file="gone.key")
+    app = scripted_app(session=session, path=folder / "demo.yaml", temporary=True)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await save_as(pilot, "kept.yaml")
+        await shown(pilot, "The key is not saved")
+        assert not (folder / "kept.yaml").exists()
+
+    drive(app, steps)
+
+
+def test_what_cannot_be_saved_is_said(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    app = scripted_app(path=path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        changed(app, Topic("/a", "transmit"), Topic("/a", "transmit"))
+        await pilot.press("w")
+        await shown(pilot, "Not saved")
+        assert not path.exists()
+
+    drive(app, steps)
+
+
+def test_quitting_names_what_is_not_saved(folder: Path) -> None:
+    save(SESSION, folder / "nav2.yaml")
+    app = scripted_app(path=folder / "nav2.yaml")
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        changed(app, Topic("/new", "transmit"))
+        await pilot.press("q")
+        await shown(pilot, "Not saved (w saves): added /new.")
+        await pilot.press("enter")
+        await shut(pilot)
+        assert app.is_running
+
+    drive(app, steps)
+
+
+def test_differences_in_words() -> None:
+    one, other = Topic("/a", "transmit"), Topic("/b", "receive")
+    saved = msgspec.structs.replace(SESSION, topics=(one, other))
+    louder = msgspec.structs.replace(other, max_rate=5.0)
+    now = msgspec.structs.replace(SESSION, topics=(Topic("/c", "receive"), louder))
+    assert unsaved(saved, now) == "added /c; removed /a; changed /b"
+    assert unsaved(saved, msgspec.structs.replace(SESSION, topics=(other, one))) == ""
+
+
+def test_an_absolute_key_file_stays_as_it_is(folder: Path) -> None:
+    session = msgspec.structs.replace(SESSION, key_file="/etc/rsb/r.key")
+    assert moved(session, folder, folder.parent) == session
+
+
+# -- recents ---------------------------------------------------------------------------------------------------------
+
+
+def test_recent_sessions_are_few_newest_first_and_there(folder: Path) -> None:
+    assert recent_sessions() == []
+    paths = [folder / f"{number}.yaml" for number in range(LIMIT + 5)]
+    for path in paths:
+        path.touch()
+        remember(path)
+    remember(paths[-3])
+    paths[-1].unlink()
+    recent = recent_sessions()
+    assert recent[:2] == [paths[-3], paths[-2]]
+    assert len(recent) == LIMIT - 1
