@@ -203,8 +203,13 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
 
 def _figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
     """A figure with its name, on as many lines as it takes; a piece that has room on one stays together."""
-    text = " ".join(piece.replace(" ", TIED) for piece in pieces)
-    for number, line in enumerate(textwrap.wrap(text, max(10, width - LABEL - 2))):
+    room = max(10, width - LABEL - 2)
+    text = " ".join(pieces)
+    if len(text) <= room:  # as it mostly is, in every refresh
+        yield _named(name, text)
+        return
+    tied = " ".join(piece.replace(" ", TIED) for piece in pieces)
+    for number, line in enumerate(textwrap.wrap(tied, room)):
         yield _named("" if number else name, line.replace(TIED, " ").rstrip())
 
 
