@@ -3,6 +3,7 @@
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 
 from scripted import SESSION, ScriptedEngine
@@ -91,3 +92,32 @@ async def choose(pilot: Pilot, key: str, value: str) -> None:
             return
         await pilot.press("right")
     raise AssertionError(f"{key} has no {value}")
+
+
+def listed(app) -> list[str]:
+    """The topics on screen, in their order."""
+    return [shown_route.topic for shown_route in app.main.topics.listed]
+
+
+def put(app, *routes, **changes) -> None:
+    """The engine's next snapshot has `routes`."""
+    app.engine.now = replace(app.engine.now, routes=routes or app.engine.now.routes, **changes)
+    app.pull()
+
+
+def on_main(size=(120, 36), **options):
+    """A test's steps run once the topics are there."""
+
+    def decorate(steps):
+        def test() -> None:
+            app = scripted_app(**options)
+
+            async def run(pilot: Pilot) -> None:
+                await shown(pilot, "/robot2/scan")
+                await steps(app, pilot)
+
+            drive(app, run, size)
+
+        return test
+
+    return decorate

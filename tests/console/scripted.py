@@ -120,6 +120,8 @@ EVENTS = (
     ),
     Event(4, NOW - 5, Level.ERROR, "route", "/robot2/scan channel 3: No route to host", "robot1", "/robot2/scan"),
 )
+FAULTY = ["/robot2/scan", "/robot1/map"]
+"""Of these, the worst first."""
 
 
 class ScriptedEngine:

@@ -6,176 +6,13 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from driving import NARROW, drive, gone, scripted_app, shown, text, until
-from scripted import LINK, NOW, ROUTES, ScriptedEngine, route
-from textual.events import Key
+from driving import NARROW, drive, gone, on_main, put, scripted_app, shown, text, until
+from scripted import FAULTY, LINK, NOW, ScriptedEngine, route
 from textual.pilot import Pilot
 from textual.widgets import Button
 
 from rsb_bridge.session import Topic
 from rsb_bridge.snapshot import Event, Level, State
-
-FAULTY = ["/robot2/scan", "/robot1/map"]
-
-
-def listed(app) -> list[str]:
-    """The topics on screen, in their order."""
-    return [shown_route.topic for shown_route in app.main.topics.listed]
-
-
-def put(app, *routes, **changes) -> None:
-    """The engine's next snapshot has `routes`."""
-    app.engine.now = replace(app.engine.now, routes=routes or app.engine.now.routes, **changes)
-    app.pull()
-
-
-def on_main(size=(120, 36), **options):
-    """A test's steps run once the topics are there."""
-
-    def decorate(steps):
-        def test() -> None:
-            app = scripted_app(**options)
-
-            async def run(pilot: Pilot) -> None:
-                await shown(pilot, "/robot2/scan")
-                await steps(app, pilot)
-
-            drive(app, run, size)
-
-        return test
-
-    return decorate
-
-
-@on_main()
-async def test_faults_stand_first_and_totals_above(app, pilot) -> None:
-    assert listed(app)[:2] == FAULTY
-    assert "✗ 1 down  ▲ 1 stale  ‖ 1 paused  ● 5 ok" in text(app)
-    assert "● LINKED 00:12:04  encrypted ✓" in text(app)
-
-
-@on_main()
-async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(app, pilot) -> None:
-    put(app, route("/worse", State.DOWN), *ROUTES)
-    assert app.main.selected.topic == "/robot2/scan"  # /worse sorts behind it
-    put(app, route("/a/worse", State.DOWN), *ROUTES)
-    assert app.main.selected.topic == "/a/worse"
-    await pilot.press("j")
-    put(app, route("/a/a/worse", State.DOWN), *ROUTES)
-    assert app.main.selected.topic == "/robot2/scan"
-    put(app, *(r for r in ROUTES if r.topic != "/robot2/scan"))
-    assert app.main.selected is not None
-
-
-@on_main()
-async def test_moving(app, pilot) -> None:
-    table = app.main.topics
-    for key, position in (
-        ("j", 1),
-        ("down", 2),
-        ("k", 1),
-        ("G", 7),
-        ("g", 0),
-        ("pagedown", 7),
-        ("pageup", 0),
-        ("up", 0),
-    ):
-        await pilot.press(key)
-        assert table.position == position, key
-
-
-@on_main()
-async def test_five_hundred_topics_scroll_and_the_heading_stays(app, pilot) -> None:
-    put(app, *(route(f"/t{i:03d}") for i in range(500)))
-    await pilot.press("G")
-    await shown(pilot, "/t499  ")
-    await gone(pilot, "/t000")
-    assert "STATE▼" in text(app)
-    assert app.main.topics.scroll_offset.y == 500 - app.main.topics.page
-    await pilot.press("g")
-    await shown(pilot, "/t000")
-
-
-@on_main()
-async def test_sorting(app, pilot) -> None:
-    await pilot.press("greater_than_sign")
-    assert listed(app) == sorted(listed(app))
-    await pilot.press("s")
-    assert listed(app) == sorted(listed(app), reverse=True)
-    await pilot.press("s", "greater_than_sign", "greater_than_sign")
-    rates = [app.main.topics.routes[key].rate for key in app.main.topics.keys]
-    assert rates == sorted(rates, reverse=True)
-    await pilot.press("less_than_sign", "less_than_sign", "less_than_sign")
-    assert listed(app)[:2] == FAULTY
-
-
-@on_main()
-async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app, pilot) -> None:
-    await pilot.click("#topics", offset=(12, 1))
-    assert listed(app) == sorted(listed(app))
-    await pilot.click("#topics", offset=(12, 1))
-    assert listed(app) == sorted(listed(app), reverse=True)
-
-
-@on_main()
-async def test_a_click_moves_the_cursor_and_another_one_opens(app, pilot) -> None:
-    await pilot.click("#topics", offset=(12, 3))
-    assert app.main.selected.topic == "/robot1/map"
-    await pilot.click("#topics", offset=(12, 3))
-    assert app.main.detail.has_focus
-
-
-@on_main()
-async def test_filtering_as_it_is_typed(app, pilot) -> None:
-    await pilot.press("slash", *"scan$")
-    await until(pilot, lambda: listed(app) == ["/robot2/scan", "/robot1/scan"], "both scans")
-    await pilot.press("enter")
-    await shown(pilot, "Topics ▸ /scan$ ▸ 2 of 8")
-    await pilot.press("n")
-    assert app.main.selected.topic == "/robot1/scan"
-    await pilot.press("escape")
-    assert len(listed(app)) == 8
-
-
-@on_main()
-async def test_what_is_typed_ahead_is_part_of_the_filter(app, pilot) -> None:
-    for key in ("slash", "o", "d", "o", "m", "enter"):  # all at once, as a slow line delivers them
-        app.post_message(Key(key, "/" if key == "slash" else key if len(key) == 1 else None))
-    await shown(pilot, "Topics ▸ /odom ▸ 1 of 8")
-    assert app.screen is app.main
-    assert app.engine.commands == []
-
-
-@on_main()
-async def test_an_inverted_filter(app, pilot) -> None:
-    await pilot.press("slash", *"!robot", "enter")
-    await until(pilot, lambda: len(listed(app)) == 4, "four topics")
-    assert not any("robot" in topic for topic in listed(app))
-
-
-@on_main()
-async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app, pilot) -> None:
-    await pilot.press("slash", *"scan(")
-    await shown(pilot, "not a regular expression")
-    assert listed(app) == ["/robot2/scan", "/robot1/scan"]
-    await pilot.press("escape")
-    await until(pilot, lambda: not app.main.prompt.display, "the prompt closed")
-    assert len(listed(app)) == 8
-
-
-@on_main()
-async def test_faults_only_and_from_fault_to_fault(app, pilot) -> None:
-    await pilot.press("n")
-    assert app.main.selected.topic == "/robot1/map"
-    await pilot.press("n")
-    assert app.main.selected.topic == "/robot2/scan"
-    await pilot.press("f")
-    assert listed(app) == FAULTY
-    await shown(pilot, "faults only ▸ 2 of 8")
-    put(app, *ROUTES, route("/worse", State.DOWN))
-    await shown(pilot, "faults only ▸ 3 of 9")
-    await pilot.press("f")
-    assert len(listed(app)) == 9
 
 
 @on_main()
@@ -256,64 +93,6 @@ async def test_zoom(app, pilot) -> None:
 
 
 @on_main()
-async def test_log_levels_and_search(app, pilot) -> None:
-    app.engine.happened.append(Event(5, NOW, Level.DEBUG, "link", "a detail"))
-    app.pull()
-    assert "a detail" not in text(app)
-    await pilot.press("L")
-    await shown(pilot, "Log ▸ WARN+")
-    assert "flowing" not in text(app).split("Log ▸")[1]
-    await pilot.press("L")
-    await shown(pilot, "Log ▸ ERROR+")
-    await pilot.press("L")
-    await shown(pilot, "a detail")
-    await pilot.press("l", "slash", *"linked", "enter")
-    await gone(pilot, "a detail")
-    assert "linked to 10.0.0.20" in text(app)
-    assert len(listed(app)) == 8  # the filter is the log's
-
-
-@on_main()
-async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilot) -> None:
-    log = app.main.log_pane
-    await pilot.press("l", "j")
-    held = log.selected
-    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
-    app.pull()
-    assert log.selected == held
-    await pilot.press("g")
-    await shown(pilot, "more 39")
-    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
-    app.pull()
-    await shown(pilot, "newest")
-    assert log.selected.text == "newest"
-
-
-@on_main()
-async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot) -> None:
-    log = app.main.log_pane
-    await pilot.press("l", "G")
-    held = log.selected
-    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
-    app.pull()
-    await pilot.press("slash")
-    await until(pilot, lambda: not log.has_focus, "the prompt")
-    await pilot.press("escape")
-    await until(pilot, lambda: log.has_focus, "the log again")
-    assert log.selected == held, "the filter's prompt is not another pane"
-    app.app_focus = False
-    await until(pilot, lambda: not log.has_focus, "another window")
-    app.app_focus = True
-    await until(pilot, lambda: log.has_focus, "the log again")
-    assert log.selected == held, "nor is another window"
-    await pilot.press("l")
-    await shown(pilot, "more 39")
-    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
-    app.pull()
-    await shown(pilot, "newest")
-
-
-@on_main()
 async def test_pause_and_resume(app, pilot) -> None:
     await pilot.press("p")
     await until(pilot, lambda: app.engine.commands == [("pause", "/robot2/scan", True)], "pause")
@@ -370,25 +149,6 @@ async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app, pilot) -> None
 @on_main(path=Path("robot1.yaml"))
 async def test_a_session_named_like_its_file_is_named_once(app, pilot) -> None:
     assert text(app).splitlines()[0].count("robot1") == 1
-
-
-@on_main()
-async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app, pilot) -> None:
-    app.notify("words " * 20)
-    await shown(pilot, "words words")
-    assert "/robot2/scan channel 3: No route to host" in text(app)
-    assert "q quit" in text(app)
-
-
-@on_main()
-async def test_a_servers_links_are_counted_and_peers_have_a_column(app, pilot) -> None:
-    await pilot.resize_terminal(150, 36)
-    other = replace(LINK, name="robot2", state=State.DOWN)
-    put(app, *ROUTES, route("/scan", key="2", link="robot2"), links=(LINK, other), role="server")
-    await shown(pilot, "✗ 1 of 2 linked")
-    await shown(pilot, "PEER")
-    await pilot.press("slash", *"robot2", "enter")
-    await until(pilot, lambda: listed(app) == ["/robot2/scan", "/scan"], "what concerns robot2")
 
 
 @on_main(ascii_only=True)
@@ -539,22 +299,6 @@ async def test_a_dialog_has_the_only_keys(app, pilot) -> None:
     await shown(pilot, "Next line")
     await pilot.press("escape", "escape")
     await shown(pilot, "q quit")
-
-
-@on_main(size=NARROW)
-async def test_a_long_line_of_the_log_can_be_read_whole(app, pilot) -> None:
-    words = " ".join(f"word{number}" for number in range(40))
-    app.engine.happened.append(Event(5, NOW, Level.ERROR, "link", words, "robot1"))
-    put(app, links=(LINK,))
-    assert "word39" not in text(app)
-    await pilot.press("l", "enter")
-    await shown(pilot, "word39")
-    await pilot.press("enter")
-    await gone(pilot, "word39")
-    app.engine.now = replace(app.engine.now, routes=())
-    app.pull()
-    await pilot.press("enter")
-    await shown(pilot, "word39")
 
 
 def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:

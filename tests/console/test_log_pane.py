@@ -1,0 +1,90 @@
+"""The log on the main screen, key by key."""
+
+from dataclasses import replace
+
+from driving import NARROW, gone, listed, on_main, put, shown, text, until
+from scripted import LINK, NOW
+
+from rsb_bridge.snapshot import Event, Level
+
+
+@on_main()
+async def test_log_levels_and_search(app, pilot) -> None:
+    app.engine.happened.append(Event(5, NOW, Level.DEBUG, "link", "a detail"))
+    app.pull()
+    assert "a detail" not in text(app)
+    await pilot.press("L")
+    await shown(pilot, "Log ▸ WARN+")
+    assert "flowing" not in text(app).split("Log ▸")[1]
+    await pilot.press("L")
+    await shown(pilot, "Log ▸ ERROR+")
+    await pilot.press("L")
+    await shown(pilot, "a detail")
+    await pilot.press("l", "slash", *"linked", "enter")
+    await gone(pilot, "a detail")
+    assert "linked to 10.0.0.20" in text(app)
+    assert len(listed(app)) == 8  # the filter is the log's
+
+
+@on_main()
+async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilot) -> None:
+    log = app.main.log_pane
+    await pilot.press("l", "j")
+    held = log.selected
+    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
+    app.pull()
+    assert log.selected == held
+    await pilot.press("g")
+    await shown(pilot, "more 39")
+    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
+    app.pull()
+    await shown(pilot, "newest")
+    assert log.selected.text == "newest"
+
+
+@on_main()
+async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot) -> None:
+    log = app.main.log_pane
+    await pilot.press("l", "G")
+    held = log.selected
+    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
+    app.pull()
+    await pilot.press("slash")
+    await until(pilot, lambda: not log.has_focus, "the prompt")
+    await pilot.press("escape")
+    await until(pilot, lambda: log.has_focus, "the log again")
+    assert log.selected == held, "the filter's prompt is not another pane"
+    app.app_focus = False
+    await until(pilot, lambda: not log.has_focus, "another window")
+    app.app_focus = True
+    await until(pilot, lambda: log.has_focus, "the log again")
+    assert log.selected == held, "nor is another window"
+    await pilot.press("l")
+    await shown(pilot, "more 39")
+    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
+    app.pull()
+    await shown(pilot, "newest")
+
+
+@on_main()
+async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app, pilot) -> None:
+    app.notify("words " * 20)
+    await shown(pilot, "words words")
+    assert "/robot2/scan channel 3: No route to host" in text(app)
+    assert "q quit" in text(app)
+
+
+@on_main(size=NARROW)
+async def test_a_long_line_of_the_log_can_be_read_whole(app, pilot) -> None:
+    words = " ".join(f"word{number}" for number in range(40))
+    app.engine.happened.append(Event(5, NOW, Level.ERROR, "link", words, "robot1"))
+    put(app, links=(LINK,))
+    assert "word39" not in text(app)
+    await pilot.press("l", "enter")
+    await shown(pilot, "word39")
+    await pilot.press("enter")
+    await gone(pilot, "word39")
+    app.engine.now = replace(app.engine.now, routes=())
+    app.pull()
+    await pilot.press("enter")
+    await shown(pilot, "word39")
