@@ -6,6 +6,7 @@ import statistics
 import sys
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,7 +70,8 @@ def main() -> None:
         _alone(rate, environ)
     print(f"\na bridge carrying {RATE} msg/s of {SIZE} bytes over TCP, {ROUNDS} x {SECONDS:.0f} s each, by turns")
     print(f"{'client':>8} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'of which':>12} {'CPU s':>7} {'p99 ratio':>10}")
-    clients = {"no-ui": None, "4 Hz": _console, "2 Hz": _console_over_ssh, "no-ui 2": None}  # the last shows the noise
+    over_ssh = partial(_console, **OVER_SSH)
+    clients = {"no-ui": None, "4 Hz": _console, "2 Hz": over_ssh, "no-ui 2": None}  # the last shows the noise
     runs = [[_carried(client) for client in clients.values()] for _ in range(ROUNDS)]
     by_client = [_medians(rounds) for rounds in zip(*runs, strict=True)]
     for index, (name, (lost, p50, p99, cpu)) in enumerate(zip(clients, by_client, strict=True)):
@@ -84,12 +86,8 @@ def _medians(runs: Iterable[tuple[float, ...]]) -> tuple[float, ...]:
     return tuple(statistics.median(figures) for figures in zip(*runs, strict=True))
 
 
-def _console(session: Path) -> Watched:
-    return Watched("-m", "rsb_console", "run", str(session))
-
-
-def _console_over_ssh(session: Path) -> Watched:
-    return Watched("-m", "rsb_console", "run", str(session), **OVER_SSH)
+def _console(session: Path, **environ: str) -> Watched:
+    return Watched("-m", "rsb_console", "run", str(session), **environ)
 
 
 def _alone(name: str, environ: dict[str, str]) -> None:

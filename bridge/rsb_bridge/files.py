@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Paths as people write them, and files that are there whole or not at all."""
 
 from __future__ import annotations
 

@@ -57,6 +57,7 @@ class OutgoingRoute(Route):
         self._described: Describe | None = None
         self._ready = False
         self._publishers: list[Endpoint] = []
+        self._publisher_qos: Qos | None = None
         self._unresolved: _Unresolved | None = None
         self._hint = ("", "")
 
@@ -74,6 +75,7 @@ class OutgoingRoute(Route):
             self._unsubscribe()
             return
         self._publishers = self.context.ros.publishers(self.topic)
+        self._publisher_qos = match_publishers([e.qos for e in self._publishers]) if self._publishers else None
         if any(self.peer.is_at(publisher.node) for publisher in self._publishers):
             self.begin_anew(
                 f"the other side publishes {self.topic} in this same domain, {self.context.domain_id}: all would come "
@@ -120,13 +122,10 @@ class OutgoingRoute(Route):
         type_hash = hashes[0] if hashes else self.context.ros.installed_hash(name) or hint
         if not type_hash:
             return self._waits("type known", f"{name} is not installed here, and nobody publishes it yet")
-        qos = self.proposal.qos or self._matched_qos()
+        qos = self.proposal.qos or self._publisher_qos
         if qos is None:
             return self._waits("publisher seen", self._no_publisher())
         return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos)
-
-    def _matched_qos(self) -> Qos | None:
-        return match_publishers([e.qos for e in self._publishers]) if self._publishers else None
 
     def _waits(self, stage: str, why: str) -> Describe | None:
         self._unresolved = _Unresolved(stage, why)
@@ -283,14 +282,14 @@ class OutgoingRoute(Route):
             dropped=ledger.dropped,
             lost_in_dds=ledger.lost_in_dds,
             publishers=len(self._publishers),
-            publisher_qos=self._matched_qos(),
+            publisher_qos=self._publisher_qos,
             subscribed=self._subscription is not None,
             problem=plain(self.problem),
         )
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         report = self._account.report
-        return self._matched_qos(), report.subscriber_qos if report else None
+        return self._publisher_qos, report.subscriber_qos if report else None
 
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""

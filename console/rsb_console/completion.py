@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import argcomplete
+
+from rsb_bridge.files import typed_path
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser
@@ -33,7 +34,7 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
 def yaml_files(prefix: str, **_: object) -> list[str]:
     """YAML files that a path which has been begun may become, and folders on the way to more."""
     begun = prefix.rpartition("/")
-    folder = Path(begun[0] + begun[1]).expanduser()
+    folder = typed_path(begun[0] + begun[1])
     try:
         found = sorted(path for path in folder.iterdir() if path.name.startswith(begun[2]))
     except OSError:

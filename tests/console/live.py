@@ -2,11 +2,12 @@
 
 import contextlib
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+
+from tests.support.bridge import free_port
 
 from rsb_bridge.keys import write_key
 from rsb_bridge.session import Session, Topic
@@ -14,13 +15,6 @@ from rsb_bridge.session_file import save
 
 HERE, THERE = 83, 84  # ROS domains
 COMMAND = Path(sys.executable).with_name("rsb-console")
-
-
-def free_port() -> int:
-    """A TCP port that nobody listens on."""
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
 
 
 class Pair:

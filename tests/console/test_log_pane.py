@@ -8,10 +8,19 @@ from scripted import LINK, NOW
 from rsb_bridge.snapshot import Event, Level
 
 
+def happen(app, *events: Event) -> None:
+    """The engine has `events`, and the console sees them."""
+    app.engine.happened += events
+    app.pull()
+
+
+MORE = [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
+NEWEST = Event(40, NOW, Level.INFO, "link", "newest")
+
+
 @on_main()
 async def test_log_levels_and_search(app, pilot) -> None:
-    app.engine.happened.append(Event(5, NOW, Level.DEBUG, "link", "a detail"))
-    app.pull()
+    happen(app, Event(5, NOW, Level.DEBUG, "link", "a detail"))
     assert "a detail" not in text(app)
     await pilot.press("L")
     await shown(pilot, "Log ▸ WARN+")
@@ -31,13 +40,11 @@ async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilo
     log = app.main.log_pane
     await pilot.press("l", "j")
     held = log.selected
-    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
-    app.pull()
+    happen(app, *MORE)
     assert log.selected == held
     await pilot.press("g")
     await shown(pilot, "more 39")
-    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
-    app.pull()
+    happen(app, NEWEST)
     await shown(pilot, "newest")
     assert log.selected.text == "newest"
 
@@ -47,8 +54,7 @@ async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot
     log = app.main.log_pane
     await pilot.press("l", "G")
     held = log.selected
-    app.engine.happened += [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
-    app.pull()
+    happen(app, *MORE)
     await pilot.press("slash")
     await until(pilot, lambda: not log.has_focus, "the prompt")
     await pilot.press("escape")
@@ -61,8 +67,7 @@ async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot
     assert log.selected == held, "nor is another window"
     await pilot.press("l")
     await shown(pilot, "more 39")
-    app.engine.happened.append(Event(40, NOW, Level.INFO, "link", "newest"))
-    app.pull()
+    happen(app, NEWEST)
     await shown(pilot, "newest")
 
 

@@ -78,7 +78,7 @@ def of_link(server: Engine, name: str) -> list[Event]:
 def test_lines_at_line_speed(
     flood: Callable[[Rogue], None], words: str | tuple[str, ...], bridge: Bridge, server: Engine, rogue: Rogue
 ) -> None:
-    """Of three thousand lines two hundred are written, and how many were not; none about the link itself is lost."""
+    """Of three thousand lines a third are written, and how many were not; none about the link itself is lost."""
     flood(rogue)
     rogue.say(Ping(n=1, sent=1))
     rogue._wait(Pong)  # so it has read everything before
