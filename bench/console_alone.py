@@ -15,7 +15,7 @@ from scripted import NOW, SESSION, ScriptedEngine, route
 from rsb_console.app import ConsoleApp
 
 if TYPE_CHECKING:
-    from rsb_bridge.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 COUNT = int(sys.argv[1])
 CHANGING = 0.3  # share of the topics in a refresh

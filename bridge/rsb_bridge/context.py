@@ -3,67 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
-from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-from rsb_bridge.event_limit import LimitedLog
+from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from rsb_bridge.event_log import EventLog
-    from rsb_bridge.ros.api import RosSide, Taken
-    from rsb_bridge.session import Session
-    from rsb_bridge.snapshot import Level
-
-_BACKLOG = 64
-_PATIENCE = 0.1
-
-
-class Receiver(Protocol):
-    """Where a subscription's messages go on the I/O loop."""
-
-    def offer(self, batch: Sequence[Taken]) -> None:
-        """Take messages, oldest first."""
-        ...
-
-
-class Handoff:
-    """Messages on their way from the ROS thread to the I/O loop: one wake-up a drain, and a bound.
-
-    While the loop is `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
-        self._batches: deque[tuple[Receiver, Sequence[Taken]]] = deque()
-        self._room = threading.Event()
-        self._scheduled = False
-
-    def put(self, receiver: Receiver, batch: Sequence[Taken]) -> None:
-        """Called on the ROS thread."""
-        self._batches.append((receiver, batch))
-        if not self._scheduled:
-            self._scheduled = True
-            try:
-                self._loop.call_soon_threadsafe(self._drain)
-            except RuntimeError:  # the loop is closed: the engine has stopped
-                self._batches.clear()
-                return
-        if len(self._batches) > _BACKLOG:
-            self._room.clear()
-            self._room.wait(_PATIENCE)
-
-    def _drain(self) -> None:
-        self._scheduled = False
-        while self._batches:
-            receiver, batch = self._batches.popleft()
-            receiver.offer(batch)
-        self._room.set()
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.ros.queue import RosToLoopQueue
+    from rsb_bridge.telemetry.event_log import EventLog
 
 
 @dataclass(slots=True)
@@ -75,28 +29,28 @@ class Context:
         domain_id: the ROS domain joined.
         ros: the ROS side.
         events: what happened.
-        handoff: from the ROS thread to the I/O loop.
+        ros_queue: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
         limited: the way to `events` for what a peer may be the cause of.
     """
 
     session: Session
     domain_id: int
-    ros: RosSide
+    ros: RosInterface
     events: EventLog
-    handoff: Handoff
+    ros_queue: RosToLoopQueue
     loop: asyncio.AbstractEventLoop
-    limited: LimitedLog = field(init=False)
+    limited: RateLimitedEventLog = field(init=False)
 
     def __post_init__(self) -> None:
-        self.limited = LimitedLog(self.events)
+        self.limited = RateLimitedEventLog(self.events)
 
     def log(
-        self, level: Level, source: str, text: str, *, link: str = "", topic: str = "", vital: bool = False
+        self, level: Level, source: str, text: str, *, link: str = "", topic: str = "", link_status: bool = False
     ) -> None:
-        """Add an event; of a link's, those that are within its share (`LimitedLog`)."""
+        """Add an event; of a link's, those that are within its share (`RateLimitedEventLog`)."""
         if link:
-            self.limited.add(level, source, text, link=link, topic=topic, vital=vital)
+            self.limited.add(level, source, text, link=link, topic=topic, link_status=link_status)
         else:
             self.events.add(level, source, text, topic=topic)
 

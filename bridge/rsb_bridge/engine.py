@@ -14,25 +14,26 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from rsb_bridge.context import Context, Handoff
-from rsb_bridge.dialogue import LinkError
-from rsb_bridge.ends import ClientEnd, End, Keys, ServerEnd, clients_of
-from rsb_bridge.event_log import EventLog
-from rsb_bridge.graph import topics_of
-from rsb_bridge.keys import KeyFileError, key_path, read_key
-from rsb_bridge.observer import Observer, in_slices
-from rsb_bridge.ros.api import RosError, RosSide, Subscription
-from rsb_bridge.shutdown_topic import watch_shutdown_topic
-from rsb_bridge.snapshot import Event, Level, Snapshot, TopicInfo
-from rsb_bridge.transport.streams import address_words
+from rsb_bridge.config.keys import KeyFileError, key_path, read_key
+from rsb_bridge.context import Context
+from rsb_bridge.link.negotiation import LinkError
+from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole, clients_of
+from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
+from rsb_bridge.ros.api import RosError, RosInterface, Subscription
+from rsb_bridge.ros.graph import topics_of
+from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.snapshots import SnapshotPublisher, in_slices
+from rsb_bridge.transport.streams import format_address
 from rsb_bridge.transport.tcp import ListenError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from rsb_bridge.link import Link
-    from rsb_bridge.route import Route
-    from rsb_bridge.session import Session, Topic
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.route.route import Route
 
 _ERROR_SAID_EVERY = 10.0
 _POLL = 0.25
@@ -57,7 +58,7 @@ class Engine:
         ros: the ROS side; None: `rsb_bridge.ros.node.RosNode` in the session's domain.
     """
 
-    def __init__(self, session: Session, *, base: Path = Path(), ros: RosSide | None = None) -> None:
+    def __init__(self, session: Session, *, base: Path = Path(), ros: RosInterface | None = None) -> None:
         self._session = session
         self._base = base
         self._ros = ros
@@ -66,10 +67,10 @@ class Engine:
         self._errors_said: dict[str, float] = {}
         self._thread: threading.Thread | None = None
         self._context: Context | None = None
-        self._end: End | None = None
-        address = address_words((session.server_ip, session.server_port))
+        self._end: BridgeRole | None = None
+        address = format_address((session.server_ip, session.server_port))
         blank = Snapshot(time.time(), session.name, session.role, address, session.domain_id or 0, running=False)
-        self._observer = Observer(blank, self._events)
+        self._observer = SnapshotPublisher(blank, self._events)
 
     # --- from any thread
 
@@ -141,7 +142,7 @@ class Engine:
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
         """Bridge one more topic. On a server `link` says with which client. Gives the route's key."""
 
-        async def work(end: End) -> str:
+        async def work(end: BridgeRole) -> str:
             return end.add(topic, link).key
 
         return self._command(work)
@@ -149,7 +150,7 @@ class Engine:
     def edit_topic(self, key: str, topic: Topic) -> Future[str]:
         """Put another topic in a route's place. Gives the new route's key; where that can't be, the old one stays."""
 
-        async def work(end: End) -> str:
+        async def work(end: BridgeRole) -> str:
             link, route = _find(end, key)
             link.remove(route, "edited")
             try:
@@ -163,7 +164,7 @@ class Engine:
     def remove_topic(self, key: str) -> Future[None]:
         """Bridge a topic no longer, on both sides."""
 
-        async def work(end: End) -> None:
+        async def work(end: BridgeRole) -> None:
             link, route = _find(end, key)
             link.remove(route, "removed by an operator")
 
@@ -172,7 +173,7 @@ class Engine:
     def pause(self, key: str, paused: bool) -> Future[None]:
         """Stop or resume carrying a topic's messages, on both sides."""
 
-        async def work(end: End) -> None:
+        async def work(end: BridgeRole) -> None:
             link, route = _find(end, key)
             link.pause(route, paused)
 
@@ -181,7 +182,7 @@ class Engine:
     def retry(self, link: str = "") -> Future[None]:
         """Call now instead of later, and open refused topics anew."""
 
-        async def work(end: End) -> None:
+        async def work(end: BridgeRole) -> None:
             end.retry(link)
 
         return self._command(work)
@@ -189,7 +190,7 @@ class Engine:
     def shut_down(self) -> Future[None]:
         """Do what the shutdown topic does: close the sockets on both sides until an operator restarts."""
 
-        async def work(end: End) -> None:
+        async def work(end: BridgeRole) -> None:
             end.shut_down("an operator shut it down")
 
         return self._command(work)
@@ -197,7 +198,7 @@ class Engine:
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         """Close the links on both sides, then begin anew; `step` is told of each step, on the I/O thread."""
 
-        async def work(end: End) -> None:
+        async def work(end: BridgeRole) -> None:
             def say(words: str) -> None:
                 self._events.add(Level.INFO, "engine", f"restart: {words}")
                 if step is not None:
@@ -210,18 +211,18 @@ class Engine:
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
         """What there is to bridge: in this side's graph, or with `link` in that peer's."""
 
-        async def work(end: End) -> list[TopicInfo]:
+        async def work(end: BridgeRole) -> list[TopicInfo]:
             if link is None:
                 assert self._context is not None
                 return await asyncio.to_thread(topics_of, self._context.ros)
             for candidate in end.links():
                 if candidate.name == link:
-                    return await candidate.dialogue.remote_topics()
+                    return await candidate.negotiation.remote_topics()
             raise LinkError(f"there is no link {link!r}")
 
         return self._command(work)
 
-    def _command(self, work: Callable[[End], Coroutine[None, None, T]]) -> Future[T]:
+    def _command(self, work: Callable[[BridgeRole], Coroutine[None, None, T]]) -> Future[T]:
         """Run on the I/O thread; what is wrong with the request comes as an `EngineError` through the future."""
         end, context = self._end, self._context
 
@@ -246,7 +247,7 @@ class Engine:
 
     # --- on the I/O thread
 
-    def _run_thread(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
+    def _run_thread(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         try:
             asyncio.run(self._main(ros, domain, keys, started))
         except Exception as error:
@@ -256,11 +257,11 @@ class Engine:
             if not started.done():
                 started.set_exception(EngineError(words))
 
-    async def _main(self, ros: RosSide, domain: int, keys: Keys, started: Future[None]) -> None:
+    async def _main(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(self._internal_error)
-        context = self._context = Context(self._session, domain, ros, self._events, Handoff(loop), loop)
-        end = self._end = (ServerEnd if self._session.role == "server" else ClientEnd)(context, keys)
+        context = self._context = Context(self._session, domain, ros, self._events, RosToLoopQueue(loop), loop)
+        end = self._end = (ServerRole if self._session.role == "server" else ClientRole)(context, keys)
         watch: Subscription | None = None
         try:
             watch = self._watch_shutdown(context, end)
@@ -278,7 +279,7 @@ class Engine:
             self._events.add(Level.INFO, "engine", "stopped")
             self._observer.refresh_now(end, running=False)
 
-    async def _run(self, context: Context, end: End) -> None:
+    async def _run(self, context: Context, end: BridgeRole) -> None:
         polls = 0
         while not self._stopping.is_set():
             polls += 1
@@ -298,7 +299,7 @@ class Engine:
             except TimeoutError:
                 pass
 
-    def _watch_shutdown(self, context: Context, end: End) -> Subscription | None:
+    def _watch_shutdown(self, context: Context, end: BridgeRole) -> Subscription | None:
         topic = self._session.shutdown_topic
         if topic is None:
             return None
@@ -363,7 +364,7 @@ class Engine:
         return keys
 
 
-def _find(end: End, key: str) -> tuple[Link, Route]:
+def _find(end: BridgeRole, key: str) -> tuple[Link, Route]:
     for link in end.links():
         if key in link.routes:
             return link, link.routes[key]
@@ -379,7 +380,7 @@ def _domain_of(session: Session) -> int:
     return int(text)
 
 
-def _ros_node(domain: int, name: str) -> RosSide:
+def _ros_node(domain: int, name: str) -> RosInterface:
     from rsb_bridge.ros.node import RosNode  # noqa: PLC0415 — only a running engine needs ROS
 
     return RosNode(domain, name)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from textual import events, work
 from textual.app import App
 
-from rsb_bridge.snapshot import Snapshot
+from rsb_bridge.model.snapshot import Snapshot
 from rsb_console import theming
 from rsb_console.actions import BY_ID, Action, Group, bindings
 from rsb_console.glyphs import AsciiFilter, ControlFilter
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from textual.screen import Screen
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.session import Session
-    from rsb_bridge.snapshot import RouteSnapshot
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import RouteSnapshot
 
     MakeEngine = Callable[[Session, Path], Engine]
 
@@ -351,7 +351,7 @@ def run_console(
     Raises:
         SessionError: the session file has mistakes.
     """
-    from rsb_bridge.session_file import load  # noqa: PLC0415 -- not needed without a file
+    from rsb_bridge.config.session_file import load  # noqa: PLC0415 -- not needed without a file
 
     app = ConsoleApp(
         load(path) if path is not None else session,

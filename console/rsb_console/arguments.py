@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rsb_bridge.keys import DEFAULT_KEY_FILE
+from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console import commands
 from rsb_console.shell import say
 

@@ -7,7 +7,7 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from rsb_bridge.bluetooth import ANY_ADAPTER, CHANNELS, Scan, Use, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, scan
 from rsb_console.shell import FAILURE, OK, complain, say
 
 if TYPE_CHECKING:

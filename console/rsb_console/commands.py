@@ -9,9 +9,9 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from rsb_bridge.keys import KeyFileError, fingerprint, key_path, read_key, write_key
-from rsb_bridge.session_file import SessionError, dump, load, save
-from rsb_bridge.thesis import import_bringup
+from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
+from rsb_bridge.config.session_file import SessionError, dump, load, save
+from rsb_bridge.config.thesis import import_bringup
 from rsb_console.shell import FAILURE, OK, USAGE, complain, say
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from rsb_bridge.keys import Key
-    from rsb_bridge.session import Session, Topic
+    from rsb_bridge.config.keys import Key
+    from rsb_bridge.model.session import Session, Topic
 
 _IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_port": "--port N"}  # by what they give
 LAST_SAFE_DOMAIN = 101  # above it, DDS's ports lie in Linux's ephemeral range: docs.ros.org, "The ROS_DOMAIN_ID"

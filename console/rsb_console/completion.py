@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import argcomplete
 
-from rsb_bridge.files import typed_path
+from rsb_bridge.config.files import typed_path
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.snapshot import Event, RouteSnapshot
+    from rsb_bridge.model.snapshot import Event, RouteSnapshot
 
 COLUMNS = (
     "state", "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",

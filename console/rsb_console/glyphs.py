@@ -12,7 +12,7 @@ from rich.cells import cell_len
 from rich.segment import Segment
 from textual.filter import LineFilter
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

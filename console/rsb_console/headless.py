@@ -11,7 +11,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.engine import Engine, EngineError
-from rsb_bridge.snapshot import Level, State
+from rsb_bridge.model.snapshot import Level, State
 from rsb_console.shell import FAILURE, OK, complain, keep_output_clean, say
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import FrameType
 
-    from rsb_bridge.session import Session
-    from rsb_bridge.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
 
 STATUS_EVERY = 5.0
 _LOOK_EVERY = 0.25

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
-from rsb_bridge.files import replace_file
+from rsb_bridge.config.files import replace_file
 
 LIMIT = 20
 

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.files import typed_path
-from rsb_bridge.keys import Key, KeyFileError, copy_key, key_path, read_key
-from rsb_bridge.session_file import SessionError, load, save
+from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_path, read_key
+from rsb_bridge.config.session_file import SessionError, load, save
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.session import Session, Topic
+    from rsb_bridge.model.session import Session, Topic
     from rsb_console.app import ConsoleApp
 
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from rich.cells import cell_len
 
-from rsb_bridge.qos import AUTO
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import SessionError, read_yaml, validate, validate_topic
+from rsb_bridge.config.session_file import SessionError, read_yaml, validate, validate_topic
+from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.session import Session, Topic
 from rsb_console.glyphs import IN, OUT
 from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import Offer
@@ -20,7 +20,7 @@ from rsb_console.widgets.picker import Offer
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from rsb_bridge.snapshot import RouteSnapshot, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 NUMBERS = ("port", "max_rate", "expected_rate", "stale_after")
 _NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name has what is left, but no less than this

@@ -11,12 +11,12 @@ import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
 
-from rsb_bridge.bluetooth import held_channels
+from rsb_bridge.bluetooth.scan import held_channels
+from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.keys import write_key
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.snapshot import Level, State
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.transport import rfcomm, tcp
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from rsb_bridge.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot
 
 _MAC = "5C:F3:70:9A:1B:2E"
 _CHANNEL = 11

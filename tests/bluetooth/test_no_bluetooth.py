@@ -11,7 +11,7 @@ import sys
 
 import pytest
 
-from rsb_bridge import hci
+from rsb_bridge.bluetooth import hci
 
 _REFUSED = """
 import ctypes, struct, sys

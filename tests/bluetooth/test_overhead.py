@@ -12,7 +12,7 @@ import pytest
 import zstandard
 from cryptography.fernet import Fernet
 
-from rsb_bridge.shared import CHUNK
+from rsb_bridge.channel.multiplexer import CHUNK
 from rsb_bridge.wire.framing import ZSTD, DataWriter
 from rsb_bridge.wire.sealing import Sealer, Suite
 

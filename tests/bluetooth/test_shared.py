@@ -9,7 +9,7 @@ from collections import deque
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, cast
 
-from rsb_bridge.shared import CHUNK, SharedPath, SharedStream
+from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedChannel, Multiplexer
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import HEADER, LENGTH, DataReader, DataWriter, FrameReader
 from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
@@ -17,7 +17,7 @@ from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from rsb_bridge.route import Route
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
 
 _PACE = 50_000  # bytes/s: the thesis's
@@ -37,7 +37,7 @@ class Topic:
     def __init__(self, number: int, always: int = 0) -> None:
         self.id = number
         self.arrived: deque[tuple[int, float]] = deque()
-        self.path: SharedPath | None = None
+        self.path: MultiplexedChannel | None = None
         self.something = asyncio.Event()
         self._always = always
 
@@ -57,10 +57,10 @@ class _Pumping(StreamHandler):
     """Does what the control connection does."""
 
     def __init__(self) -> None:
-        self.shared: SharedStream | None = None
+        self.shared: Multiplexer | None = None
 
     def connected(self, stream: Stream) -> None:
-        self.shared = SharedStream(stream)
+        self.shared = Multiplexer(stream)
 
     def writable(self) -> None:
         assert self.shared is not None
@@ -79,9 +79,9 @@ async def slow_link(*topics: Topic) -> AsyncIterator[None]:
     for topic in topics:
         route = cast("Route", topic)
         writer = DataWriter(Sealer(Suite.CHACHAPOLY, _KEY), topic.id)
-        topic.path = SharedPath(handler.shared, route, writer)
+        topic.path = MultiplexedChannel(handler.shared, route, writer)
         reader = DataReader(StreamOpener(Suite.CHACHAPOLY, _KEY), topic.id)
-        ends[topic.id] = SharedPath(handler.shared, route, reader)
+        ends[topic.id] = MultiplexedChannel(handler.shared, route, reader)
     reading = asyncio.create_task(_read_slowly(far, ends))
     try:
         yield
@@ -92,7 +92,7 @@ async def slow_link(*topics: Topic) -> AsyncIterator[None]:
         far.close()
 
 
-async def _read_slowly(far: socket.socket, ends: dict[int, SharedPath]) -> None:
+async def _read_slowly(far: socket.socket, ends: dict[int, MultiplexedChannel]) -> None:
     loop = asyncio.get_running_loop()
     far.setblocking(False)
     far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from tests.support.bridge import free_port
 
-from rsb_bridge.keys import write_key
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import save
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Session, Topic
 
 HERE, THERE = 83, 84  # ROS domains
 COMMAND = Path(sys.executable).with_name("rsb-console")

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.snapshot import (
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.snapshot import (
     Event,
     Ledger,
     Level,

@@ -8,7 +8,7 @@ from scripted import SESSION
 from textual.pilot import Pilot
 from textual.widgets import Button
 
-from rsb_bridge.session_file import save
+from rsb_bridge.config.session_file import save
 
 BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in it
     "Sessions": ("o", "↑ ↓ and ⏎"),

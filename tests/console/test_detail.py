@@ -7,9 +7,9 @@ from driving import NARROW, drive, scripted_app, settled, shown, text, until
 from scripted import ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Topic
-from rsb_bridge.snapshot import RouteSnapshot, State
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console import formats
 from rsb_console.widgets.detail import detail_lines
 

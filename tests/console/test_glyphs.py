@@ -8,7 +8,7 @@ from rich.segment import Segment
 from rich.style import Style
 from textual.color import Color
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 from rsb_console.glyphs import ASCII, STATE_SIGN, STATE_WORD, AsciiFilter, braille_plot, sparkline, to_ascii
 
 

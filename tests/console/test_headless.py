@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from scripted import ScriptedEngine, route
 
-from rsb_bridge.snapshot import Ledger, RouteSnapshot, State
+from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.headless import text_status
 
 

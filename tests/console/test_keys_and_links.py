@@ -10,10 +10,10 @@ from driving import NARROW, drive, fill, gone, scripted_app, shown, text, until
 from scripted import LINK, SESSION
 from textual.pilot import Pilot
 
-from rsb_bridge.bluetooth import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use
-from rsb_bridge.keys import fingerprint, read_key, write_key
-from rsb_bridge.session import Client
-from rsb_bridge.snapshot import State
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use
+from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.model.session import Client
+from rsb_bridge.model.snapshot import State
 from rsb_console.screens import bluetooth
 from rsb_console.screens.keys import key_files
 

@@ -9,10 +9,10 @@ from driving import NOWHERE, drive, gone, shown, text, until
 from live import Pair, talker
 from textual.pilot import Pilot
 
-from rsb_bridge.keys import fingerprint, read_key, write_key
-from rsb_bridge.session import Topic
-from rsb_bridge.session_file import load
-from rsb_bridge.snapshot import State
+from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.config.session_file import load
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_console.app import ConsoleApp
 
 pytest.importorskip("rclpy", reason="needs ROS 2")

@@ -5,7 +5,7 @@ from dataclasses import replace
 from driving import NARROW, gone, listed, on_main, put, shown, text, until
 from scripted import LINK, NOW
 
-from rsb_bridge.snapshot import Event, Level
+from rsb_bridge.model.snapshot import Event, Level
 
 
 def happen(app, *events: Event) -> None:

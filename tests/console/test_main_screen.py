@@ -11,8 +11,8 @@ from scripted import FAULTY, LINK, NOW, ScriptedEngine, route
 from textual.pilot import Pilot
 from textual.widgets import Button
 
-from rsb_bridge.session import Topic
-from rsb_bridge.snapshot import Event, Level, State
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Event, Level, State
 
 
 @on_main()

@@ -9,9 +9,9 @@ from driving import drive, fill, scripted_app, shown, text, until
 from scripted import SESSION
 from textual.pilot import Pilot
 
-from rsb_bridge.keys import read_key, write_key
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import dump, load, save
+from rsb_bridge.config.keys import read_key, write_key
+from rsb_bridge.config.session_file import dump, load, save
+from rsb_bridge.model.session import Session, Topic
 from rsb_console.recents import LIMIT, recent_sessions, remember
 from rsb_console.saving import moved, unsaved
 

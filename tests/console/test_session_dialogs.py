@@ -8,9 +8,9 @@ from driving import NARROW, choose, drive, empty_app, fill, gone, shown, text, u
 from scripted import SESSION
 from textual.pilot import Pilot
 
-from rsb_bridge.keys import fingerprint, read_key, write_key
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import load, save
+from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.config.session_file import load, save
+from rsb_bridge.model.session import Session, Topic
 from rsb_console.recents import recent_sessions, remember
 
 BRINGUP = """\

@@ -14,7 +14,7 @@ import pytest
 from live import Pair, end, talker
 from terminal import COMMAND, Terminal
 
-from rsb_bridge.session import Topic
+from rsb_bridge.model.session import Topic
 from rsb_console.terminal import prefers_ascii
 
 pytest.importorskip("rclpy", reason="needs ROS 2")

@@ -8,9 +8,9 @@ from driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text
 from scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Client, Session, Topic
-from rsb_bridge.snapshot import TopicInfo
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.snapshot import TopicInfo
 from rsb_console.topic_draft import Ends, offers_of, topic_of, values_of
 
 SERVER = msgspec.structs.replace(

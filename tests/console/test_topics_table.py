@@ -6,7 +6,7 @@ from driving import gone, listed, on_main, put, shown, text, until
 from scripted import FAULTY, LINK, ROUTES, route
 from textual.events import Key
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 
 
 @on_main()

@@ -13,12 +13,12 @@ from std_msgs.msg import Int32, String
 from tests.support.bridge import carries, eventually, find, free_port, heard, link, route, said, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 
+from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.engine import Engine, EngineError
-from rsb_bridge.keys import fingerprint, read_key, write_key
-from rsb_bridge.qos import PROFILES, Qos, parse_qos
+from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.node import RosNode
-from rsb_bridge.session import Client, Topic
-from rsb_bridge.snapshot import State
 
 if TYPE_CHECKING:
     from pathlib import Path

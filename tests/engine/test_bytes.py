@@ -12,12 +12,12 @@ from tests.support.bridge import carries, eventually, heard, link, route, said, 
 from tests.support.domain import text
 from tests.support.filled import filled
 
-from rsb_bridge import ends
-from rsb_bridge.qos import Qos
+from rsb_bridge.link import roles as ends
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.types import SHORT_NAMES
 from rsb_bridge.ros.typesupport import installed_class
-from rsb_bridge.session import Topic
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
@@ -138,9 +138,9 @@ def test_chacha_where_one_side_has_no_aes(
     """A processor without AES instructions cannot be had here: what it would say of itself is put in its place."""
     there, out = pc.listener("/out"), robot.publisher("/out")
     suites = {"server": Suite.AESGCM, "client": Suite.AESGCM, slow_side: Suite.CHACHAPOLY}
-    monkeypatch.setattr(ends, "fastest_suite", lambda: suites["server"])
+    monkeypatch.setattr(ends, "preferred_suite", lambda: suites["server"])
     server = bridge.server()
-    monkeypatch.setattr(ends, "fastest_suite", lambda: suites["client"])
+    monkeypatch.setattr(ends, "preferred_suite", lambda: suites["client"])
     client = bridge.client(Topic("/out", "transmit"), Topic("/udp", "transmit", protocol="udp"))
     carries([out], server, ["/out"])
     out.publish(text("there"))

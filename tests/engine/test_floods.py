@@ -10,10 +10,10 @@ from tests.support.bridge import carries, eventually, heard, linked, said
 from tests.support.domain import text
 from tests.support.rogue import Rogue
 
-from rsb_bridge.event_limit import AT_ONCE
-from rsb_bridge.keys import read_key
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Client, Topic
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.telemetry.event_limit import AT_ONCE
 from rsb_bridge.wire.messages import Close, Pause, Ping, Pong, Propose
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.snapshot import Event
+    from rsb_bridge.model.snapshot import Event
 
 FRAMES = 3000
 """Each makes one line."""

@@ -12,10 +12,10 @@ from tests.support.bridge import carries, eventually, heard, linked, route, said
 from tests.support.domain import text
 from tests.support.rogue import Rogue
 
-from rsb_bridge.keys import read_key
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Topic
-from rsb_bridge.token_bucket import TokenBucket
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT
 from rsb_bridge.wire.messages import Ping
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.link import Link
+    from rsb_bridge.link.link import Link
 
 ROUTES = 8
 WORDS = f"would hold more than {UNFINISHED_LIMIT:,} bytes"

@@ -11,7 +11,7 @@ from tests.support.bridge import balance, carries, eventually, heard, linked, ro
 from tests.support.domain import text
 from tests.support.relay import message_number
 
-from rsb_bridge.session import Topic
+from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.meters import ClockOffset, LatencyMeter
+from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter
 
 
 @pytest.mark.parametrize("absurd", [-1.79e9, -3600.0, 1.79e9])

@@ -11,7 +11,7 @@ from tests.support.domain import LATCHED, text
 from tests.support.waiting import holds
 
 from rsb_bridge.engine import Engine, EngineError
-from rsb_bridge.session import Client, Topic
+from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

@@ -13,8 +13,8 @@ from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, link, 
 from tests.support.domain import text
 from tests.support.resources import resources
 
-from rsb_bridge.session import Topic
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge

@@ -15,7 +15,7 @@ from tests.support.bridge import carries, eventually, heard, link, linked, route
 from tests.support.domain import text
 from tests.support.relay import message_number
 
-from rsb_bridge.session import Client, Topic
+from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

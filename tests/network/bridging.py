@@ -17,8 +17,8 @@ from tests.network.node import Heard, Node
 from tests.support.bridge import balance
 from tests.support.waiting import eventually
 
-from rsb_bridge.keys import write_key
-from rsb_bridge.snapshot import Ledger
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.model.snapshot import Ledger
 
 if TYPE_CHECKING:
     from tests.network.hosts import Host

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.qos import Qos
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.rcl import Participant

@@ -11,7 +11,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
-from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:

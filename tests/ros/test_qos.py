@@ -7,7 +7,7 @@ from itertools import product
 import pytest
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from rsb_bridge.qos import PROFILES, Qos, incompatible, match_publishers
+from rsb_bridge.model.qos import PROFILES, Qos, incompatible, match_publishers
 from rsb_bridge.ros.rcl import _profile
 
 POLICIES = [

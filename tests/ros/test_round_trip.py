@@ -12,7 +12,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from tests.support.filled import filled
 
-from rsb_bridge.qos import Qos
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros import anytype
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.types import SHORT_NAMES

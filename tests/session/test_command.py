@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.session_file import load
+from rsb_bridge.config.session_file import load
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 SESSION = """\

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from cryptography.fernet import Fernet
 
-from rsb_bridge.keys import KeyFileError, fingerprint, generate, is_key, read_key, write_key
+from rsb_bridge.config.keys import KeyFileError, fingerprint, generate, is_key, read_key, write_key
 
 
 def test_a_key_is_one_that_fernet_takes(tmp_path: Path) -> None:

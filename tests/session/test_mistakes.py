@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import SessionError, load, parse, validate, validate_topic
+from rsb_bridge.config.session_file import SessionError, load, parse, validate, validate_topic
+from rsb_bridge.model.session import Session, Topic
 
 FILE = Path("robot1.yaml")
 CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from rsb_bridge.keys import KeyFileError, write_key
-from rsb_bridge.qos import PROFILES
-from rsb_bridge.session import Client, Session, Topic
-from rsb_bridge.session_file import SessionError, dump, load, parse, save, validate, validate_topic
+from rsb_bridge.config.keys import KeyFileError, write_key
+from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate, validate_topic
+from rsb_bridge.model.qos import PROFILES
+from rsb_bridge.model.session import Client, Session, Topic
 
 FILE = Path("robot1.yaml")
 SESSION = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=49152, key_file="key.txt")
@@ -138,7 +138,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "robot1.yaml"
     save(SESSION, path)
     script = (
-        "import resource; from pathlib import Path; from rsb_bridge.session_file import *\n"
+        "import resource; from pathlib import Path; from rsb_bridge.config.session_file import *\n"
         f"path = Path({str(path)!r}); session = load(path)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (16, 16))\n"
         "try: save(session, path)\n"
@@ -154,7 +154,8 @@ def test_readers_and_a_kill_see_one_whole_session_or_the_other(tmp_path: Path) -
     path = tmp_path / "robot1.yaml"
     save(SESSION, path)
     script = (
-        "from pathlib import Path; from rsb_bridge.session import *; from rsb_bridge.session_file import *\n"
+        "from pathlib import Path\n"
+        "from rsb_bridge.model.session import *; from rsb_bridge.config.session_file import *\n"
         f"path = Path({str(path)!r}); one = load(path)\n"
         "topics = tuple(Topic(topic=f'/t{n}', direction='transmit') for n in range(100))\n"
         "other = Session(name='robot1', role='client', server_ip='::1', server_port=1, key_file='k', topics=topics)\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.session_file import load, parse
+from rsb_bridge.config.session_file import load, parse
 from rsb_console.arguments import parser_and_commands
 
 CONFIGS = Path(__file__).parents[2] / "configs"

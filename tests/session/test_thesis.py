@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.session_file import SessionError, dump, parse, validate
-from rsb_bridge.thesis import import_bringup
+from rsb_bridge.config.session_file import SessionError, dump, parse, validate
+from rsb_bridge.config.thesis import import_bringup
+from rsb_bridge.model.session import Session, Topic
 
 CLIENT = """\
 client_node:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.incoming import IncomingRoute
-from rsb_bridge.keys import write_key
-from rsb_bridge.session import Session, Topic
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.route.incoming import IncomingRoute
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
-    from rsb_bridge.ros.api import RosSide
-    from rsb_bridge.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.ros.api import RosInterface
 
 STOPS_WITHIN = 5.0
 
@@ -98,7 +98,7 @@ class Bridge:
         eventually(lambda: linked(client) and linked(server), what="linked")
         return server, client
 
-    def start(self, session: Session, ros: RosSide | None = None) -> Engine:
+    def start(self, session: Session, ros: RosInterface | None = None) -> Engine:
         """An engine that runs."""
         engine = Engine(session, base=self.folder, ros=ros)
         self._engines.append(engine)

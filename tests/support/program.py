@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 from tests.support.waiting import eventually
 
-from rsb_bridge.session_file import save
+from rsb_bridge.config.session_file import save
 
 if TYPE_CHECKING:
-    from rsb_bridge.session import Session
+    from rsb_bridge.model.session import Session
 
 
 class Programs:

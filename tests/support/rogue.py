@@ -15,7 +15,7 @@ from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Re
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
-    from rsb_bridge.qos import Qos
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.wire.events import Event
     from rsb_bridge.wire.messages import ControlMessage
     from rsb_bridge.wire.sealing import SessionKeys

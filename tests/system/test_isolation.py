@@ -11,7 +11,7 @@ from tests.support.bridge import eventually
 from tests.support.domain import BEST_EFFORT, text
 from tests.support.waiting import holds
 
-from rsb_bridge.session import Topic
+from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher

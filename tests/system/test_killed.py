@@ -11,7 +11,7 @@ from tests.support.bridge import eventually, linked
 from tests.support.domain import Domain, text
 from tests.support.resources import resources
 
-from rsb_bridge.session import Topic
+from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher

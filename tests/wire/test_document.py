@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 import rsb_bridge
-from rsb_bridge.qos import Qos
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire import messages, opening, records
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")

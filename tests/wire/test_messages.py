@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_bridge.qos import PROFILES, Qos
+from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import (

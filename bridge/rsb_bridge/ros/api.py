@@ -9,14 +9,14 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from rsb_bridge.qos import Qos
+    from rsb_bridge.model.qos import Qos
 
 
 class RosError(Exception):
     """ROS refused something; the message says what and what to do, in an operator's words."""
 
 
-class Taken(NamedTuple):
+class RawMessage(NamedTuple):
     """One message taken from a subscription.
 
     Attributes:
@@ -78,18 +78,18 @@ class Publisher(Protocol):
         ...
 
 
-Sink = Callable[[Sequence[Taken]], None]
+Sink = Callable[[Sequence[RawMessage]], None]
 """Called on the ROS thread with one or more messages, oldest first. It may block briefly: DDS keeps the newest."""
 
 
-class RosSide(Protocol):
+class RosInterface(Protocol):
     """One domain's ROS graph, and our node in it. Every method may be called from any thread.
 
     Attributes:
-        instance: random, new each time: our node's name ends with it.
+        instance_id: random, new each time: our node's name ends with it.
     """
 
-    instance: str
+    instance_id: str
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.

@@ -1,4 +1,4 @@
-"""One domain's ROS graph and our node in it: `RosNode` is the `rsb_bridge.ros.api.RosSide` of a real robot."""
+"""One domain's ROS graph and our node in it: `RosNode` is the `rsb_bridge.ros.api.RosInterface` of a real robot."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import threading
 from collections import defaultdict, deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.qos import incompatible
+from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.qos import Qos
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, Publisher, Sink, Subscription
     from rsb_bridge.ros.rcl import Participant, Reader, Writer
 
@@ -39,9 +39,9 @@ class RosNode:
     """
 
     def __init__(self, domain_id: int, name: str) -> None:
-        self.instance = secrets.token_hex(4)
+        self.instance_id = secrets.token_hex(4)
         self._domain_id = domain_id
-        self._node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance}"
+        self._node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self._lock = threading.Lock()
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
@@ -111,7 +111,7 @@ class RosNode:
     def subscribe(
         self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
     ) -> Subscription:
-        """Subscribe raw; see `rsb_bridge.ros.api.RosSide.subscribe`."""
+        """Subscribe raw; see `rsb_bridge.ros.api.RosInterface.subscribe`."""
         with self._lock:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
@@ -122,7 +122,7 @@ class RosNode:
         return subscription
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
-        """Create a raw publisher; see `rsb_bridge.ros.api.RosSide.advertise`."""
+        """Create a raw publisher; see `rsb_bridge.ros.api.RosInterface.advertise`."""
         with self._lock:
             writer = self._joined().create_writer(topic, type_name, type_hash, qos)
             self._own[writer.topic, origin].add(writer.gid)

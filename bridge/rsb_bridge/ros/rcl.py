@@ -16,9 +16,9 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from rsb_bridge.qos import Qos
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.anytype import message_class
-from rsb_bridge.ros.api import Endpoint, RosError, Taken
+from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.typesupport import HASH_PREFIX
 
 if TYPE_CHECKING:
@@ -212,7 +212,7 @@ class Reader:
         self._info = ctypes.create_string_buffer(_INFO.size)
         self._last: dict[bytes, int] = {}  # newest sequence number by publisher
 
-    def take(self, limit: int, skip: Collection[bytes]) -> list[Taken]:
+    def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
         """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
 
         Raises:
@@ -237,7 +237,7 @@ class Reader:
             elif number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(Taken(copy(buffer.data, buffer.length), stamp))
+            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp))
         return taken
 
     def close(self) -> None:

@@ -12,8 +12,8 @@ import errno
 import os
 from typing import TYPE_CHECKING
 
-from rsb_bridge import hci
-from rsb_bridge.transport.streams import Stream, StreamHandler, os_words
+from rsb_bridge.bluetooth import hci
+from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
 from rsb_bridge.transport.tcp import ListenError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ async def connect(address: str, channel: int, handler: StreamHandler) -> Stream:
         async with asyncio.timeout(CONNECT_TIMEOUT):
             sock = await _connected(address, channel)
     except TimeoutError:
-        raise OSError(_connect_words(errno.EHOSTDOWN, channel)) from None
+        raise OSError(_connect_error_message(errno.EHOSTDOWN, channel)) from None
     _, stream = await loop.create_connection(lambda: Stream(handler), sock=sock)
     return stream
 
@@ -56,7 +56,7 @@ async def _connected(address: str, channel: int) -> socket.socket:
         except OSError as error:
             sock.close()
             if error.errno not in _TRANSIENT or loop.time() > give_up:
-                raise OSError(_connect_words(error.errno, channel)) from None
+                raise OSError(_connect_error_message(error.errno, channel)) from None
             await asyncio.sleep(_RETRY_EVERY)
         except asyncio.CancelledError:
             sock.close()
@@ -65,7 +65,7 @@ async def _connected(address: str, channel: int) -> socket.socket:
             return sock
 
 
-def _connect_words(error: int | None, channel: int) -> str:
+def _connect_error_message(error: int | None, channel: int) -> str:
     if error == errno.EHOSTDOWN:
         return "no answer: is it on, near, and is the MAC right? (rsb-console bt-scan, on that machine)"
     if error == errno.ECONNREFUSED:
@@ -102,4 +102,4 @@ async def listen(address: str, channel: int, make_handler: Callable[[], StreamHa
         if error.errno == errno.EADDRINUSE:
             words = f"RFCOMM channel {channel} is taken: choose one that rsb-console bt-scan shows as free"
             raise ListenError(words) from None
-        raise ListenError(f"RFCOMM channel {channel} of {address}: {os_words(error)}") from None
+        raise ListenError(f"RFCOMM channel {channel} of {address}: {os_error_message(error)}") from None

@@ -9,7 +9,7 @@ import os
 import socket
 from typing import Any, cast
 
-from rsb_bridge.session import is_mac
+from rsb_bridge.model.session import is_mac
 
 BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
@@ -122,7 +122,7 @@ class Stream(asyncio.Protocol):
     @property
     def peer(self) -> str:
         """The other end's address in words."""
-        return address_words(self.address)
+        return format_address(self.address)
 
     @property
     def host(self) -> str:
@@ -145,7 +145,7 @@ class Stream(asyncio.Protocol):
 
     def connection_lost(self, error: Exception | None) -> None:
         self._transport = None
-        self.handler.closed(self._reason or (os_words(error) if error else "closed"))
+        self.handler.closed(self._reason or (os_error_message(error) if error else "closed"))
 
 
 def _set_tcp_options(sock: socket.socket) -> None:
@@ -159,7 +159,7 @@ def _set_tcp_options(sock: socket.socket) -> None:
         sock.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRIED_EVERY_MS)
 
 
-def address_words(address: tuple[Any, ...]) -> str:
+def format_address(address: tuple[Any, ...]) -> str:
     """A socket address as ``host:port``, ``[host]:port`` for IPv6, ``MAC channel n`` for RFCOMM."""
     host, port = address[0], address[1]
     if is_mac(str(host)):
@@ -167,7 +167,7 @@ def address_words(address: tuple[Any, ...]) -> str:
     return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
 
 
-def os_words(error: BaseException) -> str:
+def os_error_message(error: BaseException) -> str:
     """An OS error as a person reads it: the kernel's own words, without numbers."""
     if isinstance(error, TimeoutError) and not error.args:
         return "timed out"

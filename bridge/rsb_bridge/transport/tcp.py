@@ -9,7 +9,7 @@ import socket
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.transport.names import look_up
-from rsb_bridge.transport.streams import Stream, StreamHandler, os_words
+from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,10 +77,10 @@ async def listen(host: str, port: int, make_handler: Callable[[], StreamHandler]
     try:
         return await loop.create_server(accept, host, port, backlog=_BACKLOG, reuse_address=True)
     except OSError as error:
-        raise ListenError(listen_words(error, f"{host}:{port}", "TCP")) from None
+        raise ListenError(listen_error_message(error, f"{host}:{port}", "TCP")) from None
 
 
-def listen_words(error: OSError, address: str, kind: str) -> str:
+def listen_error_message(error: OSError, address: str, kind: str) -> str:
     """Why an address can't be bound, and the remedy."""
     if error.errno == errno.EADDRINUSE:
         return f"{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
@@ -91,4 +91,4 @@ def listen_words(error: OSError, address: str, kind: str) -> str:
     if isinstance(error, socket.gaierror):
         remedy = "set server_ip in this side's session file to an address that `ip addr` shows, or 0.0.0.0 for all"
         return f"{address}: the name is not known ({error.strerror}): {remedy}"
-    return f"{kind} {address}: {os_words(error)}"
+    return f"{kind} {address}: {os_error_message(error)}"

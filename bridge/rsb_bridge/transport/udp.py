@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
-from rsb_bridge.transport.tcp import ListenError, listen_words
+from rsb_bridge.transport.tcp import ListenError, listen_error_message
 
 Address: TypeAlias = tuple[str, int] | tuple[str, int, int, int]
 
@@ -27,7 +27,7 @@ _SIZE_HOLDS = 1.0
 _BACKLOG_LIMIT = 16 * 1024 * 1024
 
 
-class Way(NamedTuple):
+class SendPath(NamedTuple):
     """Where a bound socket sends to.
 
     Attributes:
@@ -39,7 +39,7 @@ class Way(NamedTuple):
     control: list[tuple[int, int, bytes]]
 
     @classmethod
-    def between(cls, own: str, address: Address) -> Way:
+    def between(cls, own: str, address: Address) -> SendPath:
         """From one of our addresses to a peer (ip(7) IP_PKTINFO, ipv6(7) IPV6_PKTINFO)."""
         if len(address) == 4:
             content = struct.pack("=16sI", socket.inet_pton(socket.AF_INET6, own), 0)
@@ -65,7 +65,7 @@ class UdpSocket:
         self._sock = sock
         self._received = received
         self._loop = asyncio.get_running_loop()
-        self._backlog: deque[tuple[bytes, Way | None]] = deque()
+        self._backlog: deque[tuple[bytes, SendPath | None]] = deque()
         self._sizes: dict[Address, tuple[int, float]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self.when_writable: set[Callable[[], None]] = set()
@@ -82,25 +82,25 @@ class UdpSocket:
     def congested(self) -> bool:
         return bool(self._backlog)
 
-    def send(self, datagrams: list[bytes], way: Way | None) -> None:
-        """Send one message's datagrams, by a way or, on a connected socket, None.
+    def send(self, datagrams: list[bytes], send_path: SendPath | None) -> None:
+        """Send one message's datagrams, by a send path or, on a connected socket, None.
 
         A message larger than a burst is paced at 128 MB/s: the far kernel's buffer is small, and nothing on loopback or
         a fast link would slow us down.
         """
         if self._backlog:
             if sum(len(d) for d, _ in self._backlog) < _BACKLOG_LIMIT:
-                self._backlog.extend((datagram, way) for datagram in datagrams)
+                self._backlog.extend((datagram, send_path) for datagram in datagrams)
             return
         burst = _BURST
         for index, datagram in enumerate(datagrams):
             burst -= len(datagram)
             if burst < 0 and index:
-                self._backlog.extend((rest, way) for rest in datagrams[index:])
+                self._backlog.extend((rest, send_path) for rest in datagrams[index:])
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
-            if not self._send_one(datagram, way):
-                self._backlog.extend((rest, way) for rest in datagrams[index:])
+            if not self._send_one(datagram, send_path):
+                self._backlog.extend((rest, send_path) for rest in datagrams[index:])
                 self._loop.add_writer(self._sock, self._flush)
                 return
 
@@ -132,12 +132,12 @@ class UdpSocket:
             self.received_bytes += sum([len(datagram) for datagram, _ in datagrams])
             self._received(self, datagrams)
 
-    def _send_one(self, datagram: bytes, way: Way | None) -> bool:
+    def _send_one(self, datagram: bytes, send_path: SendPath | None) -> bool:
         try:
-            if way is None:
+            if send_path is None:
                 self._sock.send(datagram)
             else:
-                self._sock.sendmsg((datagram,), way.control, 0, way.address)
+                self._sock.sendmsg((datagram,), send_path.control, 0, send_path.address)
         except BlockingIOError:
             return False
         except OSError:
@@ -151,12 +151,12 @@ class UdpSocket:
         self._timer = None
         burst = _BURST
         while self._backlog:
-            datagram, way = self._backlog[0]
+            datagram, send_path = self._backlog[0]
             burst -= len(datagram)
             if burst < 0:
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
-            if not self._send_one(datagram, way):
+            if not self._send_one(datagram, send_path):
                 self._loop.add_writer(self._sock, self._flush)
                 return
             self._backlog.popleft()
@@ -187,7 +187,7 @@ async def bind(host: str, port: int, received: Received) -> list[UdpSocket]:
     except OSError as error:
         for udp in sockets:
             udp.close()
-        raise ListenError(listen_words(error, f"{host}:{port}", "UDP")) from None
+        raise ListenError(listen_error_message(error, f"{host}:{port}", "UDP")) from None
     return sockets
 
 

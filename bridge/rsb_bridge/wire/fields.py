@@ -34,7 +34,7 @@ Figure: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """s; a latency may be negative within the clock offset's uncertainty."""
 
 DEEPEST = 100_000
-"""Messages; what a receiver keeps for late joiners is bounded further (`rsb_bridge.incoming`)."""
+"""Messages; what a receiver keeps for late joiners is bounded further (`rsb_bridge.route.incoming`)."""
 
 Transport = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]

@@ -6,7 +6,7 @@ from typing import TypeAlias, TypeVar
 
 import msgspec
 
-from rsb_bridge.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.wire.fields import (
     LOWEST_RATE,
     Compression,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from rsb_bridge.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.wire.fields import DEEPEST, Causes, Count, Figure, Name, RouteId, Words
 
 

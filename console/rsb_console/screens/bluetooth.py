@@ -10,7 +10,7 @@ from textual.binding import Binding
 from textual.containers import Vertical
 from textual.screen import ModalScreen
 
-from rsb_bridge.bluetooth import ANY_ADAPTER, Adapter, Device, Scan, Use, held_channels, scan
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, Adapter, Device, Scan, Use, held_channels, scan
 from rsb_console.widgets.cursor_lines import CursorLines
 from rsb_console.widgets.form import Words
 from rsb_console.widgets.lines import Line, LiveLines, fit

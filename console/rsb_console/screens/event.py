@@ -15,7 +15,7 @@ from rsb_console.widgets.log import WORD
 if TYPE_CHECKING:
     from textual.app import ComposeResult
 
-    from rsb_bridge.snapshot import Event
+    from rsb_bridge.model.snapshot import Event
 
 
 class EventScreen(ModalScreen[None]):

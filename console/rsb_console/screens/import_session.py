@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from textual import on, work
 
-from rsb_bridge.files import typed_path
-from rsb_bridge.session_file import SessionError
-from rsb_bridge.thesis import import_bringup
+from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.session_file import SessionError
+from rsb_bridge.config.thesis import import_bringup
 from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
@@ -21,7 +21,7 @@ from rsb_console.widgets.picker import PickField
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from rsb_bridge.session import Role, Session
+    from rsb_bridge.model.session import Role, Session
 
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4

@@ -12,8 +12,8 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_bridge.files import typed_path
-from rsb_bridge.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
+from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_console.saving import path_problem
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_bridge.session import Session
+    from rsb_bridge.model.session import Session
     from rsb_console.app import ConsoleApp
 
 NAME_WIDTH = 30

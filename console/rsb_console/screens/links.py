@@ -11,7 +11,7 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 from rsb_console import formats
 from rsb_console.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.widgets.cursor_lines import CursorLines
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_bridge.snapshot import LinkSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
     from rsb_console.app import ConsoleApp
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from textual.containers import Horizontal
 
-from rsb_bridge.snapshot import Level
+from rsb_bridge.model.snapshot import Level
 from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
 from rsb_console.screens.operations import OperationsScreen
 from rsb_console.widgets.detail import DetailPane
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from textual import events
     from textual.app import ComposeResult
 
-    from rsb_bridge.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
     from rsb_console.widgets.cursor_lines import CursorLines
 
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import work
 from textual.widgets import Button, Input
 
-from rsb_bridge.files import typed_path
-from rsb_bridge.keys import KeyFileError, fingerprint, key_path, read_key, write_key
-from rsb_bridge.session import Session
-from rsb_bridge.session_file import validate
+from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
+from rsb_bridge.config.session_file import validate
+from rsb_bridge.model.session import Session
 from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.form import FormScreen
 from rsb_console.widgets.form import Field, Spec

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 from textual import work
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 from rsb_console.screens.session_operations import SessionOperationsScreen
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from rsb_bridge.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot
 
 T = TypeVar("T")
 

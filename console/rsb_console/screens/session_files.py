@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import on
 from textual.widgets import Button
 
-from rsb_bridge.files import typed_path
-from rsb_bridge.session_file import SessionError, load
+from rsb_bridge.config.files import typed_path
+from rsb_bridge.config.session_file import SessionError, load
 from rsb_console.recents import recent_sessions
 from rsb_console.saving import path_problem
 from rsb_console.screens.form import FormScreen
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_bridge.session import Session
+    from rsb_bridge.model.session import Session
 
 MORE = {"new_session": "New…", "import_session": "Import…", "save": "Save", "save_as": "Save as…"}
 

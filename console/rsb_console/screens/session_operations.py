@@ -11,7 +11,7 @@ from textual import work
 from textual.screen import Screen
 
 if TYPE_CHECKING:
-    from rsb_bridge.session import Session
+    from rsb_bridge.model.session import Session
     from rsb_console.app import ConsoleApp
 
 
@@ -134,7 +134,7 @@ class SessionOperationsScreen(Screen[None]):
             await self._run(chosen.session, chosen.path)
 
     async def _open(self, path: Path) -> None:
-        from rsb_bridge.session_file import SessionError, load  # noqa: PLC0415 -- not needed without a file
+        from rsb_bridge.config.session_file import SessionError, load  # noqa: PLC0415 -- not needed without a file
 
         try:
             session = load(path)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import on, work
 
 from rsb_bridge.engine import EngineError
-from rsb_bridge.qos import PROFILES
+from rsb_bridge.model.qos import PROFILES
 from rsb_console.screens.form import FormScreen
 from rsb_console.topic_draft import Ends, offers_of, problems_of, topic_of, values_of
 from rsb_console.widgets.form import Field, Spec
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from rsb_bridge.engine import Engine
-    from rsb_bridge.session import Session, Topic
-    from rsb_bridge.snapshot import RouteSnapshot, Snapshot, TopicInfo
+    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 LOOK_EVERY = 2.0  # s between two looks at the graphs
 

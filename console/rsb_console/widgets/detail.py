@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from rsb_bridge.qos import AUTO
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.snapshot import State
 from rsb_console import formats
 from rsb_console.actions import Group, bindings
 from rsb_console.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
@@ -16,8 +16,8 @@ from rsb_console.widgets.topics import carries, present_rate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.qos import Qos
-    from rsb_bridge.snapshot import Ledger, RouteSnapshot, Stage
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, Stage
 
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.snapshot import Level
+from rsb_bridge.model.snapshot import Level
 from rsb_console import formats
 from rsb_console.widgets.cursor_lines import CursorLines
 from rsb_console.widgets.lines import LiveLines
@@ -13,7 +13,7 @@ from rsb_console.widgets.lines import LiveLines
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from rsb_bridge.snapshot import Event
+    from rsb_bridge.model.snapshot import Event
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.pattern import Pattern
 

@@ -6,7 +6,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 from rsb_console import formats
 from rsb_console.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
@@ -14,7 +14,7 @@ from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.snapshot import LinkSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
 
 HISTORY = 6  # s
 ROOMY = 100  # cells from which on there is room for small charts

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.snapshot import State
 from rsb_console import formats
 from rsb_console.glyphs import IN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.cursor_lines import CursorLines
@@ -16,7 +16,7 @@ from rsb_console.widgets.lines import clip
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.pattern import Pattern
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge import hci
+from rsb_bridge.bluetooth import hci
 
 if TYPE_CHECKING:
     import socket

@@ -1,4 +1,4 @@
-"""A stand-in for the ROS side (`rsb_bridge.ros.api.RosSide`): ROS does not fit in the machine.
+"""A stand-in for the ROS side (`rsb_bridge.ros.api.RosInterface`): ROS does not fit in the machine.
 
 It has one publisher and one subscriber on whatever topic a test names, and hands messages over as the real one does:
 raw, from a thread of its own.
@@ -12,12 +12,12 @@ import time
 from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.ros.api import Endpoint, Sink, Taken
+from rsb_bridge.ros.api import Endpoint, RawMessage, Sink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.qos import Qos
+    from rsb_bridge.model.qos import Qos
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
 
@@ -38,13 +38,13 @@ class StandIn:
     """One domain.
 
     Attributes:
-        instance: as a real node's.
+        instance_id: as a real node's.
         offered: the topics that this domain's own nodes publish, with their QoS.
         arrived: what the engine published, by topic.
     """
 
     def __init__(self, **offered: Qos) -> None:
-        self.instance = secrets.token_hex(4)
+        self.instance_id = secrets.token_hex(4)
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
         self._sinks: dict[str, Sink] = {}
@@ -57,7 +57,7 @@ class StandIn:
         """As a node of this domain; lost where the engine does not subscribe, as with ROS."""
         sink = self._sinks.get(topic)
         if sink is not None:
-            sink((Taken(payload, time.time_ns()),))
+            sink((RawMessage(payload, time.time_ns()),))
 
     def publish_at(self, rate: float, topic: str, make: Callable[[int], bytes]) -> None:
         """Go on publishing from a thread, at that rate in Hz, until the domain is stopped."""

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec import structs
 
-from rsb_bridge.bluetooth import Scan, Use, held_channels, scan
+from rsb_bridge.bluetooth.scan import Scan, Use, held_channels, scan
+from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
-from rsb_bridge.keys import write_key
-from rsb_bridge.qos import Qos
-from rsb_bridge.session import Session, Topic
-from rsb_bridge.snapshot import State
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.snapshot import State
 
 from .conftest import bare_rate, holding, wait_until
 from .stand_in import StandIn
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from rsb_bridge.snapshot import LinkSnapshot, RouteSnapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
 
 _CHANNEL = 10
 
@@ -293,7 +293,7 @@ _SERVER = """
 import sys
 from pathlib import Path
 from rsb_bridge.engine import Engine
-from rsb_bridge.qos import Qos
+from rsb_bridge.model.qos import Qos
 from tests.bluetooth.guest.stand_in import StandIn
 from tests.bluetooth.guest.test_bridge import session
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge.hci import ANY_ADAPTER
+from rsb_bridge.bluetooth.hci import ANY_ADAPTER
 from rsb_bridge.transport import rfcomm
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import ListenError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _DEADLINE = 20.0
 
 
-class End(StreamHandler):
+class Recorder(StreamHandler):
     """One end of a connection: keeps what came.
 
     Attributes:
@@ -54,7 +54,7 @@ class End(StreamHandler):
         self.reason = reason
         self._changed.set()
 
-    async def until(self, condition: Callable[[End], object]) -> None:
+    async def until(self, condition: Callable[[Recorder], object]) -> None:
         """Wait until something is so of this end."""
         async with asyncio.timeout(_DEADLINE):
             while not condition(self):
@@ -75,17 +75,17 @@ class Pair:
 
     def __init__(self, address: str, channel: int) -> None:
         self.address, self.channel = address, channel
-        self.accepted: list[End] = []
-        self._newest: asyncio.Queue[End] = asyncio.Queue()
+        self.accepted: list[Recorder] = []
+        self._newest: asyncio.Queue[Recorder] = asyncio.Queue()
 
-    def accept(self) -> End:
-        self.accepted.append(End())
+    def accept(self) -> Recorder:
+        self.accepted.append(Recorder())
         self._newest.put_nowait(self.accepted[-1])
         return self.accepted[-1]
 
-    async def connect(self) -> tuple[End, End]:
+    async def connect(self) -> tuple[Recorder, Recorder]:
         """A new connection: the client's end and the server's."""
-        client = End()
+        client = Recorder()
         await rfcomm.connect(self.address, self.channel, client)
         async with asyncio.timeout(_DEADLINE):
             server = await self._newest.get()
@@ -161,12 +161,12 @@ def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
     async def main() -> None:
         started = time.monotonic()
         with pytest.raises(OSError, match="nobody listens on channel 9 there: is the server running"):
-            await rfcomm.connect(addresses[0], 9, End())
+            await rfcomm.connect(addresses[0], 9, Recorder())
         assert 1.0 < time.monotonic() - started < 5.0
         async with listening(addresses[0], 7) as pair:
             await pair.connect()
             with pytest.raises(OSError, match="channel 7 there is in use by another program of this machine"):
-                await rfcomm.connect(addresses[0], 7, End())
+                await rfcomm.connect(addresses[0], 7, Recorder())
 
     asyncio.run(main())
 
@@ -177,7 +177,7 @@ def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatc
     async def main() -> None:
         started = time.monotonic()
         with pytest.raises(OSError, match="no answer: is it on, near, and is the MAC right"):
-            await rfcomm.connect("00:11:22:33:44:55", 5, End())
+            await rfcomm.connect("00:11:22:33:44:55", 5, Recorder())
         assert time.monotonic() - started < 4.0
         async with listening(addresses[0], 5) as pair:  # and it leaves nothing behind that would be in the way
             await pair.connect()
@@ -188,9 +188,9 @@ def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatc
 def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
     async def main() -> None:
         with pytest.raises(ListenError, match=f"00:11:22:33:44:55 is no .* this machine's are {', '.join(addresses)}"):
-            await rfcomm.listen("00:11:22:33:44:55", 3, End)
+            await rfcomm.listen("00:11:22:33:44:55", 3, Recorder)
         with holding((addresses[0], 3, "listen")), pytest.raises(ListenError, match="channel 3 is taken: choose one"):
-            await rfcomm.listen(addresses[0].lower(), 3, End)
+            await rfcomm.listen(addresses[0].lower(), 3, Recorder)
 
     asyncio.run(main())
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rsb_bridge import bluez, hci
-from rsb_bridge.bluetooth import ANY_ADAPTER, CHANNELS, Scan, Use, scan
-from rsb_bridge.bluez import read_bluez
+from rsb_bridge.bluetooth.bluez import read_bluez
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, bluez, hci, scan
 from rsb_console.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
@@ -142,7 +141,7 @@ def test_a_blocked_adapter_says_how_to_unblock_it(second_blocked: None) -> None:
 
 _SCAN_AS_USER = """
 import asyncio, os
-from rsb_bridge.bluetooth import scan
+from rsb_bridge.bluetooth.scan import scan
 os.setgroups([]); os.setgid(1000); os.setuid(1000)
 found = asyncio.run(scan())
 print(found.usable, found.problems, *found.channels)

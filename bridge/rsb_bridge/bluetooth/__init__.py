@@ -1,0 +1,1 @@
+"""Bluetooth adapters, their channels, and devices in range."""

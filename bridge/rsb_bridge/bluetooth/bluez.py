@@ -1,0 +1,107 @@
+"""What BlueZ, Linux's Bluetooth service, knows: asked over D-Bus (BlueZ: doc/adapter-api.txt, doc/device-api.txt)."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import Any
+
+from dbus_fast import BusType, DBusFastError, Message, MessageType, unpack_variants
+from dbus_fast.aio import MessageBus
+
+from rsb_bridge.bluetooth.hci import Adapter
+
+_TIMEOUT = 5.0
+_NOT_THERE = {
+    "org.freedesktop.DBus.Error.ServiceUnknown",
+    "org.freedesktop.DBus.Error.NameHasNoOwner",
+    "org.freedesktop.DBus.Error.NoReply",
+    "org.freedesktop.DBus.Error.TimedOut",
+    "org.freedesktop.systemd1.NoSuchUnit",
+}
+
+
+class BluezError(Exception):
+    """BlueZ can't be asked; the message says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """Another machine that BlueZ knows.
+
+    Attributes:
+        address: its MAC.
+        name: what it calls itself, or its MAC.
+        adapter: name of the adapter that knows it.
+        paired: whether keys were exchanged.
+        connected: whether there is a radio link now.
+    """
+
+    address: str
+    name: str
+    adapter: str
+    paired: bool
+    connected: bool
+
+
+async def read_bluez() -> tuple[list[Adapter], list[Device]]:
+    """All adapters, and the devices that are paired or connected, by name.
+
+    Raises:
+        BluezError: there is no D-Bus, no BlueZ, or it may not be asked.
+    """
+    objects = await _managed_objects()
+    adapters, devices = [], []
+    for path, interfaces in objects.items():
+        if adapter := interfaces.get("org.bluez.Adapter1"):
+            adapters.append(Adapter(_last(path), adapter["Address"], adapter["Powered"], adapter["Alias"]))
+        if device := interfaces.get("org.bluez.Device1"):
+            paired, connected = device["Paired"], device["Connected"]
+            if paired or connected:
+                found = Device(device["Address"], device["Alias"], _last(device["Adapter"]), paired, connected)
+                devices.append(found)
+    return sorted(adapters, key=lambda found: found.name), sorted(
+        devices, key=lambda found: (found.adapter, found.name)
+    )
+
+
+def _last(path: str) -> str:
+    return path.rpartition("/")[2]
+
+
+async def _managed_objects() -> dict[str, dict[str, dict[str, Any]]]:
+    """Every object of BlueZ's by path: its interfaces by name, their properties by name."""
+    request = Message(
+        destination="org.bluez",
+        path="/",
+        interface="org.freedesktop.DBus.ObjectManager",
+        member="GetManagedObjects",
+    )
+    bus = MessageBus(bus_type=BusType.SYSTEM)
+    try:
+        async with asyncio.timeout(_TIMEOUT):
+            await bus.connect()
+            reply = await bus.call(request)
+    except TimeoutError:
+        raise BluezError("BlueZ does not answer: systemctl restart bluetooth") from None
+    except (OSError, DBusFastError, EOFError) as error:
+        raise BluezError(
+            f"the D-Bus system bus can't be reached ({error}), so BlueZ can't be asked: is dbus installed and running? "
+            "In a container, mount /run/dbus"
+        ) from None
+    finally:
+        bus.disconnect()
+    assert reply is not None, "a method call without NO_REPLY_EXPECTED has a reply"
+    if reply.message_type is MessageType.ERROR:
+        raise BluezError(_refusal(reply))
+    objects: dict[str, dict[str, dict[str, Any]]] = unpack_variants(reply.body[0])
+    return objects
+
+
+def _refusal(reply: Message) -> str:
+    if reply.error_name in _NOT_THERE:
+        return "BlueZ is not running: systemctl start bluetooth (Debian, Ubuntu: apt install bluez)"
+    words = reply.body[0] if reply.body else reply.error_name
+    if reply.error_name == "org.freedesktop.DBus.Error.AccessDenied":
+        return f"this user may not ask BlueZ: usermod -aG bluetooth USER, then log in again ({words})"
+    return f"BlueZ refused: {words}"

@@ -1,0 +1,146 @@
+"""Plain data into a session: which keys there are, and what kind of value each takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+
+import msgspec
+from msgspec.structs import fields
+
+from rsb_bridge.config.keys import conceal, is_key
+from rsb_bridge.model.session import Problem
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+_NOTHING = "nothing is given: give a value, or take the key out"
+_NOUNS = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
+
+# What a rule sees of a required value that is missing or of the wrong kind. Its own place is reported already.
+_STAND_INS = {
+    "name": "unnamed",
+    "role": "client",
+    "server_ip": "localhost",
+    "server_port": 1,
+    "topic": "/unnamed",
+    "direction": "transmit",
+}
+
+
+def read(data: object, model: type[T], problems: list[Problem], place: str = "") -> T:
+    """Build a struct of plain data, and report every value that doesn't fit instead of stopping at the first.
+
+    Args:
+        data: mappings, lists and scalars, as YAML has them.
+        model: `rsb_bridge.model.session.Session`, `Topic` or `Client`.
+        problems: what is found wrong is added here.
+        place: of `data`, for the problems.
+
+    Returns:
+        The struct. A value with a problem is its default in there, a required one something harmless.
+    """
+    known = {field.name: field for field in fields(model)}
+    values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
+    if not isinstance(data, Mapping):
+        shown = f"{show(data)} is" if place else "is"  # a whole file that is none of ours may be anything
+        problems.append(Problem(place, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
+        return model(**values)
+    if data and not place and known.keys().isdisjoint(data):
+        problems.append(Problem(place, f"has no key of a {model.__name__.lower()}: {', '.join(known)}"))
+        return model(**values)
+    problems.extend(
+        Problem(join(place, str(key)), f"no such key{_key_hint(str(key), list(known))}")
+        for key in data
+        if key not in known
+    )
+    for name, field in known.items():
+        if name in data:
+            values.update(_value(name, data[name], field.type, problems, join(place, name)))
+        elif field.required:
+            problems.append(Problem(join(place, name), f"missing: give {_expected(field.type)}"))
+    return model(**values)
+
+
+def join(place: str, key: str | int) -> str:
+    """The place of a mapping's value, or of a list's entry."""
+    if isinstance(key, int):
+        return f"{place}[{key}]"
+    return f"{place}.{key}" if place else key
+
+
+def show(value: object) -> str:
+    """A value as a message quotes it: on one line, not too long, and without a key that was put there by mistake."""
+    text = conceal(repr(value))
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def did_you_mean(word: str, options: list[str]) -> str:
+    """A hint at the option that a mistyped word is closest to; empty where none is close."""
+    match = get_close_matches(word.lower(), options, n=1)
+    return f" (did you mean {match[0]}?)" if match else ""
+
+
+def _value(name: str, value: object, kind: Any, problems: list[Problem], place: str) -> dict[str, Any]:
+    """The keyword for the struct; none where the value has a problem."""
+    if get_origin(kind) is tuple:
+        if not isinstance(value, list | tuple):
+            problems.append(Problem(place, f"{show(value)} is not a list" if value is not None else _NOTHING))
+            return {}
+        entries = [_entry(entry, get_args(kind)[0], problems, join(place, at)) for at, entry in enumerate(value)]
+        return {name: tuple(entry for entry in entries if entry is not msgspec.UNSET)}
+    entry = _entry(value, kind, problems, place)
+    return {} if entry is msgspec.UNSET else {name: entry}
+
+
+def _entry(value: object, kind: Any, problems: list[Problem], place: str) -> Any:
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return read(value, kind, problems, place)
+    if isinstance(value, str) and is_key(value.rpartition("/")[2]):
+        # Not quoted: messages end up in logs.
+        problems.append(Problem(place, "is a key itself: put it in a file, mode 0600, and name that file as key_file"))
+        return msgspec.UNSET
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        problems.append(Problem(place, _misfit(value, kind)))
+        return msgspec.UNSET
+
+
+def _misfit(value: object, kind: Any) -> str:
+    if value is None:
+        return _NOTHING
+    options = _options(kind)
+    if options:
+        hint = did_you_mean(value, options) if isinstance(value, str) else ""
+        return f"{show(value)} is not {_expected(kind)}{hint}"
+    remedy = ""
+    if str in _alternatives(kind) and isinstance(value, int | float):
+        remedy = " (put it in quotes)"
+    elif isinstance(value, str) and value.strip().isdecimal():
+        remedy = " (leave out the quotes)"
+    return f"{show(value)} is not {_expected(kind)}{remedy}"
+
+
+def _expected(kind: Any) -> str:
+    options = _options(kind)
+    if options:
+        return f"one of {', '.join(options)}"
+    nouns = [_NOUNS.get(get_origin(each) or each, "a mapping") for each in _alternatives(kind)]
+    return " or ".join(nouns)
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    members = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    return [member for member in members if member is not type(None)]
+
+
+def _options(kind: Any) -> list[str]:
+    return [option for each in _alternatives(kind) if get_origin(each) is Literal for option in get_args(each)]
+
+
+def _key_hint(key: str, known: list[str]) -> str:
+    if "key_file" in known and key in ("key", "encryption_key"):
+        return ": the key itself never stands in a session file, key_file names the file it is in"
+    return did_you_mean(key, known) or f", only {', '.join(known)}"

@@ -1,0 +1,254 @@
+"""Session files: YAML in, with the line of every mistake; YAML out, atomically."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+import yaml
+
+from rsb_bridge.config.bringup import bridge_nodes
+from rsb_bridge.config.decoding import join
+from rsb_bridge.config.files import kind_of_file, replace_file
+from rsb_bridge.config.keys import conceal, is_key_file
+from rsb_bridge.config.validation import build, validate, validate_topic
+from rsb_bridge.model.session import Problem, Session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+__all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
+
+MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
+MAX_DEPTH = 20
+
+_MAPPING = "tag:yaml.org,2002:map"
+_SEQUENCE = "tag:yaml.org,2002:seq"
+# Scalars as YAML 1.2 has them (core schema, section 10.3.2): in 1.1 a MAC of digits is a number and `no` is false.
+_SCALARS: dict[str, tuple[re.Pattern[str], Callable[[str], Any]]] = {
+    "tag:yaml.org,2002:null": (re.compile(r"~|null|Null|NULL|"), lambda text: None),
+    "tag:yaml.org,2002:bool": (re.compile(r"true|True|TRUE|false|False|FALSE"), lambda text: text.lower() == "true"),
+    "tag:yaml.org,2002:int": (re.compile(r"[-+]?[0-9]{1,300}"), int),
+    "tag:yaml.org,2002:float": (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
+    "tag:yaml.org,2002:str": (re.compile(r".*", re.DOTALL), str),
+}
+
+
+class SessionError(Exception):
+    """A session is refused. Its text has a line for each problem: ``robot1.yaml:14: topics[2].protocol: ...``.
+
+    Attributes:
+        path: the file.
+        problems: what is wrong, in the file's order; at least one.
+    """
+
+    def __init__(self, path: Path, problems: Iterable[Problem]) -> None:
+        self.path = path
+        self.problems = tuple(sorted(problems, key=lambda problem: problem.line or 0))
+        super().__init__("\n".join(f"{path}:{f'{each.line}:' if each.line else ''} {each}" for each in self.problems))
+
+
+def load(path: Path) -> Session:
+    """Read a session file.
+
+    Raises:
+        SessionError: it cannot be read, or has mistakes: all of them.
+    """
+    return parse(read_text(path), path)
+
+
+def parse(text: str, path: Path) -> Session:
+    """Read a session from a file's text.
+
+    Args:
+        text: YAML.
+        path: where it is from, for the messages.
+
+    Raises:
+        SessionError: it has mistakes.
+    """
+    document = read_yaml(text, path)
+    if bridge_nodes(document.data):
+        words = f"is of ros2_socket_bridge, no session yet: `rsb-console import {path} --name NAME` makes one"
+        raise SessionError(path, [Problem("", words)])
+    session, problems = build(document.data)
+    if document.problems or problems:
+        raise SessionError(path, document.problems + [document.locate(problem) for problem in problems])
+    return session
+
+
+def dump(session: Session) -> str:
+    """A session as the text of its file. What is at its default is left out."""
+    return yaml.dump(
+        msgspec.to_builtins(session), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=MAX_FILE,
+        default_flow_style=None,
+    )  # fmt: skip
+
+
+def save(session: Session, path: Path) -> None:
+    """Write a session file, mode 0600: whole, or not at all.
+
+    Raises:
+        SessionError: the session has mistakes, or the file could not be written. The old file is as it was.
+    """
+    problems = validate(session)
+    if problems:
+        raise SessionError(path, problems)
+    text = dump(session)
+    if parse(text, path) != session:
+        raise SessionError(path, [Problem("", "would not load again as it is: not saved")])
+    try:
+        replace_file(path, text.encode())
+    except OSError as error:
+        raise SessionError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
+
+
+def read_text(path: Path) -> str:
+    """A file's text.
+
+    Raises:
+        SessionError: there is none.
+    """
+    try:
+        if not path.is_file():
+            found = f"is {kind_of_file(path.stat().st_mode)}, not a file" if path.exists() else "no such file"
+            raise SessionError(path, [Problem("", found)])
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE + 1)
+    except OSError as error:
+        raise SessionError(path, [Problem("", f"cannot be read: {error.strerror}")]) from None
+    if len(content) > MAX_FILE:
+        raise SessionError(path, [Problem("", f"larger than {MAX_FILE} bytes: not a session file")])
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise SessionError(path, [Problem("", "is not UTF-8 text", line)]) from None
+
+
+class Document(NamedTuple):
+    """YAML as plain data that knows its lines.
+
+    Attributes:
+        data: mappings, lists and scalars.
+        lines: where each place is, from 1.
+        problems: what YAML allows and a session file does not.
+    """
+
+    data: Any
+    lines: dict[str, int]
+    problems: list[Problem]
+
+    def locate(self, problem: Problem) -> Problem:
+        """The problem with its line: its place's, or that of what should have held it."""
+        place = problem.place
+        while place and place not in self.lines:
+            place = place[: max(place.rfind("."), place.rfind("["), 0)]
+        return replace(problem, line=self.lines.get(place))
+
+
+def read_yaml(text: str, path: Path) -> Document:
+    """Read YAML without its surprises: no YAML 1.1 scalars, no aliases, no tags, no key twice.
+
+    Raises:
+        SessionError: it is not YAML at all.
+    """
+    if is_key_file(text):
+        raise SessionError(path, [Problem("", "this is a key file, not a session")])
+    loader = None
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise SessionError(path, [Problem("", f"character U+{error.character:04X} has no place here", line)]) from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        words = conceal(", ".join(part for part in (error.context, error.problem) if part))
+        if mark is not None and _begins_with_tab(text, mark.line):
+            words = "begins with a tab: use spaces"
+        raise SessionError(path, [Problem("", words, mark.line + 1 if mark else None)]) from None
+    finally:
+        if loader is not None:
+            loader.dispose()
+    if node is None:
+        raise SessionError(path, [Problem("", "is empty")])
+    document = Document(None, {"": node.start_mark.line + 1}, [])
+    return document._replace(data=_plain(node, "", document))
+
+
+def _begins_with_tab(text: str, line: int) -> bool:
+    """Whether a line, counted from 0, is indented with a tab."""
+    indented = text.split("\n")[line : line + 1]
+    return any("\t" in each[: len(each) - len(each.lstrip())] for each in indented)
+
+
+def _plain(node: yaml.Node, place: str, document: Document) -> Any:
+    """What a node says, with its lines and problems noted in the document."""
+    if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
+        document.problems.append(
+            Problem(place, f"tag {conceal(node.tag)} is not for session files", node.start_mark.line + 1)
+        )
+    if isinstance(node, yaml.MappingNode):
+        return _mapping(node, place, document)
+    if isinstance(node, yaml.SequenceNode):
+        places = [join(place, at) for at in range(len(node.value))]
+        document.lines.update((at, each.start_mark.line + 1) for at, each in zip(places, node.value, strict=True))
+        return [_plain(each, at, document) for at, each in zip(places, node.value, strict=True)]
+    pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
+    return convert(node.value) if pattern.fullmatch(node.value) else node.value
+
+
+def _mapping(node: yaml.MappingNode, place: str, document: Document) -> dict[str, Any]:
+    data: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        key = conceal(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "?"
+        here = join(place, key)
+        line = key_node.start_mark.line + 1
+        if key in data:
+            document.problems.append(Problem(here, f"stands twice, first on line {document.lines[here]}", line))
+            continue
+        document.lines[here] = line
+        data[key] = _plain(value_node, here, document)
+    return data
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes only, with a bound on their depth."""
+
+    yaml_implicit_resolvers: dict[str | None, Any] = {}  # noqa: RUF012 (PyYAML's own attribute, filled below)
+    _depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            raise yaml.MarkedYAMLError(problem="aliases (*) are not read: write it out", problem_mark=event.start_mark)  # type: ignore[arg-type]
+        if self._depth >= MAX_DEPTH:
+            raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=event.start_mark)
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+
+class _Dumper(yaml.SafeDumper):
+    """Puts in quotes what either YAML 1.1 or 1.2 would not read as text."""
+
+    yaml_implicit_resolvers = {first: list(each) for first, each in yaml.SafeDumper.yaml_implicit_resolvers.items()}  # noqa: RUF012 (as above)
+
+    def serialize(self, node: yaml.Node) -> None:
+        if isinstance(node, yaml.MappingNode):
+            node.flow_style = False  # the root, even where it holds nothing but scalars; what is in it as it is
+        super().serialize(node)
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+for _tag, (_pattern, _) in list(_SCALARS.items())[:-1]:
+    _anchored = re.compile(rf"(?:{_pattern.pattern})$")
+    _Loader.add_implicit_resolver(_tag, _anchored, None)
+    _Dumper.add_implicit_resolver(_tag, _anchored, None)

@@ -1,0 +1,183 @@
+"""Import of the thesis's configuration: ``config/bringup.yaml`` of ros2_socket_bridge (Foxy, 2021).
+
+That file is ROS parameter YAML. A client's (node ``client_node``) has ``server_ip``, ``server_port`` and, for each
+direction, five lists whose n-th entries belong together: ``transmit_topics``, ``transmit_msg_types``,
+``transmit_ports``, ``transmit_protocols``, ``transmit_qos``, and the same with ``receive_``. A server's
+(``server_node``) has only ``server_ip``. Name, key, both flags and a server's port stood in the launch file, as
+``-name``, ``-key``, ``-usename``, ``-encrypt`` and ``-p``; here they are arguments.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.config.bringup import bridge_nodes
+from rsb_bridge.config.decoding import join, show
+from rsb_bridge.config.session_file import SessionError, read_text, read_yaml
+from rsb_bridge.config.validation import MAX_CHANNEL, build
+from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
+from rsb_bridge.ros.types import SHORT_NAMES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_DIRECTIONS: tuple[Direction, ...] = ("transmit", "receive")
+_LISTS = {"topic": "topics", "type": "msg_types", "port": "ports", "protocol": "protocols", "qos": "qos"}
+# rclpy.qos of Foxy; a string of digits is a depth.
+_QOS = {
+    "qos_profile_default": "default",
+    "qos_profile_system_default": "system_default",
+    "qos_profile_sensor_data": "sensor_data",
+    "qos_profile_services_default": "services_default",
+    "qos_profile_parameters": "parameters",
+    "qos_profile_parameter_events": "parameters",
+    "qos_profile_action_status_default": "latched",
+}
+
+
+def import_bringup(
+    path: Path,
+    *,
+    name: str,
+    role: Role | None = None,
+    server_port: int | None = None,
+    key_file: str | None = None,
+    use_name: bool = False,
+    use_encryption: bool = True,
+    domain_id: int | None = None,
+) -> tuple[Session, list[str]]:
+    """Make a session of a thesis ``bringup.yaml``.
+
+    Args:
+        path: the file, a client's or a server's. A client's makes a server's session too, then without the topics.
+        name: as on the other side.
+        role: None is told from the node's name, ``client_node`` or ``server_node``.
+        server_port: None is the file's own.
+        key_file: where the key is now, relative to the session's file to be.
+        use_name: prefix the client's topics on the server.
+        use_encryption: as it says.
+        domain_id: None is ``$ROS_DOMAIN_ID``, as it was.
+
+    Returns:
+        The session, and notes on what is different now; each one line.
+
+    Raises:
+        SessionError: it is no such file, or what it says makes no session; places and lines are the file's.
+    """
+    document = read_yaml(read_text(path), path)
+    node, parameters = _bridge_node(document.data, path)
+    role = role or ("server" if "server" in node else "client")
+    bringup = _Bringup(join(node, "ros__parameters"), parameters)
+    if role == "client":
+        if not any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
+            words = f"no topics: a client's are in the lists {' and '.join(f'{each}_topics' for each in _DIRECTIONS)}"
+            bringup.problems.append(Problem(bringup.place, words))
+        bringup.add_topics()
+    elif any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
+        bringup.notes.append("the topics are left out: on a server they come from its clients")
+    if use_name and any(topic["direction"] == "receive" for topic in bringup.topics):
+        bringup.notes.append(
+            f"use_name: what the client receives is looked for under /{name}/ on the server; the thesis looked there "
+            "without the prefix, and put it on the client's side"
+        )
+    data: dict[str, Any] = {key: parameters[key] for key in ("server_ip", "server_port") if key in parameters}
+    given = {"server_port": server_port, "key_file": key_file, "domain_id": domain_id}
+    data |= {key: value for key, value in given.items() if value is not None}
+    data |= {"name": name, "role": role, "use_name": use_name, "use_encryption": use_encryption}
+    session, problems = build(data | {"topics": bringup.topics})
+    problems = document.problems + bringup.problems + [bringup.translate(problem) for problem in problems]
+    if problems:
+        raise SessionError(path, [document.locate(each) if each.place.startswith(node) else each for each in problems])
+    return session, bringup.notes
+
+
+def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
+    """The name and parameters of the one node in the file that is the bridge's."""
+    nodes = bridge_nodes(data)
+    if not nodes:
+        words = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
+        raise SessionError(path, [Problem("", words)])
+    if len(nodes) > 1:
+        words = f"{len(nodes)} nodes have a server_ip, {', '.join(nodes)}: leave one in, and import them one by one"
+        raise SessionError(path, [Problem("", words)])
+    return nodes.popitem()
+
+
+class _Bringup:
+    """Parameters on their way to a session.
+
+    Attributes:
+        topics: as a session file has them.
+        notes: what became different, in an operator's words.
+        problems: found on the way; places are the thesis file's.
+        place: of the node's parameters in that file.
+    """
+
+    def __init__(self, place: str, parameters: dict[str, Any]) -> None:
+        self.topics: list[dict[str, Any]] = []
+        self.notes: list[str] = []
+        self.problems: list[Problem] = []
+        self.place = place
+        self._parameters = parameters
+        self._origins: dict[str, str] = {
+            key: join(place, key) for key in ("server_ip", "server_port") if key in parameters
+        }
+        known = {"server_ip", "server_port"}
+        known |= {f"{direction}_{suffix}" for direction in _DIRECTIONS for suffix in _LISTS.values()}
+        self.notes += [f"{key}: not of the bridge, left out" for key in parameters if key not in known]
+
+    def add_topics(self) -> None:
+        """Read the lists of both directions."""
+        for direction in _DIRECTIONS:
+            columns = self._columns(direction)
+            for at in range(len(columns["topic"])):
+                topic = {key: _modern(key, column[at]) for key, column in columns.items() if column}
+                self._add(topic | {"direction": direction}, at)
+
+    def translate(self, problem: Problem) -> Problem:
+        """A problem of the session as one of the thesis's file, where it comes from there."""
+        return Problem(self._origins.get(problem.place, problem.place), problem.words)
+
+    def _columns(self, direction: Direction) -> dict[str, list[Any]]:
+        """One direction's lists by a topic's keys; all empty where they don't belong together."""
+        columns = {key: self._parameters.get(f"{direction}_{suffix}") or [] for key, suffix in _LISTS.items()}
+        topics = columns["topic"]
+        faults = {}
+        for key, column in columns.items():
+            if not isinstance(column, list):
+                faults[key] = f"{show(column)} is not a list"
+            elif column and isinstance(topics, list) and len(column) != len(topics):
+                faults[key] = f"{len(column)} for {len(topics)} {direction}_topics: one each"
+        self.problems += [
+            Problem(join(self.place, f"{direction}_{_LISTS[key]}"), words) for key, words in faults.items()
+        ]
+        return columns if not faults else {key: [] for key in _LISTS}
+
+    def _add(self, topic: dict[str, Any], at: int) -> None:
+        name, port = topic["topic"], topic.get("port")
+        if name == "/shutdown":
+            self.notes.append("/shutdown is not bridged as a topic: the session's shutdown_topic closes both sides")
+            return
+        if isinstance(port, int) and port > MAX_CHANNEL and is_mac(str(self._parameters["server_ip"])):
+            del topic["port"]
+            self.notes.append(f"{name}: {port} is not an RFCOMM channel; it shares the link's")
+        here = join("topics", len(self.topics))
+        lists = {key: join(self.place, f"{topic['direction']}_{suffix}") for key, suffix in _LISTS.items()}
+        self._origins |= {join(here, key): join(place, at) for key, place in lists.items()}
+        self._origins[here] = join(lists["topic"], at)
+        self.topics.append(topic)
+
+
+def _modern(key: str, value: Any) -> Any:
+    """A list's entry in today's words. What isn't understood stays as it is, and the session's rules refuse it."""
+    if not isinstance(value, str):
+        return value
+    if key == "topic" and not value.startswith(("/", "~")):
+        return f"/{value}"
+    if key == "type":
+        return SHORT_NAMES.get(value, value)
+    if key in ("port", "qos") and value.isdecimal():
+        return int(value)
+    if key == "qos":
+        return _QOS.get(value, value)
+    return value.lower() if key == "protocol" else value

@@ -1,0 +1,1 @@
+"""One peer: connecting, admitting, negotiating routes, keeping the connection alive."""

@@ -1,0 +1,369 @@
+"""The client's side of a link: call the server, and again whenever the line drops."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.channel.datagram import UdpChannel
+from rsb_bridge.channel.multiplexer import MultiplexedChannel
+from rsb_bridge.channel.rfcomm import RfcommMultiplexer
+from rsb_bridge.config.keys import Key, fingerprint
+from rsb_bridge.link.control_channel import ControlChannel
+from rsb_bridge.link.link import Link
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport import rfcomm, tcp, udp
+from rsb_bridge.transport.streams import Stream, StreamHandler, format_address, os_error_message
+from rsb_bridge.wire.connection import ClientConnection, DataConnection
+from rsb_bridge.wire.datagram import addressee
+from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
+from rsb_bridge.wire.messages import Welcome
+from rsb_bridge.wire.opening import RefusalCode
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
+    from rsb_bridge.wire.messages import Hello, Propose, Shutdown
+    from rsb_bridge.wire.sealing import Suite
+
+_HANDSHAKE_TIMEOUT = 5.0
+_FIRST_DELAY = 0.5
+_LONGEST_DELAY = 1.25
+"""s; a server that is back must be found within 3 s, handshake and DDS discovery included."""
+_MOVED_AND_QUIET = 1.5
+"""s without a byte, with pings every second, after which a connection from an address we no longer have is given up."""
+_LONGEST_DELAY_REFUSED = 10.0
+"""s, where the server is there and said no: it won't change its mind soon."""
+
+
+class ClientLink(Link):
+    """The one link of a client."""
+
+    def __init__(self, context: Context, hello: Hello, key: Key | None, suite: Suite) -> None:
+        session = context.session
+        mark = fingerprint(key) if key else ""
+        super().__init__(context, session.name, is_client=True, fingerprint=mark, encrypted=key is not None)
+        self.host, self.port = session.server_ip, session.server_port
+        self._hello = hello
+        self._key = key
+        self._suite = suite
+        self._ended = asyncio.Event()
+        self._retry = asyncio.Event()
+        self._retry_after = 0.0
+        self._stays_down = False
+        self._refused = False
+        self._streams_opening: dict[int, asyncio.Task[None]] = {}
+        self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
+
+    @property
+    def address(self) -> str:
+        return format_address((self.host, self.port))
+
+    def shared_port(self) -> int:
+        return self.port
+
+    @property
+    def use_name(self) -> bool:
+        return self.context.session.use_name or (isinstance(self.peer, Welcome) and self.peer.use_name)
+
+    # --- calling
+
+    async def run(self) -> None:
+        """Keep linked, for ever."""
+        while True:
+            self._retry.clear()
+            self._ended.clear()
+            if not self._stays_down:
+                self._retry_after = 0.0
+                await self._call()
+            await self._pause()
+
+    def retry(self) -> None:
+        """Call now, whatever was to be waited for, and open refused routes anew."""
+        self._stays_down = False
+        if not self.linked:
+            self._retry.set()
+        self.retry_routes()
+
+    async def _call(self) -> None:
+        """One attempt; returns when it failed or when the link it made is over."""
+        if not self.attempts:
+            self.log(Level.INFO, f"connecting to {self.address}", link_status=True)
+        secret = self._key.secret if self._key else None
+        connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
+        transport = "bluetooth" if self.is_bluetooth else "tcp"
+        failure = await self._open(transport, self.port, _ControlOpening(self, connection))
+        if failure is not None:
+            self._failed(failure)
+            return
+        self._refused = False
+        if self._stays_down and self.control is not None:  # so it was decided during the handshake
+            self.control.shut_down("shut down", retry_after=None)
+        await self._ended.wait()
+
+    async def _open(self, transport: str, port: int, opening: _Opening) -> _Failure | None:
+        """Connect, and wait for the server's answer; None: the stream is let in."""
+        host = (self.context.session.adapter if transport == "bluetooth" else None) or self.host
+        try:
+            await (rfcomm.connect if transport == "bluetooth" else tcp.connect)(host, port, opening)
+            async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
+                return await opening.outcome
+        except OSError as error:
+            return _Failure(f"{format_address((host, port))}: {_connect_error_message(error)}", refused=False)
+        finally:
+            opening.end()
+
+    def _failed(self, failure: _Failure) -> None:
+        self.attempts += 1
+        self._refused = failure.refused
+        repeated = failure.reason == self.reason
+        self.reason = failure.reason
+        self.log(Level.DEBUG if repeated else Level.ERROR, f"{failure.reason}; trying again", link_status=True)
+
+    async def _pause(self) -> None:
+        """Wait until it is time to call again, or until somebody says that it is."""
+        longest = _LONGEST_DELAY_REFUSED if self._refused else _LONGEST_DELAY
+        delay: float | None = None
+        if not self._stays_down:
+            delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * random.uniform(0.8, 1.2)  # noqa: S311 — jitter, no secret
+            delay = max(delay, self._retry_after)
+            self.retry_at = self.context.now() + delay
+        try:
+            async with asyncio.timeout(delay):
+                await self._retry.wait()
+        except TimeoutError:
+            pass
+        self.retry_at = None
+
+    def down(self, reason: str, *, on_purpose: bool = False) -> None:
+        super().down(reason, on_purpose=on_purpose)
+        for opening in self._streams_opening.values():
+            opening.cancel()
+        self._streams_opening.clear()
+        self._waiting.clear()
+        self._ended.set()
+
+    def on_shutdown(self, message: Shutdown) -> None:
+        self._stays_down = message.retry_after is None
+        self._retry_after = message.retry_after or 0.0
+        if self.control is not None:
+            self.control.abort(f"the server closed the link: {message.reason}")
+
+    def refusal_message(self, code: RefusalCode, words: str) -> str:
+        """What the operator of this side is told."""
+        match code:
+            case RefusalCode.WRONG_KEY if self._key is not None:
+                return f"{words}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
+            case RefusalCode.UNKNOWN_NAME:
+                remedy = "set name in this side's session file to one that the server lets in"
+                return f"{words}: {remedy}, or list {self.name!r} under clients in the server's"
+            case RefusalCode.ENCRYPTION_REQUIRED:
+                return f"{words}: set use_encryption and key_file"
+            case _:
+                return words
+
+    @property
+    def shut_down(self) -> bool:
+        """Whether the link is down on purpose and waits for an operator."""
+        return not self.linked and self._stays_down
+
+    def stay_down(self, reason: str) -> None:
+        """End the link, or the attempts at it, on purpose; then wait for `retry`."""
+        self._stays_down = True
+        self._retry.set()
+        if self.control is not None:
+            self.control.shut_down(reason, retry_after=None)
+
+    def tick(self) -> None:
+        super().tick()
+        if self.control is None or self.is_bluetooth or self.keepalive.quiet(self.context.now()) < _MOVED_AND_QUIET:
+            return
+        stream = self.control.stream
+        now_from = tcp.own_address(stream.address)
+        if now_from not in ("", stream.own_address):
+            self.control.abort(
+                f"this machine's address towards {self.host} changed: {stream.own_address} to {now_from}"
+            )
+
+    # --- routes
+
+    def authorize(self, proposal: Propose) -> Propose:
+        return proposal
+
+    async def prepare_port(self, route: Route) -> None:
+        return
+
+    def open_stream(self, route: Route) -> None:
+        if route.transport == "bluetooth":
+            self._share_radio(route)
+        elif route.id not in self._streams_opening:
+            self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id))
+
+    async def _open_stream(self, route: Route, route_id: int) -> None:
+        failure = await self._attach(route, route_id)
+        if failure is not None and route.id == route_id:
+            route.channel_lost(failure.reason)
+
+    async def _attach(self, route: Route, route_id: int) -> _Failure | None:
+        assert self.keys is not None
+        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
+        return await self._open(route.transport, route.proposal.port or self.port, opening)
+
+    def _share_radio(self, route: Route) -> None:
+        """Join the stream of the route's channel; open it, where it is not there and nobody does already."""
+        assert self.keys is not None
+        channel = route.proposal.port
+        if radio := self._radio(channel):
+            radio.stream.write(DataConnection(self.keys, route.id).start())
+            radio.carry(route)
+        elif channel in self._waiting:
+            self._waiting[channel][route.id] = route
+        else:
+            self._waiting[channel] = {route.id: route}
+            self._streams_opening[route.id] = self.spawn(self._open_radio(route, route.id))
+
+    def _radio(self, channel: int) -> RfcommMultiplexer | None:
+        for route in self.routes.values():
+            match route.channel:
+                case MultiplexedChannel(shared=RfcommMultiplexer() as radio) if (
+                    radio.channel == channel and not radio.stream.over
+                ):
+                    return radio
+        return None
+
+    async def _open_radio(self, first: Route, first_id: int) -> None:
+        failure = await self._attach(first, first_id)
+        waiting = self._waiting.pop(first.proposal.port, {})
+        if first.id != first_id:  # it was closed meanwhile, and the others ask again
+            return
+        for route_id, route in waiting.items():
+            if route.id == route_id and failure is not None:
+                route.channel_lost(failure.reason)
+            elif route.id == route_id:
+                route.advance()
+
+    def open_udp_channel(self, port: int) -> UdpChannel | None:
+        assert self.control is not None
+        assert self.path_probe is not None
+        address = self.control.stream.address
+        server: Address = (address[0], port) if len(address) == 2 else (address[0], port, address[2], address[3])
+        try:
+            socket = udp.connect(server, self._datagrams)
+        except OSError as error:
+            self.log(Level.ERROR, f"UDP to {format_address(server)}: {os_error_message(error)}")
+            return None
+        udp_channel = UdpChannel(socket, self.path_probe, server=server)
+        udp_channel.tick(self.context.now())
+        return udp_channel
+
+    def _datagrams(self, socket: UdpSocket, datagrams: Datagrams) -> None:
+        udp_channel = next(
+            (udp_channel for udp_channel in self.udp_channels.values() if udp_channel.socket is socket), None
+        )
+        if udp_channel is not None and self.keys is not None:
+            ours = self.keys.link_id
+            self.datagrams(
+                udp_channel,
+                [(to[0], data, address) for data, address in datagrams if (to := addressee(data)) and to[1] == ours],
+            )
+
+
+def _connect_error_message(error: OSError) -> str:
+    if isinstance(error, socket.gaierror):
+        remedy = "correct server_ip in this side's session file (an address in numbers needs no name server)"
+        return f"{os_error_message(error)}: {remedy}"
+    return os_error_message(error)
+
+
+class _Failure(NamedTuple):
+    """Why a stream was not let in.
+
+    Attributes:
+        reason: in words.
+        refused: the server said so, or is none; else it was not reached.
+    """
+
+    reason: str
+    refused: bool
+
+
+class _Opening(StreamHandler):
+    """Handles a stream until the server lets it in, or not.
+
+    Attributes:
+        outcome: None: it is let in, and has another handler.
+    """
+
+    def __init__(self, link: ClientLink, connection: ClientConnection | DataConnection) -> None:
+        self.outcome: asyncio.Future[_Failure | None] = link.context.loop.create_future()
+        self._link = link
+        self._connection = connection
+        self._stream: Stream | None = None
+
+    def connected(self, stream: Stream) -> None:
+        self._stream = stream
+        stream.write(self._connection.start())
+
+    def received(self, data: bytes) -> None:
+        stream = self._stream
+        assert stream is not None
+        events = self._connection.receive_data(data)
+        stream.write(self._connection.data_to_send())
+        for index, event in enumerate(events):
+            match event:
+                case Established() | Accepted():
+                    self._finish(None)
+                    self._let_in(stream, event, events[index + 1 :])
+                    return
+                case Refused(code, words, _):
+                    self._finish(_Failure(self._link.refusal_message(code, words), refused=True))
+                case Failed(reason):
+                    words = f"{self._link.address} does not speak this protocol: {reason}"
+                    self._finish(_Failure(words, refused=True))
+                case _:
+                    pass
+
+    def closed(self, reason: str) -> None:
+        self._finish(_Failure(f"{self._link.address}: {reason} before the handshake was done", refused=False))
+
+    def end(self) -> None:
+        """Nobody waits any longer: close the stream, unless it was let in."""
+        if self._stream is not None and self._stream.handler is self:
+            self._stream.abort("not let in")
+
+    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+        raise NotImplementedError
+
+    def _finish(self, outcome: _Failure | None) -> None:
+        if not self.outcome.done():
+            self.outcome.set_result(outcome)
+
+
+class _ControlOpening(_Opening):
+    """Makes the link's control connection."""
+
+    def __init__(self, link: ClientLink, connection: ClientConnection) -> None:
+        super().__init__(link, connection)
+        self._control = connection
+
+    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+        assert isinstance(event, Established)
+        control = ControlChannel(stream, self._control, self._link)
+        self._link.up(control, event.peer, event.keys)
+        control.take(more)
+
+
+class _StreamOpening(_Opening):
+    """Makes a stream of a route's own."""
+
+    def __init__(self, link: ClientLink, connection: DataConnection, route: Route) -> None:
+        super().__init__(link, connection)
+        self._route = route
+        self._route_id = route.id
+
+    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+        if self._route.id == self._route_id:  # else it was closed meanwhile
+            self._link.attach_stream(self._route, stream, self._connection.leftover())

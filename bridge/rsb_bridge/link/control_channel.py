@@ -1,0 +1,96 @@
+"""An authenticated control connection: what comes off its stream goes to its link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.channel.multiplexer import Multiplexer
+from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
+from rsb_bridge.wire.fields import plain
+from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
+from rsb_bridge.wire.messages import ControlMessage, Shutdown
+from rsb_bridge.wire.sealing import SealError
+
+if TYPE_CHECKING:
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.wire.connection import ClientConnection, ServerConnection
+
+_MOST_WAITING = 8 * CONTROL_LIMIT
+"""Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
+
+
+class ControlChannel(StreamHandler):
+    """The stream's handler once the handshake is done.
+
+    Attributes:
+        stream: what carries it.
+        link: whose it is.
+        shared: the room that it leaves to routes' messages (Bluetooth).
+    """
+
+    def __init__(self, stream: Stream, connection: ClientConnection | ServerConnection, link: Link) -> None:
+        self.stream = stream
+        self.link = link
+        self.shared = Multiplexer(stream)
+        self._connection = connection
+        self._goodbye = ""
+        stream.handler = self
+
+    def send(self, message: ControlMessage) -> None:
+        """Send a message."""
+        self.stream.write(self._connection.send(message))
+        if self.stream.waiting_bytes > _MOST_WAITING:
+            self.stream.abort("the peer asks for more than it takes")  # it is over once this call's caller is done
+
+    def shut_down(self, reason: str, *, retry_after: float | None) -> None:
+        """Tell the peer that this ends on purpose, and end it."""
+        self.send(Shutdown(reason=plain(reason), retry_after=retry_after))
+        self._goodbye = reason
+        self.stream.close(reason)
+        self._over(reason)
+
+    def abort(self, reason: str) -> None:
+        """End it without a word."""
+        self.stream.abort(reason)
+        self._over(reason)
+
+    def received(self, data: bytes) -> None:
+        """Bytes came."""
+        self.take(self._connection.receive_data(data))
+
+    def take(self, events: list[Event]) -> None:
+        """Act on what the connection made of them."""
+        for event in events:
+            if self.link.control is not self:
+                return  # an earlier event ended it
+            match event:
+                case Received(message):
+                    self.link.negotiation.handle(message)
+                case DataFrame(route_id, frame):
+                    self._take_data(route_id, frame)
+                case Failed(reason):
+                    self.abort(f"the peer broke the format: {reason}")
+                case Refused(_, words, _):
+                    self.abort(words)
+
+    def _take_data(self, route_id: int, frame: memoryview) -> None:
+        path = self.shared.paths.get(route_id)
+        if path is None:
+            return  # it was closed here while the frame was under way
+        try:
+            path.received(frame)
+        except (ProtocolError, SealError) as error:
+            self.abort(f"the peer broke the format: {error}")
+
+    def writable(self) -> None:
+        """The stream takes more again."""
+        self.shared.pump()
+
+    def closed(self, reason: str) -> None:
+        """The stream is over."""
+        self._over(self._goodbye or reason)
+
+    def _over(self, reason: str) -> None:
+        if self.link.control is self:
+            self.link.down(reason, on_purpose=bool(self._goodbye))

@@ -1,0 +1,393 @@
+"""One peer: its control connection, its routes, its keepalive. `client` and `server` add who calls whom."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.channel.datagram import DatagramChannel, PathProbe, UdpChannel, datagram_codec
+from rsb_bridge.channel.multiplexer import MultiplexedChannel, Multiplexer
+from rsb_bridge.channel.rfcomm import RfcommMultiplexer
+from rsb_bridge.channel.stream import StreamChannel, stream_codec
+from rsb_bridge.config.validation import validate_topic
+from rsb_bridge.link.keepalive import DEAD_AFTER, Keepalive
+from rsb_bridge.link.negotiation import LinkError, Negotiation
+from rsb_bridge.link.side import Side
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.route.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE, IncomingRoute
+from rsb_bridge.route.latched import LATCHED_LIMIT
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.route import Route, route_key
+from rsb_bridge.telemetry.meters import ClockOffset
+from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.fields import plain
+from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
+from rsb_bridge.wire.messages import Close, Pause, Report
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Coroutine, Iterable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.transport.streams import Stream, StreamHandler
+    from rsb_bridge.transport.udp import Address
+    from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
+    from rsb_bridge.wire.sealing import Role, SessionKeys
+
+_NOT_YET = "not connected yet"
+
+
+class Link(Side):
+    """A peer and its routes. It lives on while the peer is away.
+
+    Attributes:
+        name: the client's name, on both sides.
+        is_client: whether this side is the client.
+        routes: by key.
+        control: the authenticated connection; None: not linked.
+        keys: what the present connection's handshake left; None: not linked.
+        unfinished: what the peer may have this side hold of messages that are not whole yet.
+        latched: likewise for late joiners.
+        expansion: bytes by which its compressed messages may grow here.
+    """
+
+    def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
+        self.context = context
+        self.name = name
+        self.is_client = is_client
+        self.side: Role = "client" if is_client else "server"
+        self.other_side: Role = "server" if is_client else "client"
+        self.routes: dict[str, Route] = {}
+        self.control: ControlChannel | None = None
+        self.keys: SessionKeys | None = None
+        self.peer: Hello | Welcome | None = None
+        self.fingerprint = fingerprint
+        self.encrypted = encrypted
+        self.reason = _NOT_YET
+        self.retry_at: float | None = None
+        self.attempts = 0
+        self.path_probe: PathProbe | None = None
+        self.udp_channels: dict[int, UdpChannel] = {}
+        self.unfinished = Budget(UNFINISHED_LIMIT)
+        self.latched = Budget(LATCHED_LIMIT)
+        self.expansion = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, context.now())
+        self._by_id: dict[int, Route] = {}
+        self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
+        self._since = time.time()
+        self._linked_at = 0.0
+        self.keepalive = Keepalive(context.now())
+        self.negotiation = Negotiation(self)
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    # --- up and down
+
+    @property
+    def linked(self) -> bool:
+        """Whether the peer is connected and authenticated."""
+        return self.control is not None
+
+    @property
+    def down_reason(self) -> str:
+        """Why it isn't linked."""
+        return "" if self.control else self.reason
+
+    @property
+    def is_bluetooth(self) -> bool:
+        """Whether the link is RFCOMM."""
+        return self.context.session.is_bluetooth
+
+    def is_at(self, node: str) -> bool:
+        """Whether a ROS node of this domain, by its name, is the peer's own."""
+        return self.peer is not None and node.endswith(f"_{self.peer.instance}")
+
+    @property
+    def clock_offset(self) -> float | None:
+        """s, the peer's clock minus ours."""
+        return self.keepalive.clock.offset
+
+    @property
+    def clock_uncertainty(self) -> float | None:
+        """Seconds by which `clock_offset` may be wrong."""
+        return self.keepalive.clock.uncertainty
+
+    def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
+        """The peer is connected and authenticated."""
+        self.control, self.peer, self.keys = control, peer, keys
+        self.path_probe = PathProbe(keys, self.side, self.other_side)
+        self._linked_at = self.context.now()
+        self.keepalive = Keepalive(self._linked_at)
+        self._since = time.time()
+        self.attempts = 0
+        self.retry_at = None
+        words = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
+        linked = f"linked with {control.stream.peer}, {words}, rsb-console {peer.version} there"
+        self.log(Level.INFO, linked, link_status=True)
+        for route in tuple(self.routes.values()):
+            if route.proposed_here:
+                self.propose(route)
+
+    def down(self, reason: str, *, on_purpose: bool = False) -> None:
+        """The connection is over."""
+        if self.control is None:
+            return
+        self.control = self.keys = self.path_probe = None
+        self.reason = reason
+        self._since = time.time()
+        self._by_id.clear()
+        for route in self.routes.values():
+            route.close(reason)
+        for udp_channel in self.udp_channels.values():
+            udp_channel.close()
+        self.udp_channels.clear()
+        self.negotiation.end()
+        level, how = (Level.INFO, "closed") if on_purpose else (Level.WARNING, "lost")
+        self.log(level, f"link {how}: {reason}", link_status=True)
+
+    def destroy(self) -> None:
+        """End routes and tasks for good."""
+        for task in self._tasks:
+            task.cancel()
+        for route in self.routes.values():
+            route.destroy()
+        self.routes.clear()
+
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        """Run a coroutine beside; it ends with the engine at the latest."""
+        task = self.context.loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def send(self, message: ControlMessage) -> None:
+        """Send a control message; without a connection, nothing happens."""
+        if self.control is not None:
+            self.control.send(message)
+
+    # --- routes
+
+    def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
+        """Make a route's half here; with `proposed_here` the peer is asked for its half at once.
+
+        Raises:
+            LinkError: there is such a route, or the topic has a mistake.
+        """
+        for problem in validate_topic(spec, self.context.session):
+            raise LinkError(str(problem))
+        key = route_key(self.name, proposal)
+        if key in self.routes:
+            raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
+        kind = OutgoingRoute if proposal.from_client == self.is_client else IncomingRoute
+        route = kind(self.context, self, spec, proposal, proposed_here=proposed_here)
+        self.routes[key] = route
+        if proposed_here and self.linked:
+            self.propose(route)
+        return route
+
+    def remove(self, route: Route, reason: str) -> None:
+        """End a route on both sides."""
+        if route.id:
+            self.send(Close(route=route.id, reason=plain(reason), removed=True))
+        self.forget(route, reason)
+
+    def forget(self, route: Route, reason: str) -> None:
+        """End a route on this side."""
+        self.routes.pop(route.key, None)
+        route.destroy()
+        route.log(Level.INFO, reason)
+
+    def pause(self, route: Route, paused: bool) -> None:
+        """Pause or resume a route on both sides."""
+        route.set_paused(paused)
+        if route.id:
+            self.send(Pause(route=route.id, paused=paused))
+
+    @property
+    def shut_down(self) -> bool:
+        """Whether it is down on purpose, and this side is the one to call again."""
+        return False
+
+    def retry_routes(self) -> None:
+        """Open at once what was refused."""
+        for route in tuple(self.routes.values()):
+            if self.linked and route.proposed_here and not route.id:
+                self.propose(route)
+
+    def end_opening(self, route: Route, reason: str) -> None:
+        """There is no such route for now, as one of the sides says; it is tried again if it was proposed here."""
+        route.refuse(reason)
+
+    def closed(self, route_id: int) -> None:
+        """An opening is over."""
+        self._by_id.pop(route_id, None)
+
+    def open_route(self, route_id: int) -> Route | None:
+        """The open route of that id."""
+        return self._by_id.get(route_id)
+
+    def is_closed_id(self, route_id: int) -> bool:
+        """Whether an opening of that id is over: of what is late on it, nothing need be said."""
+        ours = route_id % 2 == self.is_client
+        newest = self._next_id - 2 if ours else self.negotiation.newest_route
+        return 0 < route_id <= newest and route_id not in self._by_id
+
+    def propose(self, route: Route) -> None:
+        """Ask the peer to open a route, anew if it was open."""
+        self.reopen(route, self._next_id)
+        self._next_id += 2
+        self.spawn(self._propose(route, route.id))
+
+    async def _propose(self, route: Route, route_id: int) -> None:
+        try:
+            await self.prepare_port(route)
+        except ListenError as error:
+            if route.id == route_id:
+                self.end_opening(route, str(error))
+        if route.id == route_id:
+            self.send(msgspec.structs.replace(route.proposal, route=route_id, paused=route.paused))
+
+    def reopen(self, route: Route, route_id: int) -> None:
+        """Begin a route's opening of that id."""
+        route.close("opened anew")
+        route.open(route_id)
+        self._by_id[route_id] = route
+
+    def open_channel(self, route: Route) -> None:
+        """Set a route's path going."""
+        port = route.proposal.port or self.shared_port()
+        if self.is_bluetooth and port == self.shared_port():
+            assert self.control is not None
+            route.channel = MultiplexedChannel(self.control.shared, route, stream_codec(self, route))
+            return
+        if route.transport != "udp":
+            self.open_stream(route)
+            return
+        udp_channel = self.udp_channels.get(port)
+        if udp_channel is None or udp_channel.over:
+            udp_channel = self.open_udp_channel(port)
+        if udp_channel is None:
+            return
+        self.udp_channels[port] = udp_channel
+        route.channel = DatagramChannel(udp_channel, route, datagram_codec(self, route))
+
+    def attach_stream(self, route: Route, stream: Stream, beginning: bytes) -> None:
+        """A stream is let in that was opened for the route; `beginning` came behind its opening."""
+        handler: StreamHandler
+        if route.transport == "bluetooth":
+            handler = radio = RfcommMultiplexer(stream, self, route.proposal.port)
+            radio.carry(route)
+        else:
+            handler = route.channel = StreamChannel(stream, route, stream_codec(self, route))
+        if beginning:
+            handler.received(beginning)
+        route.advance()
+
+    def join_stream(self, radio: RfcommMultiplexer, frame: bytes) -> None:
+        """The peer wants a further route on a stream; raises ProtocolError or Refusal where that can't be."""
+        raise ProtocolError("an opening frame came on an open stream")
+
+    def datagrams(self, udp_channel: UdpChannel, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
+        """Datagrams came that say they are this link's, each with its route id."""
+        if udp_channel.received(datagrams, self.context.now()):
+            for route in tuple(self._by_id.values()):
+                route.advance()
+
+    # --- time
+
+    def poll(self) -> None:
+        """Four times a second: whatever waits for the graph or the peer."""
+        now = self.context.now()
+        for udp_channel in self.udp_channels.values():
+            if not udp_channel.ready and not udp_channel.over:
+                self._tick_udp_channel(udp_channel, now)
+        if self.control is not None:
+            self.keepalive.look(self._carried()[0], now)
+            if self.keepalive.quiet(now) > DEAD_AFTER:
+                self.control.abort("the peer is silent")
+            for route in tuple(self.routes.values()):
+                if route.id and not route.flowing:
+                    route.advance()
+
+    def tick(self) -> None:
+        """Once a second, after the routes' own tick: keepalive, reports, retries."""
+        now = self.context.now()
+        if self.control is None:
+            return
+        self.udp_channels = {
+            port: udp_channel for port, udp_channel in self.udp_channels.items() if not udp_channel.over
+        }
+        self.send(self.keepalive.tick(*self._carried(), now))
+        for udp_channel in self.udp_channels.values():
+            self._tick_udp_channel(udp_channel, now)
+        self._report()
+        for route in tuple(self.routes.values()):
+            if route.proposed_here and not route.id and now >= route.retry_at:
+                self.propose(route)
+            elif not route.proposed_here and not route.id and now > route.awaited_until(self._linked_at):
+                self.forget(route, "the other side no longer asks for it")
+
+    def _carried(self) -> tuple[int, int]:
+        """Wire bytes received and sent by all that the link has now; less than before where something was closed."""
+        assert self.control is not None
+        carriers: set[Stream | UdpChannel] = {self.control.stream, *self.udp_channels.values()}
+        for route in self.routes.values():
+            match route.channel:
+                case StreamChannel(stream=stream) | MultiplexedChannel(shared=Multiplexer(stream=stream)):
+                    carriers.add(stream)
+        return sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
+
+    def _tick_udp_channel(self, udp_channel: UdpChannel, now: float) -> None:
+        before = udp_channel.trouble
+        udp_channel.tick(now)
+        if udp_channel.trouble and not before:
+            self.log(Level.WARNING, udp_channel.trouble)
+        elif before and not udp_channel.trouble:
+            self.log(Level.INFO, "UDP gets through again")
+
+    def _report(self) -> None:
+        routes = [route for route in self.routes.values() if route.id]
+        sent = tuple(r.sent_report() for r in routes if isinstance(r, OutgoingRoute))
+        received = tuple(r.received_report() for r in routes if isinstance(r, IncomingRoute))
+        if sent or received:
+            self.send(Report(sent=sent, received=received))
+
+    # --- how it is
+
+    def snapshot(self) -> LinkSnapshot:
+        """The link as it is now."""
+        now = self.context.now()
+        keepalive, keys, peer = self.keepalive, self.keys, self.peer
+        clock = keepalive.clock if self.linked else ClockOffset()  # what a dead connection measured holds no more
+        return LinkSnapshot(
+            name=self.name,
+            peer=self.address,
+            state=self._state(),
+            reason=self.down_reason,
+            since=self._since,
+            retry_in=None if self.retry_at is None else max(0.0, self.retry_at - now),
+            attempts=self.attempts,
+            encrypted=self.encrypted,
+            cipher=keys.suite.name if keys and self.encrypted else "",
+            fingerprint=self.fingerprint,
+            rtt=clock.rtt,
+            clock_offset=clock.offset,
+            clock_uncertainty=clock.uncertainty,
+            rx_bytes_per_second=keepalive.rx_rate if self.linked else 0.0,
+            tx_bytes_per_second=keepalive.tx_rate if self.linked else 0.0,
+            peer_version=peer.version if peer else "",
+            peer_domain=peer.domain_id if peer else None,
+            use_name=self.use_name,
+        )
+
+    def _state(self) -> State:
+        """One that nobody has joined yet, and nothing is known against, is no fault."""
+        return State.OK if self.linked else State.WAITING if self.reason is _NOT_YET else State.DOWN
+
+    def log(self, level: Level, text: str, *, source: str = "link", topic: str = "", link_status: bool = False) -> None:
+        """Add an event about this link."""
+        self.context.log(level, source, text, link=self.name, topic=topic, link_status=link_status)

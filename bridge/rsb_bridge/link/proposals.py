@@ -1,0 +1,65 @@
+"""A session's topics as the wire proposes them, and back."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.wire.messages import Propose
+
+
+def proposal_of(topic: Topic, *, client_name: str, use_name: bool, bluetooth: bool) -> Propose:
+    """What to ask the peer for.
+
+    Args:
+        topic: as the client sees it.
+        client_name: the client's name: the prefix.
+        use_name: whether the server's name of the topic has the prefix.
+        bluetooth: whether the link is RFCOMM.
+
+    Raises:
+        ValueError: its QoS is none.
+    """
+    on_server = topic.remote_topic or (f"/{client_name}{topic.topic}" if use_name else topic.topic)
+    from_client = topic.direction == "transmit"
+    transport = topic.protocol or ("bluetooth" if bluetooth else "tcp")
+    return Propose(
+        route=1,  # its id is given when it is sent
+        topic=topic.topic if from_client else on_server,
+        remote_topic=on_server if from_client else topic.topic,
+        from_client=from_client,
+        type="" if topic.type == "auto" else topic.type,
+        transport=transport,
+        port=topic.port or 0,
+        qos=topic.parsed_qos(),
+        compression=topic.compression or ("zstd" if transport == "bluetooth" else "none"),
+        max_rate=topic.max_rate or 0.0,
+        expected_rate=topic.expected_rate or 0.0,
+        stale_after=topic.stale_after,
+        paused=topic.paused,
+    )
+
+
+def topic_of(proposal: Propose) -> Topic:
+    """A peer's proposal as a session file would have it."""
+    here, there = proposal.topic, proposal.remote_topic
+    on_client, on_server = (here, there) if proposal.from_client else (there, here)
+    return Topic(
+        topic=on_client,
+        direction="transmit" if proposal.from_client else "receive",
+        type=proposal.type or "auto",
+        protocol=proposal.transport,
+        port=proposal.port or None,
+        qos=msgspec.to_builtins(proposal.qos) if proposal.qos else "auto",
+        remote_topic=on_server,
+        compression=proposal.compression,
+        max_rate=proposal.max_rate or None,
+        expected_rate=proposal.expected_rate or None,
+        stale_after=proposal.stale_after,
+        paused=proposal.paused,
+    )
+
+
+def same_route(one: Propose, other: Propose) -> bool:
+    """Whether two proposals differ in nothing but their ids and a pause."""
+    return msgspec.structs.replace(one, route=1, paused=False) == msgspec.structs.replace(other, route=1, paused=False)

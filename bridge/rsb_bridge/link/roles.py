@@ -1,0 +1,220 @@
+"""This side's end of the bridge, on the I/O thread: a client's one link, or a server with many."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge import __version__
+from rsb_bridge.config.keys import Key
+from rsb_bridge.link.cipher_preference import preferred_suite
+from rsb_bridge.link.client import ClientLink
+from rsb_bridge.link.negotiation import LinkError
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.link.server import Entry, Server, ServerLink
+from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.wire.messages import Hello, Welcome
+from rsb_bridge.wire.sealing import Suite
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.route.route import Route
+
+_RESTART_WITHIN = 5.0
+_LOOK_EVERY = 0.05
+_FAREWELL = 0.5
+
+Keys = Mapping[str, Key | None]
+"""By client's name; None: without encryption."""
+Step = Callable[[str], None]
+"""Told what is being done, in words."""
+
+
+class BridgeRole(Protocol):
+    """What the engine does with either end."""
+
+    async def start(self) -> None:
+        """Bind or connect; ListenError where that can't be."""
+        ...
+
+    async def stop(self) -> None:
+        """Say goodbye and close everything."""
+        ...
+
+    def links(self) -> list[Link]:
+        """All links, up or down."""
+        ...
+
+    def tick(self) -> None:
+        """Once a second, before the links' own ticks."""
+        ...
+
+    def add(self, topic: Topic, link: str) -> Route:
+        """Bridge one more topic; LinkError where that can't be."""
+        ...
+
+    def retry(self, link: str) -> None:
+        """Call at once, and open refused routes anew."""
+        ...
+
+    def shut_down(self, reason: str) -> None:
+        """Close every link on both sides until an operator wants them again."""
+        ...
+
+    async def restart(self, step: Step) -> None:
+        """Close every link on both sides, then begin anew."""
+        ...
+
+
+def clients_of(session: Session) -> tuple[Client, ...]:
+    """Those a server lets in."""
+    return session.clients or (Client(name=session.name),)
+
+
+class ClientRole:
+    """A client and its one link."""
+
+    def __init__(self, context: Context, keys: Keys) -> None:
+        session = context.session
+        hello = Hello(__version__, session.name, context.ros.instance_id, context.domain_id)
+        self._context = context
+        self._link = ClientLink(context, hello, keys[session.name], preferred_suite())
+        self._calling: asyncio.Task[None] | None = None
+
+    async def start(self) -> None:
+        for topic in self._context.session.topics:
+            self.add(topic, "")
+        self._calling = asyncio.create_task(self._link.run())
+
+    async def stop(self) -> None:
+        if self._calling is not None:
+            self._calling.cancel()
+        await _farewell(self.links(), "the client stops", retry_after=0.0)
+        self._link.destroy()
+
+    def links(self) -> list[Link]:
+        return [self._link]
+
+    def tick(self) -> None:
+        """There is nothing but the link."""
+
+    def add(self, topic: Topic, link: str) -> Route:
+        session = self._context.session
+        proposal = proposal_of(
+            topic, client_name=session.name, use_name=session.use_name, bluetooth=self._link.is_bluetooth
+        )
+        return self._link.add(topic, proposal, proposed_here=True)
+
+    def retry(self, link: str) -> None:
+        self._link.retry()
+
+    def shut_down(self, reason: str) -> None:
+        self._link.stay_down(reason)
+
+    async def restart(self, step: Step) -> None:
+        if self._link.control is not None:
+            step(f"closing the link with {self._link.address} on both sides")
+            self._link.control.shut_down("restart", retry_after=0.0)
+        step(f"connecting to {self._link.address}")
+        self._link.retry()
+        await _until(lambda: self._link.linked, lambda: self._link.reason)
+        step("linked; opening topics")
+        routes = self._link.routes.values()
+        await _until(
+            lambda: all(r.accepted or r.refusal for r in routes), lambda: "the server does not answer for all topics"
+        )
+        refused = sum(1 for route in routes if route.refusal)
+        step(f"{len(routes) - refused} of {len(routes)} topics open")
+
+
+class ServerRole:
+    """A server and its links."""
+
+    def __init__(self, context: Context, keys: Keys) -> None:
+        session = context.session
+        self._context = context
+        self._server = Server(
+            context,
+            [Entry(client, keys[client.name]) for client in clients_of(session)],
+            lambda link_id, use_name: Welcome(
+                __version__, session.name, link_id, context.ros.instance_id, context.domain_id, use_name=use_name
+            ),
+            aes=preferred_suite() is Suite.AESGCM,
+        )
+
+    async def start(self) -> None:
+        await self._server.start()
+
+    async def stop(self) -> None:
+        self._server.stop()
+        await _farewell(self.links(), "the server stops", retry_after=0.0)
+        for link in self.links():
+            link.destroy()
+
+    def links(self) -> list[Link]:
+        return list(self._server.links.values())
+
+    def tick(self) -> None:
+        self._server.tick()
+
+    def add(self, topic: Topic, link: str) -> Route:
+        robot = self._chosen(link)
+        proposal = proposal_of(topic, client_name=robot.name, use_name=robot.use_name, bluetooth=robot.is_bluetooth)
+        return robot.add(topic, proposal, proposed_here=True)
+
+    def _chosen(self, name: str) -> ServerLink:
+        links = self._server.links
+        if name in links:
+            return links[name]
+        if not name and len(links) == 1:
+            return next(iter(links.values()))
+        raise LinkError(f"say which client: one of {', '.join(links)}")
+
+    def retry(self, link: str) -> None:
+        for robot in self.links():
+            if link in ("", robot.name):
+                robot.retry_routes()
+
+    def shut_down(self, reason: str) -> None:
+        for link in self.links():
+            if link.control is not None:
+                link.control.shut_down(reason, retry_after=None)
+
+    async def restart(self, step: Step) -> None:
+        linked = [link for link in self.links() if link.linked]
+        step(f"closing {len(linked)} links on both sides")
+        self._server.stop()
+        await _farewell(linked, "restart", retry_after=0.0)
+        step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
+        await self._server.start()
+        step("waiting for the clients to come back")
+        await _until(
+            lambda: all(link.linked for link in linked), lambda: "not every client came back yet; they go on trying"
+        )
+        step(f"{len(linked)} clients are back")
+
+
+async def _farewell(links: Iterable[Link], reason: str, *, retry_after: float | None) -> None:
+    """Close links with a word, and wait shortly for the word to be on its way."""
+    streams = []
+    for link in links:
+        if link.control is not None:
+            streams.append(link.control.stream)
+            link.control.shut_down(reason, retry_after=retry_after)
+    deadline = asyncio.get_running_loop().time() + _FAREWELL
+    while any(not stream.gone for stream in streams) and asyncio.get_running_loop().time() < deadline:  # noqa: ASYNC110 — plain state, looked at for a moment
+        await asyncio.sleep(0.01)
+    for stream in streams:
+        stream.abort(reason)
+
+
+async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) -> None:
+    """Wait until something is so; LinkError with the words of `otherwise` where it takes too long."""
+    try:
+        async with asyncio.timeout(_RESTART_WITHIN):
+            while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
+                await asyncio.sleep(_LOOK_EVERY)
+    except TimeoutError:
+        raise LinkError(otherwise()) from None

@@ -1,0 +1,259 @@
+"""The server's side: bind, let clients in, keep strangers out."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.channel.datagram import UdpChannel
+from rsb_bridge.config.keys import Key, fingerprint
+from rsb_bridge.link.control_channel import ControlChannel
+from rsb_bridge.link.link import Link
+from rsb_bridge.link.negotiation import LinkError
+from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport.ports import Ports
+from rsb_bridge.transport.streams import format_address
+from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.wire.connection import Credential, ServerConnection
+from rsb_bridge.wire.datagram import addressee
+from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
+from rsb_bridge.wire.opening import LINK_ID_LENGTH, DataOpening, Refusal, RefusalCode, parse_further
+from rsb_bridge.wire.sealing import SealError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.channel.rfcomm import RfcommMultiplexer
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Client
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.streams import Stream
+    from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
+    from rsb_bridge.wire.events import Attach, Established
+
+_FIRST_PORT, _MOST_PORTS = 1024, 64
+_NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
+_REPLACED_PAUSE = 10.0
+"""s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A client that may come in, with what the session says of it and its key (None: unencrypted)."""
+
+    client: Client
+    key: Key | None
+
+
+class ServerLink(Link):
+    """One client, as the server sees it."""
+
+    def __init__(self, context: Context, entry: Entry, ports: Ports) -> None:
+        mark = fingerprint(entry.key) if entry.key else ""
+        encrypted = entry.key is not None
+        super().__init__(context, entry.client.name, is_client=False, fingerprint=mark, encrypted=encrypted)
+        self.entry = entry
+        self._ports = ports
+
+    @property
+    def address(self) -> str:
+        return self.control.stream.peer if self.control else ""
+
+    def shared_port(self) -> int:
+        return self.context.session.server_port
+
+    @property
+    def use_name(self) -> bool:
+        own = self.entry.client.use_name
+        return self.context.session.use_name if own is None else own
+
+    def on_shutdown(self, message: Shutdown) -> None:
+        if self.control is not None:
+            self.control.abort(f"the client left: {message.reason}")
+
+    def authorize(self, proposal: Propose) -> Propose:
+        """Check `allow` and `deny`, and put the client's name before the topic's on this side where that is wanted."""
+        client = self.entry.client
+        ours = proposal.remote_topic if proposal.from_client else proposal.topic
+        prefix = f"/{client.name}"
+        if self.use_name and not ours.startswith(prefix + "/"):
+            ours = prefix + ours
+        names = (ours, ours.removeprefix(prefix))
+        if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
+            raise LinkError(f"the server denies {ours} to {client.name}")
+        if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
+            raise LinkError(f"the server does not allow {ours} to {client.name}")
+        field = "remote_topic" if proposal.from_client else "topic"
+        return msgspec.structs.replace(proposal, **{field: ours})
+
+    def open_stream(self, route: Route) -> None:
+        """The client opens it."""
+
+    def waiting_route(self, opening: Attach | DataOpening) -> Route:
+        """The route that a stream is asked for; raises Refusal where none waits for it."""
+        route = self.open_route(opening.route)
+        if self.keys is None or route is None or route.channel is not None or route.transport == "udp":
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
+        try:
+            self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
+        except SealError as error:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
+        return route
+
+    def join_stream(self, radio: RfcommMultiplexer, frame: bytes) -> None:
+        opening = parse_further(frame)
+        if self.is_closed_id(opening.route):
+            return  # it was closed here while the frame was under way
+        route = self.waiting_route(opening)
+        if (route.transport, route.proposal.port) != ("bluetooth", radio.channel):
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} has no place on channel {radio.channel}")
+        radio.carry(route)
+        route.advance()
+
+    def open_udp_channel(self, port: int) -> UdpChannel | None:
+        """The client's first probe does."""
+        return None
+
+    async def prepare_port(self, route: Route) -> None:
+        port, route_id = route.proposal.port, route.id
+        shares_namespace = (route.transport == "bluetooth") == self.is_bluetooth  # channel 5 is not port 5
+        if not port or (shares_namespace and port == self.shared_port()):
+            return
+        if route.transport != "bluetooth" and port < _FIRST_PORT:
+            raise ListenError(f"port {port}: topics may have ports from {_FIRST_PORT} up")
+        if sum(other.release_port is not None for other in self.routes.values()) >= _MOST_PORTS:
+            raise ListenError(
+                f"{self.name} has {_MOST_PORTS} ports of its topics' own already: let more share the link's"
+            )
+        release = await self._ports.open(route.transport, port)
+        if route.id == route_id and route.release_port is None:
+            route.release_port = release
+        else:  # it was closed while the port was being bound
+            release()
+
+    def arrived(self, socket: UdpSocket, datagrams: list[tuple[int, bytes, Address]]) -> None:
+        """Datagrams say they are this link's; the first ones on a socket make a UDP channel of it.
+
+        They come the way the control connection did: a forged one by the other IP must not take the UDP channel away.
+        """
+        assert self.path_probe is not None
+        assert self.control is not None
+        if len(datagrams[0][2]) != len(self.control.stream.address):
+            return
+        udp_channel = self.udp_channels.get(socket.port)
+        if udp_channel is None or udp_channel.over or udp_channel.socket is not socket:
+            udp_channel = UdpChannel(socket, self.path_probe, own=self.control.stream.own_address)
+            self.udp_channels[socket.port] = udp_channel
+        self.datagrams(udp_channel, datagrams)
+
+
+class Server:
+    """The server's end of all its links.
+
+    Attributes:
+        links: by the client's name; a client that the session lists has one before it ever came.
+    """
+
+    def __init__(
+        self, context: Context, entries: list[Entry], make_welcome: Callable[[bytes, bool], Welcome], *, aes: bool
+    ) -> None:
+        self.context = context
+        self._make_welcome = make_welcome
+        self._aes = aes
+        self._pending = PendingConnections(self)
+        self._ports = Ports(context.session.server_ip, context.session.adapter, self._pending.arrive, self._datagrams)
+        self._entries = {entry.client.name: entry for entry in entries}
+        self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
+
+    async def start(self) -> None:
+        """Bind the shared port.
+
+        Raises:
+            ListenError: it is taken, or not ours.
+        """
+        session = self.context.session
+        transports = ("bluetooth",) if session.is_bluetooth else ("tcp", "udp")
+        for transport in transports:
+            await self._ports.open(transport, session.server_port)
+        address = format_address((session.server_ip, session.server_port))
+        self.context.log(Level.INFO, "engine", f"listening on {address} ({' and '.join(transports)})")
+
+    def stop(self) -> None:
+        """Take nobody in any more."""
+        self._ports.close()
+        self._pending.close()
+
+    def tick(self) -> None:
+        """Once a second."""
+        self._pending.tick()
+
+    # --- who comes
+
+    def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
+        """The state machine for a stream that comes in."""
+        bluetooth = self.context.session.is_bluetooth
+        return ServerConnection(identify, self._welcome, self._aes, multiplexed=bluetooth)
+
+    def credential(self, name: str) -> Credential:
+        """What a client of that name has to prove; raises Refusal where there is none."""
+        entry = self._entries.get(name)
+        if entry is None:
+            raise Refusal(RefusalCode.UNKNOWN_NAME, f"the server knows no client of the name {name!r}")
+        return Credential(entry.key.secret if entry.key else None)
+
+    def _welcome(self, hello: Hello) -> Welcome:
+        return self._make_welcome(os.urandom(LINK_ID_LENGTH), self.links[hello.name].use_name)
+
+    def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
+        """A client is authenticated; it takes the place of an older connection of its name."""
+        assert isinstance(event.peer, Hello)
+        link = self.links[event.peer.name]
+        if link.control is not None:
+            link.control.shut_down(
+                f"replaced by a newer connection of {link.name} from {stream.peer}", retry_after=_REPLACED_PAUSE
+            )
+        control = ControlChannel(stream, connection, link)
+        link.up(control, event.peer, event.keys)
+        return control
+
+    def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
+        """A stream was opened for a route; raises Refusal where it may not be."""
+        link = self._link_of(event.link_id)
+        if link is None:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
+        route = link.waiting_route(event)
+        stream.write(connection.accept_attach())
+        link.attach_stream(route, stream, connection.leftover())
+
+    def fingerprint_of(self, name: str) -> str:
+        """Of the key that a client of that name should have; empty: none, or no such client."""
+        entry = self._entries.get(name)
+        return fingerprint(entry.key) if entry is not None and entry.key is not None else ""
+
+    def remedy_for_unknown(self) -> str:
+        """What an operator does about a client whose name is not known here; the stranger itself is not told."""
+        session = self.context.session
+        if session.clients:
+            return "list it under clients in this side's session file, or set name in the client's to one listed there"
+        remedy = f"set name in the client's to {session.name!r}, or list the client's under clients in this one"
+        return f"this side's session file lists no clients: {remedy}"
+
+    def _link_of(self, link_id: bytes) -> ServerLink | None:
+        return next(
+            (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
+        )
+
+    def _datagrams(self, socket: UdpSocket, datagrams: Datagrams) -> None:
+        by_link: dict[bytes, list[tuple[int, bytes, Address]]] = {}
+        for datagram, address in datagrams:
+            if to := addressee(datagram):
+                by_link.setdefault(to[1], []).append((to[0], datagram, address))
+        for link_id, its in by_link.items():
+            link = self._link_of(link_id)
+            if link is not None:
+                link.arrived(socket, its)

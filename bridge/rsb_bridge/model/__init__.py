@@ -1,0 +1,1 @@
+"""Plain data that every layer shares: sessions, QoS, snapshots, limits. Imports no other layer."""

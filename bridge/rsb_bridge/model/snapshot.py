@@ -1,0 +1,246 @@
+"""All that a user interface or a log may see of the engine: frozen, and never waited for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.session import Topic
+
+
+class State(StrEnum):
+    """How a route or a link is, the worst first."""
+
+    DOWN = "down"
+    STALE = "stale"
+    WAITING = "waiting"
+    PAUSED = "paused"
+    OK = "ok"
+
+
+class Level(StrEnum):
+    """How grave an event is; the names are Python logging's."""
+
+    DEBUG = "DEBUG"
+    INFO = "INFO"
+    WARNING = "WARNING"
+    ERROR = "ERROR"
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened, in an operator's words.
+
+    Attributes:
+        number: counts up from 1 without a gap.
+        time: s since the epoch.
+        level: how grave.
+        source: what it concerns: ``engine``, ``link``, ``route``, ``key``, ``stale``, ``ros``.
+        text: one line, complete in itself.
+        link: the peer's name, or empty.
+        topic: the topic, or empty.
+    """
+
+    number: int
+    time: float
+    level: Level
+    source: str
+    text: str
+    link: str = ""
+    topic: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """One step on a message's way. The first that is not `done` says why nothing flows.
+
+    Attributes:
+        name: ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.STAGES`).
+        done: True: passed; False: failed; None: not known yet.
+        detail: what was found or what is missing, in words; may be empty.
+    """
+
+    name: str
+    done: bool | None
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + in_flight``.
+
+    All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
+    ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``expands too much``.
+    """
+
+    offered: int = 0
+    delivered: int = 0
+    throttled: int = 0
+    expired: int = 0
+    in_flight: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    lost_in_dds: int = 0
+
+    @property
+    def dropped_total(self) -> int:
+        """Messages dropped, for whatever cause."""
+        return sum(self.dropped.values())
+
+
+@dataclass(frozen=True, slots=True)
+class RouteSnapshot:
+    """One topic in one direction over one link.
+
+    Attributes:
+        key: names the route in commands: stable across reconnects.
+        link: the peer's name.
+        topic: its name on this side.
+        remote_topic: its name on the other side.
+        outgoing: True: this side sends.
+        spec: what was asked for, as the client sees it.
+        state: how it is; `reason` says why where it is not OK.
+        type_name: resolved, or empty.
+        type_hash: resolved, or empty.
+        qos: the bridge's own, on both sides; None: not known yet.
+        publisher_qos: what the publishers at its beginning offer, as one; depths are not known to others. None: none.
+        subscriber_qos: likewise, what the subscriptions at its end ask for.
+        transport: ``tcp``, ``udp`` or ``bluetooth``.
+        port: the port or channel that carries it.
+        stages: in order.
+        ledger: message counts.
+        rate: Hz, over the last seconds.
+        expected_rate: Hz, asked for or learned; None: not known yet.
+        bytes_per_second: of payload.
+        bytes_total: of payload.
+        latency_p50: s, one way; None: no figure.
+        latency_p99: s.
+        latency_uncertainty: s, of the clock offset in them.
+        jitter: s, RFC 3550 section 6.4.1; None: no figure.
+        age: s since the last message; None: none yet.
+        history: messages in each of the last seconds, up to 120, oldest first.
+        last_error: the last thing that went wrong, or empty.
+    """
+
+    key: str
+    link: str
+    topic: str
+    remote_topic: str
+    outgoing: bool
+    spec: Topic
+    state: State
+    reason: str
+    type_name: str
+    type_hash: str
+    qos: Qos | None
+    publisher_qos: Qos | None
+    subscriber_qos: Qos | None
+    transport: str
+    port: int
+    stages: tuple[Stage, ...]
+    ledger: Ledger
+    rate: float
+    expected_rate: float | None
+    bytes_per_second: float
+    bytes_total: int
+    latency_p50: float | None
+    latency_p99: float | None
+    latency_uncertainty: float | None
+    jitter: float | None
+    age: float | None
+    history: tuple[int, ...]
+    last_error: str
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSnapshot:
+    """One peer.
+
+    Attributes:
+        name: the client's name (on a client: its own, which is the link's).
+        peer: address of the other side, ``host:port`` or ``MAC channel n``.
+        state: OK when linked, WAITING where nothing has been tried yet, else DOWN; `reason` says why.
+        since: s since the epoch, when it came into this state.
+        retry_in: s until the next attempt; None: none is planned.
+        attempts: failed since it was last linked.
+        encrypted: False is to be shown in red.
+        cipher: ``AESGCM``, ``ChaChaPoly``, or empty.
+        fingerprint: of the key on this side.
+        rtt: s; None: no figure.
+        clock_offset: s, peer's clock minus ours; None: no figure.
+        clock_uncertainty: s.
+        rx_bytes_per_second: wire bytes received.
+        tx_bytes_per_second: wire bytes sent.
+        peer_version: the other side's rsb-console version, or empty.
+        peer_domain: the other side's ROS domain; None: not linked yet.
+        use_name: the server's names of the client's topics have the client's before them.
+    """
+
+    name: str
+    peer: str
+    state: State
+    reason: str
+    since: float
+    retry_in: float | None
+    attempts: int
+    encrypted: bool
+    cipher: str
+    fingerprint: str
+    rtt: float | None
+    clock_offset: float | None
+    clock_uncertainty: float | None
+    rx_bytes_per_second: float
+    tx_bytes_per_second: float
+    peer_version: str
+    peer_domain: int | None
+    use_name: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The whole engine at one moment.
+
+    Attributes:
+        time: s since the epoch.
+        name: the session's name.
+        role: ``client`` or ``server``.
+        address: what is bound or connected to.
+        domain_id: ROS domain.
+        running: False: stopped, or not started.
+        links: on a server one a known client.
+        routes: of all links.
+        last_event: number of the newest event.
+    """
+
+    time: float
+    name: str
+    role: str
+    address: str
+    domain_id: int
+    running: bool
+    links: tuple[LinkSnapshot, ...] = ()
+    routes: tuple[RouteSnapshot, ...] = ()
+    last_event: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of one side's graph, to pick from.
+
+    Attributes:
+        topic: its name there.
+        type_name: its type; empty where publishers and subscriptions disagree.
+        type_hash: or empty.
+        qos: what its publishers offer, as one QoS; None: no publisher.
+        publishers: how many.
+        subscriptions: how many.
+    """
+
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos | None
+    publishers: int
+    subscriptions: int

@@ -1,0 +1,58 @@
+"""Messages on their way from the ROS thread to the I/O loop."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Sequence
+
+    from rsb_bridge.ros.api import RawMessage
+
+_BACKLOG = 64
+_PATIENCE = 0.1
+
+
+class Receiver(Protocol):
+    """Where a subscription's messages go on the I/O loop."""
+
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages, oldest first."""
+        ...
+
+
+class RosToLoopQueue:
+    """Messages on their way from the ROS thread to the I/O loop: one wake-up a drain, and a bound.
+
+    While the loop is `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._batches: deque[tuple[Receiver, Sequence[RawMessage]]] = deque()
+        self._room = threading.Event()
+        self._scheduled = False
+
+    def put(self, receiver: Receiver, batch: Sequence[RawMessage]) -> None:
+        """Called on the ROS thread."""
+        self._batches.append((receiver, batch))
+        if not self._scheduled:
+            self._scheduled = True
+            try:
+                self._loop.call_soon_threadsafe(self._drain)
+            except RuntimeError:  # the loop is closed: the engine has stopped
+                self._batches.clear()
+                return
+        if len(self._batches) > _BACKLOG:
+            self._room.clear()
+            self._room.wait(_PATIENCE)
+
+    def _drain(self) -> None:
+        self._scheduled = False
+        while self._batches:
+            receiver, batch = self._batches.popleft()
+            receiver.offer(batch)
+        self._room.set()

@@ -1,0 +1,1 @@
+"""One topic over one link: its life, its messages, its ledger."""

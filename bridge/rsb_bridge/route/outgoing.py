@@ -1,0 +1,322 @@
+"""The sending half of a route: subscribe, throttle, compress, queue, send; and the ledger, which the sender keeps."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import zstandard
+
+from rsb_bridge.model.qos import Qos, incompatible, match_publishers
+from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.ros.api import Endpoint, RawMessage, RosError, Subscription
+from rsb_bridge.ros.types import expand_type_name
+from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.route import LARGEST_DATAGRAM_MESSAGE, Peer, Route
+from rsb_bridge.wire.fields import plain
+from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.wire.messages import Describe, Propose
+from rsb_bridge.wire.records import ReceivedReport, SentReport
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Topic
+
+_QUEUE_BYTES = 32 * 1024 * 1024
+_RADIO_QUEUE_BYTES = 64 * 1024  # on Bluetooth, a second or two, of what needn't arrive: later it would be stale
+_BATCH = 16
+_ZSTD_LEVEL = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Unresolved:
+    """What keeps the type or the QoS from being known: the stage that fails, and why."""
+
+    stage: str
+    why: str
+
+
+class OutgoingRoute(Route):
+    """Takes a topic's messages here and sends them to the peer."""
+
+    outgoing: ClassVar[bool] = True
+
+    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self._subscription: Subscription | None = None
+        self._queue: deque[Message] = deque()
+        self._queue_bytes = 0
+        self._interval = int(1e9 / proposal.max_rate) if proposal.max_rate else 0
+        self._due = 0
+        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
+        self._largest = LARGEST_DATAGRAM_MESSAGE if proposal.transport == "udp" else MESSAGE_LIMIT
+        self._ledger = RouteLedger()
+        self._described: Describe | None = None
+        self._ready = False
+        self._publishers: list[Endpoint] = []
+        self._publisher_qos: Qos | None = None
+        self._unresolved: _Unresolved | None = None
+        self._hint = ("", "")
+
+    # --- setting up
+
+    def peer_ready(self, before: ReceivedReport | None) -> None:
+        """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
+        self._ledger.settle(before)
+        self._ready = True
+        self.advance()
+
+    def advance(self) -> None:
+        """Resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
+        if not self.accepted or self.paused:
+            self._unsubscribe()
+            return
+        self._publishers = self.context.ros.publishers(self.topic)
+        self._publisher_qos = match_publishers([e.qos for e in self._publishers]) if self._publishers else None
+        if any(self.peer.is_at(publisher.node) for publisher in self._publishers):
+            self.request_reopen(
+                f"the other side publishes {self.topic} in this same domain, {self.context.domain_id}: all would come "
+                "back for ever; give the two sides different domains (domain_id), or use_name on the server"
+            )
+            return
+        described = self._resolve()
+        if described is None:
+            return
+        if self._described is not None and described.type_hash != self._described.type_hash:
+            # A new opening, so that no message of the old type comes where the new one is published.
+            self.request_reopen(f"its type has become {described.type}")
+            return
+        if described != self._described:
+            self._unsubscribe()
+            self._ready = False
+            self._described = described
+            self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
+            self.peer.send(described)
+        if not self._ready:
+            return
+        if self.channel is None:
+            self.peer.open_channel(self)
+        if self.channel is not None and self.channel.ready and self._subscription is None:
+            self._subscribe()
+
+    def _resolve(self) -> Describe | None:
+        """The type, its hash and the QoS to send with; None: not known yet, and `_unresolved` says why."""
+        self._unresolved = None
+        self.problem = ""
+        wanted = "" if self.proposal.type in ("", "auto") else expand_type_name(self.proposal.type)
+        offered = sorted({e.type_name for e in self._publishers})
+        if wanted and offered and offered != [wanted]:
+            return self._waits("type known", f"publishers send {', '.join(offered)}, not {wanted}: correct the type")
+        if len(offered) > 1:
+            return self._waits("type known", f"publishers disagree: {', '.join(offered)}: name the type")
+        name = wanted or (offered[0] if offered else self._hint[0])
+        if not name:
+            return self._waits("publisher seen", self._no_publisher())
+        hashes = sorted({e.type_hash for e in self._publishers if e.type_hash})
+        if len(hashes) > 1:
+            return self._waits("type known", f"publishers have different versions of {name}: {', '.join(hashes)}")
+        hint = self._hint[1] if self._hint[0] == name else ""
+        type_hash = hashes[0] if hashes else self.context.ros.installed_hash(name) or hint
+        if not type_hash:
+            return self._waits("type known", f"{name} is not installed here, and nobody publishes it yet")
+        qos = self.proposal.qos or self._publisher_qos
+        if qos is None:
+            return self._waits("publisher seen", self._no_publisher())
+        return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos)
+
+    def _waits(self, stage: str, why: str) -> Describe | None:
+        self._unresolved = _Unresolved(stage, why)
+        self.problem = why
+        return None
+
+    def _no_publisher(self) -> str:
+        return f"no publisher of {self.topic} in domain {self.context.domain_id}"
+
+    def _subscribe(self) -> None:
+        described = self._described
+        if described is None:
+            return
+        try:
+            self._subscription = self.context.ros.subscribe(
+                self.topic,
+                described.type,
+                described.type_hash,
+                described.qos,
+                lambda batch: self.context.ros_queue.put(self, batch),
+                origin=self.peer.name,
+            )
+        except RosError as error:
+            self.request_reopen(str(error))
+            return
+        self.stale.rearm(self.context.now())
+        self.log(Level.INFO, f"→ {self.transport} connected ({described.type})")
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self._ledger.lost_in_dds += self._subscription.lost
+            self._subscription.close()
+            self._subscription = None
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening."""
+        super().open(route_id)
+        self._ledger.opened(route_id)
+
+    def close(self, reason: str) -> None:
+        """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
+        self._unsubscribe()
+        self._described = None
+        self._ready = False
+        self._ledger.drop("link lost", len(self._queue))
+        self._ledger.closed()
+        self._queue.clear()
+        self._queue_bytes = 0
+        super().close(reason)
+
+    # --- messages
+
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages from the ROS side, oldest first."""
+        self._ledger.offered += len(batch)
+        messages: list[Message] = [(payload, stamp, 0) for payload, stamp in batch]
+        if self._interval:
+            messages = self._throttle(messages)
+        if self._compressor is not None:
+            messages = [self._compress(message) for message in messages]
+        if not self.connected:
+            self._ledger.drop("link lost", len(messages))
+            return
+        if messages:
+            self.count(len(messages), sum([len(message[0]) for message in messages]))
+            self._enqueue(messages)
+            self.flush()
+
+    def flush(self) -> None:
+        """Send from the queue while the path takes it."""
+        queue, path = self._queue, self.channel
+        while queue and path is not None and not path.congested:
+            batch: list[Message] = []
+            size = 0
+            while queue and len(batch) < _BATCH and size < path.batch_bytes:
+                message = queue.popleft()
+                size += len(message[0])
+                batch.append(message)
+            self._queue_bytes -= size
+            self._ledger.sent(len(batch))
+            path.send(batch)
+
+    def _enqueue(self, messages: list[Message]) -> None:
+        queue, path = self._queue, self.channel
+        for message in messages:
+            size = len(message[0])
+            if size > self._largest:
+                self._too_large(size)
+                continue
+            queue.append(message)
+            self._queue_bytes += size
+        congested = path is not None and path.congested
+        depth = self.qos.depth if congested and self.qos is not None and self.qos.history == "keep_last" else 0
+        stale = self.transport == "bluetooth" and self.qos is not None and self.qos.reliability == "best_effort"
+        limit = _RADIO_QUEUE_BYTES if stale else _QUEUE_BYTES + self._largest
+        while len(queue) > 1 and ((depth and len(queue) > depth) or self._queue_bytes > limit):
+            self._queue_bytes -= len(queue.popleft()[0])
+            self._ledger.drop("queue full", 1)
+
+    def _throttle(self, messages: list[Message]) -> list[Message]:
+        kept = []
+        for message in messages:
+            stamp = message[1]
+            late = stamp - self._due
+            if late >= 0 or late < -self._interval:  # so far ahead only if the clock was set back
+                # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
+                self._due = (self._due if late < self._interval else stamp) + self._interval
+                kept.append(message)
+        self._ledger.throttled += len(messages) - len(kept)
+        return kept
+
+    def _compress(self, message: Message) -> Message:
+        assert self._compressor is not None
+        payload, stamp, flags = message
+        smaller = self._compressor.compress(payload)
+        return (smaller, stamp, flags | ZSTD) if len(smaller) < len(payload) else message
+
+    def _too_large(self, size: int) -> None:
+        self._ledger.drop("too large", 1)
+        text = f"a message of {size:,} bytes is more than {self.transport} carries here ({self._largest:,}): use tcp"
+        if text != self.last_error:
+            self.last_error = text
+            self.log(Level.ERROR, text)
+
+    # --- the ledger
+
+    def reported(self, report: ReceivedReport) -> None:
+        """The peer said what arrived in the present opening."""
+        self._ledger.reported(report, self.context.now())
+        self._hint = (report.type, report.type_hash)
+        self.latency.p50, self.latency.p99, self.latency.jitter = report.latency_p50, report.latency_p99, report.jitter
+
+    def ledger(self) -> Ledger:
+        """Where the messages went, by the peer's last report."""
+        return self._ledger.ledger(self._subscription.lost if self._subscription else 0, self._passed())
+
+    def _passed(self) -> int:
+        """Datagrams' messages that the peer has seen newer ones of, or that should long have arrived; 0 on streams."""
+        report = self._ledger.report
+        if self.transport != "udp" or report is None:
+            return 0
+        return max(report.newest, self._ledger.overdue)
+
+    def sent_report(self) -> SentReport:
+        """What the peer is told."""
+        ledger = self.ledger()
+        return SentReport(
+            route=self.id,
+            offered=ledger.offered,
+            delivered=ledger.delivered,
+            throttled=ledger.throttled,
+            expired=ledger.expired,
+            in_flight=ledger.in_flight,
+            dropped=ledger.dropped,
+            lost_in_dds=ledger.lost_in_dds,
+            publishers=len(self._publishers),
+            publisher_qos=self._publisher_qos,
+            subscribed=self._subscription is not None,
+            problem=plain(self.problem),
+        )
+
+    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
+        report = self._ledger.report
+        return self._publisher_qos, report.subscriber_qos if report else None
+
+    def _stages(self) -> tuple[Stage, ...]:
+        """From the publisher here to the subscriber there."""
+        report = self._ledger.report
+        known = self._described is not None
+        publishers = len(self._publishers)
+        failed = self._unresolved.stage if self._unresolved else ""
+        why = self._unresolved.why if self._unresolved else ""
+        clash = self._qos_clash()
+        return (
+            Stage("publisher seen", publishers > 0, f"{publishers}" if publishers else self._no_publisher()),
+            Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),
+            Stage("QoS compatible", not clash if known else None, clash),
+            Stage("subscribed", self._subscription is not None or None),
+            self.link_stage(),
+            Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
+            Stage("sent", self._ledger.sent_now > 0 or None),
+            Stage("received", (report is not None and report.received > 0) or None),
+            Stage("published", (report is not None and report.delivered > 0) or None),
+            Stage(
+                "subscriber seen",
+                (report is not None and report.subscribers > 0) or None,
+                "" if report is None or report.subscribers else f"nobody subscribes to {self.remote_topic} there",
+            ),
+        )
+
+    def _qos_clash(self) -> str:
+        if self.qos is None:
+            return ""
+        return next((clash for e in self._publishers if (clash := incompatible(e.qos, self.qos))), "")

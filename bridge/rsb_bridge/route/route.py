@@ -1,0 +1,363 @@
+"""One topic in one direction over one link: what both halves of a route share.
+
+The sending half is `rsb_bridge.route.outgoing`, the receiving half `rsb_bridge.route.incoming`. `advance` does whatever
+can be done next and may be called at any time, so nothing depends on the order in which ROS, the peer and the sockets
+become ready.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import msgspec
+
+from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
+from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
+from rsb_bridge.wire.fields import plain
+from rsb_bridge.wire.messages import Close, ControlMessage, Propose
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rsb_bridge.channel.channel import DataChannel
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.token_bucket import TokenBucket
+    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.framing import Message
+
+_LONGEST_PAUSE = 10.0
+_PROPOSED_WITHIN = 3.0
+LINK_STAGE = "link up"
+LARGEST_DATAGRAM_MESSAGE = 8 * 1024 * 1024
+"""Bytes of one serialized message that UDP carries."""
+
+
+class Peer(Protocol):
+    """What a route asks of its link."""
+
+    name: str
+    is_client: bool
+    latched: Budget
+    expansion: TokenBucket
+
+    @property
+    def linked(self) -> bool:
+        """Whether the peer is connected and authenticated."""
+        ...
+
+    @property
+    def clock_offset(self) -> float | None:
+        """s, the peer's clock minus ours."""
+        ...
+
+    @property
+    def clock_uncertainty(self) -> float | None:
+        """Seconds by which `clock_offset` may be wrong."""
+        ...
+
+    @property
+    def down_reason(self) -> str:
+        """Why it isn't linked, in words."""
+        ...
+
+    def is_at(self, node: str) -> bool:
+        """Whether a ROS node of this domain, by its name, is the peer's own."""
+        ...
+
+    def send(self, message: ControlMessage) -> None:
+        """Send a control message; without a connection, nothing happens."""
+        ...
+
+    def open_channel(self, route: Route) -> None:
+        """Set `route.channel` going; on a server a stream's path comes from the client instead."""
+        ...
+
+    def shared_port(self) -> int:
+        """The port or channel of the link itself."""
+        ...
+
+    def closed(self, route_id: int) -> None:
+        """An opening is over: what is said of it from now on is about nothing."""
+        ...
+
+
+class Route:
+    """A route's half on this side. Lives across reconnects; `id` is that of the present opening.
+
+    Attributes:
+        key: names it in commands.
+        spec: what was asked for, as the client sees it.
+        topic: its name on the sending side.
+        remote_topic: its name on the receiving side.
+        from_client: whether the client sends.
+        proposed_here: whether this side opens it anew after a reconnect.
+        id: route id on the present connection; 0: not open.
+        accepted: the peer said yes (or we did, to the peer's proposal).
+        refusal: why there is no such route, in words; empty: nothing was refused.
+        closed_at: s, when its last opening ended; 0: it had none.
+    """
+
+    outgoing: ClassVar[bool]
+
+    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        self.context = context
+        self.peer = peer
+        self.spec = spec
+        self.proposal = proposal
+        self.topic = proposal.topic
+        self.remote_topic = proposal.remote_topic
+        self.from_client = proposal.from_client
+        self.transport = proposal.transport
+        self.proposed_here = proposed_here
+        self.key = route_key(peer.name, proposal)
+        self.id = 0
+        self.accepted = False
+        self.refusal = ""
+        self.opened_at = 0.0
+        self.closed_at = 0.0
+        self.retry_at = 0.0
+        self.refusals = 0
+        self._told = ""
+        self.paused = proposal.paused
+        self.channel: DataChannel | None = None
+        self.type_name = ""
+        self.type_hash = ""
+        self.qos: Qos | None = None
+        self.problem = ""
+        self.last_error = ""
+        self.meter = RateMeter()
+        self.latency = LatencyMeter()
+        session = context.session
+        after = session.stale_after if spec.stale_after is None else spec.stale_after
+        self.stale = StaleWatch(after, session.stale_warnings, context.now())
+        self.never_stale = spec.stale_after is None
+        self.release_port: Callable[[], None] | None = None
+
+    # --- what the halves do differently
+
+    def on_accepted(self) -> None:
+        """Both sides want the route."""
+        self.accepted = True
+        self.refusals = 0
+        self.advance()
+
+    def advance(self) -> None:
+        """Do what can be done next."""
+        raise NotImplementedError
+
+    def flush(self) -> None:
+        """The path takes more again. A receiving half sends nothing."""
+
+    def deliver(self, messages: Iterable[Message]) -> None:
+        """Messages came, whole and authentic. A sending half gets none: the peer does not even have its key."""
+
+    def ledger(self) -> Ledger:
+        """Where the messages went."""
+        raise NotImplementedError
+
+    def stages(self) -> tuple[Stage, ...]:
+        """The steps of a message's way; without a link, nothing is known of the others."""
+        steps = self._stages()
+        if self.peer.linked:
+            return steps
+        return tuple(step if step.name == LINK_STAGE else Stage(step.name, None) for step in steps)
+
+    def _stages(self) -> tuple[Stage, ...]:
+        raise NotImplementedError
+
+    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
+        """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
+        raise NotImplementedError
+
+    def set_peer_topic(self, topic: str) -> None:
+        """The peer says what the topic is called on its side."""
+        if self.outgoing:
+            self.remote_topic = topic
+        else:
+            self.topic = topic
+
+    @property
+    def local_topic(self) -> str:
+        """Its name on this side."""
+        return self.topic if self.outgoing else self.remote_topic
+
+    # --- opening and closing
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening on the present connection."""
+        self.id = route_id
+        self.opened_at = self.context.now()
+        self.refusal = ""
+        self.stale.rearm(self.context.now())
+
+    def close(self, reason: str) -> None:
+        """End the present opening; what it keeps across openings stays."""
+        if self.channel is not None:
+            path, self.channel = self.channel, None
+            path.close(reason)
+        if self.release_port is not None:
+            self.release_port()
+            self.release_port = None
+        self.peer.closed(self.id)
+        self.id = 0
+        self.accepted = False
+        self.closed_at = self.context.now()
+
+    def destroy(self) -> None:
+        """End it for good: endpoints too."""
+        self.close("removed")
+
+    def refuse(self, reason: str) -> None:
+        """The route can't be; it is tried again later if it was proposed here."""
+        if reason != self._told:  # until messages flow, the next tries need not say the same
+            self._told = reason
+            self.log(Level.ERROR, reason)
+        self.close(reason)
+        self.refusal = self.last_error = reason
+        self.refusals += 1
+        self.retry_at = self.context.now() + min(_LONGEST_PAUSE, 0.5 * 2**self.refusals)
+
+    def awaited_until(self, linked_at: float) -> float:
+        """Until when (s) the other side will have asked for the route anew, if it still wants it."""
+        if self.closed_at > linked_at:
+            return self.closed_at + _LONGEST_PAUSE + _PROPOSED_WITHIN
+        return linked_at + _PROPOSED_WITHIN
+
+    def channel_lost(self, reason: str) -> None:
+        """What carried the route broke while the link lives: open it again."""
+        self.request_reopen(f"data connection: {reason}")
+
+    def request_reopen(self, reason: str) -> None:
+        """Close the route on both sides; its proposer opens it again."""
+        if self.id:
+            route_id = self.id
+            self.refuse(reason)
+            self.peer.send(Close(route=route_id, reason=plain(reason)))
+
+    def set_paused(self, paused: bool) -> None:
+        """Stop or resume carrying messages; the route stays set up."""
+        if paused != self.paused:
+            self.paused = paused
+            self.spec = msgspec.structs.replace(self.spec, paused=paused)
+            self.stale.rearm(self.context.now())
+            self.log(Level.INFO, "paused" if paused else "resumed")
+        self.advance()
+
+    # --- time
+
+    def tick(self) -> None:
+        """Once a second: histories, stale warnings, whatever became possible."""
+        now = self.context.now()
+        self.meter.tick()
+        self.latency.tick()
+        self.advance()
+        if self.flowing and not self.is_latched:
+            if number := self.stale.check(now):
+                text = f"nothing for {self.stale.after * number:g} s (warning {number} of {self.stale.times})"
+                if number == self.stale.times:
+                    text += "; no more will be said until data returns"
+                self.log(Level.WARNING, text, source="stale")
+        else:
+            self.stale.rearm(now)
+
+    def count(self, messages: int, size: int) -> None:
+        """Note that messages passed."""
+        self._told = ""
+        now = self.context.now()
+        self.meter.add(messages, size, now)
+        quiet = self.stale.seen(now)
+        if quiet is not None:
+            self.log(Level.INFO, f"reinitialized: data again after {quiet:.0f} s", source="stale")
+
+    # --- how it is
+
+    def link_stage(self) -> Stage:
+        """Whether the peer is there, and what carries this route gets through."""
+        trouble = self._trouble()
+        return Stage(LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
+
+    def _trouble(self) -> str:
+        return self.channel.trouble() if self.channel is not None else ""
+
+    @property
+    def is_latched(self) -> bool:
+        """A latched topic is not stale when silent, unless its session entry says after how long it is."""
+        return self.never_stale and self.qos is not None and self.qos.durability == "transient_local"
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a way for messages; those that are under way when the route is paused still go it."""
+        return self.accepted and self.channel is not None and self.channel.ready
+
+    @property
+    def flowing(self) -> bool:
+        """Whether messages could cross now."""
+        return self.connected and not self.paused
+
+    def _state(self, stages: tuple[Stage, ...]) -> tuple[State, str]:
+        """Its state and, where that is not OK, why."""
+        if not self.peer.linked:
+            return State.DOWN, self.peer.down_reason
+        if self.refusal:
+            return State.DOWN, self.refusal
+        if self.paused:
+            return State.PAUSED, "paused by an operator"
+        if trouble := self._trouble():
+            return State.DOWN, trouble
+        flowing = self.flowing
+        stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
+        came = self.meter.last is not None and self.meter.last >= self.opened_at
+        if flowing and came and not stale:
+            return State.OK, ""
+        waiting = [stage for stage in stages if not stage.done]
+        first = next((stage for stage in waiting if stage.done is False), next(iter(waiting), None))
+        reason = self.problem or (first.detail or first.name if first else "")
+        return (State.STALE, reason or "nothing comes") if stale else (State.WAITING, reason or "no message yet")
+
+    def snapshot(self) -> RouteSnapshot:
+        """The route as it is now."""
+        now = self.context.now()
+        stages = self.stages()
+        state, reason = self._state(stages)
+        publisher_qos, subscriber_qos = self._end_qos()
+        return RouteSnapshot(
+            key=self.key,
+            link=self.peer.name,
+            topic=self.local_topic,
+            remote_topic=self.remote_topic if self.outgoing else self.topic,
+            outgoing=self.outgoing,
+            spec=self.spec,
+            state=state,
+            reason=reason,
+            type_name=self.type_name,
+            type_hash=self.type_hash,
+            qos=self.qos,
+            publisher_qos=publisher_qos,
+            subscriber_qos=subscriber_qos,
+            transport=self.transport,
+            port=self.proposal.port or self.peer.shared_port(),
+            stages=stages,
+            ledger=self.ledger(),
+            rate=self.meter.rate,
+            expected_rate=self.spec.expected_rate or self.meter.usual_rate,
+            bytes_per_second=self.meter.bytes_per_second,
+            bytes_total=self.meter.bytes,
+            latency_p50=self.latency.p50,
+            latency_p99=self.latency.p99,
+            latency_uncertainty=self.peer.clock_uncertainty,
+            jitter=self.latency.jitter,
+            age=None if self.meter.last is None else now - self.meter.last,
+            history=tuple(self.meter.history),
+            last_error=self.last_error,
+        )
+
+    def log(self, level: Level, text: str, *, source: str = "route") -> None:
+        """Add an event about this route."""
+        self.context.log(level, source, f"{self.local_topic}: {text}", link=self.peer.name, topic=self.local_topic)
+
+
+def route_key(link: str, proposal: Propose) -> str:
+    """What identifies a route on both sides: the link, the direction and the topic's name on the sending side."""
+    return f"{link} {'→' if proposal.from_client else '←'} {proposal.topic}"

@@ -1,0 +1,1 @@
+"""What the engine measures and says: meters, events, snapshots."""

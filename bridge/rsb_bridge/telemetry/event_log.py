@@ -1,0 +1,43 @@
+"""What happened, kept for a while: written by the engine's threads, read by logs and user interfaces."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections import deque
+
+from rsb_bridge.model.snapshot import Event, Level
+
+KEPT = 5000
+
+
+class EventLog:
+    """A bounded list of events. Writing never waits for a reader."""
+
+    def __init__(self) -> None:
+        self._events: deque[Event] = deque(maxlen=KEPT)
+        self._numbers = itertools.count(1)
+        self._news = threading.Condition()
+        self.last = 0
+
+    def add(self, level: Level, source: str, text: str, *, link: str = "", topic: str = "") -> None:
+        """Append an event."""
+        with self._news:
+            self.last = next(self._numbers)
+            self._events.append(Event(self.last, time.time(), level, source, text, link, topic))
+            self._news.notify_all()
+
+    def after(self, number: int) -> list[Event]:
+        """Those numbered above `number` that are still kept, oldest first."""
+        with self._news:
+            missing = self.last - number
+            if missing <= 0:
+                return []
+            return list(itertools.islice(reversed(self._events), missing))[::-1]
+
+    def wait(self, number: int, timeout: float) -> list[Event]:
+        """As `after`, but waits up to `timeout` s for one to come."""
+        with self._news:
+            self._news.wait_for(lambda: self.last > number, timeout)
+        return self.after(number)
