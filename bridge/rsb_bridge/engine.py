@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
+from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.config.keys import KeyFileError, key_path, read_key
 from rsb_bridge.context import Context
 from rsb_bridge.link.negotiation import LinkError
@@ -43,11 +44,7 @@ _logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 
-class EngineError(Exception):
-    """The engine can't do what was asked; the message tells an operator why, and what to do."""
-
-
-class Engine:
+class Engine(EngineApi):
     """Bridges what a session says, from `start` to `stop`. Used once.
 
     All state belongs to the I/O thread; commands go there and return a future, whose exception is an `EngineError`.
@@ -76,7 +73,6 @@ class Engine:
 
     @property
     def session(self) -> Session:
-        """The session as it is now: a client's topics as operators have left them."""
         if self._session.role == "server" or self._end is None:
             return self._session
         (link,) = self._end.links()
@@ -85,15 +81,9 @@ class Engine:
 
     @property
     def waits_for_operator(self) -> bool:
-        """Whether a client's link was shut down on purpose, so that it does not come back by itself."""
         return any(link.shut_down for link in self._end.links()) if self._end is not None else False
 
     def start(self) -> None:
-        """Join the ROS domain, and bind or begin to connect.
-
-        Raises:
-            EngineError: it can't; nothing is left running.
-        """
         domain = _domain_of(self._session)
         self._observer.latest = dataclasses.replace(self._observer.latest, domain_id=domain)
         keys = self._load_keys()
@@ -116,7 +106,6 @@ class Engine:
             raise
 
     def stop(self, timeout: float = 5.0) -> None:
-        """Tell the peers, close everything, end the threads: within `timeout` s, whatever the peers do."""
         thread, context = self._thread, self._context
         if thread is None or context is None:
             return
@@ -130,26 +119,20 @@ class Engine:
         return self._observer.look()
 
     def events(self, after: int = 0) -> list[Event]:
-        """What happened, numbered above `after`; the oldest are forgotten in time."""
         return self._events.after(after)
 
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
-        """As `events`, but waits up to `timeout` s for one to come."""
         return self._events.wait(after, timeout)
 
     # --- commands
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        """Bridge one more topic. On a server `link` says with which client. Gives the route's key."""
-
         async def work(end: BridgeRole) -> str:
             return end.add(topic, link).key
 
         return self._command(work)
 
     def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        """Put another topic in a route's place. Gives the new route's key; where that can't be, the old one stays."""
-
         async def work(end: BridgeRole) -> str:
             link, route = _find(end, key)
             link.remove(route, "edited")
@@ -162,8 +145,6 @@ class Engine:
         return self._command(work)
 
     def remove_topic(self, key: str) -> Future[None]:
-        """Bridge a topic no longer, on both sides."""
-
         async def work(end: BridgeRole) -> None:
             link, route = _find(end, key)
             link.remove(route, "removed by an operator")
@@ -171,8 +152,6 @@ class Engine:
         return self._command(work)
 
     def pause(self, key: str, paused: bool) -> Future[None]:
-        """Stop or resume carrying a topic's messages, on both sides."""
-
         async def work(end: BridgeRole) -> None:
             link, route = _find(end, key)
             link.pause(route, paused)
@@ -180,24 +159,18 @@ class Engine:
         return self._command(work)
 
     def retry(self, link: str = "") -> Future[None]:
-        """Call now instead of later, and open refused topics anew."""
-
         async def work(end: BridgeRole) -> None:
             end.retry(link)
 
         return self._command(work)
 
     def shut_down(self) -> Future[None]:
-        """Do what the shutdown topic does: close the sockets on both sides until an operator restarts."""
-
         async def work(end: BridgeRole) -> None:
             end.shut_down("an operator shut it down")
 
         return self._command(work)
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        """Close the links on both sides, then begin anew; `step` is told of each step, on the I/O thread."""
-
         async def work(end: BridgeRole) -> None:
             def say(words: str) -> None:
                 self._events.add(Level.INFO, "engine", f"restart: {words}")
@@ -209,8 +182,6 @@ class Engine:
         return self._command(work)
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        """What there is to bridge: in this side's graph, or with `link` in that peer's."""
-
         async def work(end: BridgeRole) -> list[TopicInfo]:
             if link is None:
                 assert self._context is not None

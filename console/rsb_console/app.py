@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from textual import events, work
 from textual.app import App
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_console import theming
 from rsb_console.actions import BY_ID, Action, Group, bindings
@@ -30,11 +31,11 @@ if TYPE_CHECKING:
     from textual.filter import LineFilter
     from textual.screen import Screen
 
-    from rsb_bridge.engine import Engine
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
 
-    MakeEngine = Callable[[Session, Path], Engine]
+    MakeEngine = Callable[[Session, Path], EngineApi]
 
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
@@ -77,7 +78,7 @@ class ConsoleApp(App[None]):
         self.readonly = readonly
         self.ascii_only = ascii_only
         self.config = theming.config_path() if config is None else config
-        self.engine: Engine | None = None
+        self.engine: EngineApi | None = None
         self.base = Path()
         self.saved: Session | None = None
         self._belongings = ExitStack()
@@ -165,8 +166,6 @@ class ConsoleApp(App[None]):
             await self._start(self.engine.session)
 
     async def _start(self, session: Session) -> None:
-        from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- the first picture comes before the engine's imports
-
         self.note, self._last_event = "starting", 0
         self.main.reset()
         self.engine = self._make_engine(session, self.base)
@@ -316,7 +315,7 @@ class ConsoleApp(App[None]):
         record_crash()
 
 
-def _make_engine(session: Session, base: Path) -> Engine:
+def _make_engine(session: Session, base: Path) -> EngineApi:
     from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
 
     return Engine(session, base=base)

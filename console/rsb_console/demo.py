@@ -16,9 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
-from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.headless import Signals, bridge_until_told
 from rsb_console.shell import FAILURE, INTERRUPTED, OK, complain, keep_output_clean, say

@@ -10,7 +10,8 @@ import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Self
 
-from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine import Engine
 from rsb_bridge.model.snapshot import Level, State
 from rsb_console.shell import FAILURE, OK, complain, keep_output_clean, say
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import FrameType
 
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
 
@@ -51,7 +53,7 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
         return bridge_until_told(engine, signals, log_format=log_format, status_every=status_every)
 
 
-def bridge_on(engine: Engine, *, crashed: bool) -> int:
+def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
     """Keep the engine of a console that is gone going, as `bridge_until_told`; a hangup does not end it.
 
     Args:
@@ -66,7 +68,7 @@ def bridge_on(engine: Engine, *, crashed: bool) -> int:
 
 
 def bridge_until_told(
-    engine: Engine,
+    engine: EngineApi,
     signals: Signals,
     *,
     log_format: str = "text",
@@ -106,7 +108,7 @@ def bridge_until_told(
     return FAILURE if failed else OK
 
 
-def _over(engine: Engine, snapshot: Snapshot) -> str:
+def _over(engine: EngineApi, snapshot: Snapshot) -> str:
     if not snapshot.running:
         return "the engine has ended by itself"
     return "the link was shut down on purpose" if engine.waits_for_operator else ""

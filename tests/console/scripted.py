@@ -125,7 +125,7 @@ FAULTY = ["/robot2/scan", "/robot1/map"]
 
 
 class ScriptedEngine:
-    """The engine's public face, answering from what it was given; it records the commands."""
+    """An `EngineApi` that answers from what it was given, and records the commands."""
 
     def __init__(
         self, session: Session = SESSION, base: Path = Path(), routes: tuple[RouteSnapshot, ...] = ROUTES
@@ -148,6 +148,13 @@ class ScriptedEngine:
     def events(self, after: int = 0) -> list[Event]:
         return [event for event in self.happened if event.number > after]
 
+    def wait_for_events(self, after: int, timeout: float) -> list[Event]:
+        return self.events(after)
+
+    @property
+    def waits_for_operator(self) -> bool:
+        return False
+
     def _done(self, result: T, *command: object) -> "Future[T]":
         self.commands.append(command)
         future: Future[T] = Future()
@@ -168,6 +175,9 @@ class ScriptedEngine:
 
     def retry(self, link: str = "") -> "Future[None]":
         return self._done(None, "retry", link)
+
+    def shut_down(self) -> "Future[None]":
+        return self._done(None, "shut down")
 
     def restart(self, step: Callable[[str], None] | None = None) -> "Future[None]":
         for words in ("telling the peer", "sockets closed", "linked again"):

@@ -302,7 +302,7 @@ async def test_a_dialog_has_the_only_keys(app, pilot) -> None:
 
 
 def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
-    from rsb_bridge.engine import EngineError
+    from rsb_bridge.api import EngineError
 
     class Broken(ScriptedEngine):
         def start(self) -> None:
@@ -322,7 +322,7 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
 def test_a_refused_command_is_said_in_words() -> None:
     from concurrent.futures import Future
 
-    from rsb_bridge.engine import EngineError
+    from rsb_bridge.api import EngineError
 
     class Refusing(ScriptedEngine):
         def pause(self, key: str, paused: bool) -> Future[None]:

@@ -13,8 +13,8 @@ from std_msgs.msg import Int32, String
 from tests.support.bridge import carries, eventually, find, free_port, heard, link, route, said, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
-from rsb_bridge.engine import Engine, EngineError
 from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
 
 
 INT32 = "std_msgs/msg/Int32"

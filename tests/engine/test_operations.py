@@ -10,13 +10,15 @@ from tests.support.bridge import carries, eventually, find, heard, linked, route
 from tests.support.domain import LATCHED, text
 from tests.support.waiting import holds
 
-from rsb_bridge.engine import Engine, EngineError
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
 
 
 @pytest.mark.parametrize("operator", ["client", "server"])

@@ -141,7 +141,7 @@ def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
 
 def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
-    from rsb_bridge.engine import EngineError
+    from rsb_bridge.api import EngineError
 
     before = resources()[:2]
     with socket.socket(type=socket.SOCK_DGRAM) as squatter:

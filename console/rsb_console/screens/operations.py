@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from textual import work
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 from rsb_console.screens.session_operations import SessionOperationsScreen
 
@@ -36,8 +37,6 @@ class OperationsScreen(SessionOperationsScreen):
         Returns:
             Whether it was done.
         """
-        from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- the first picture comes before the engine's imports
-
         try:
             await asyncio.wrap_future(future)
         except EngineError as error:

@@ -12,14 +12,14 @@ from textual.containers import Horizontal, Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Button
 
-from rsb_bridge.engine import EngineError
+from rsb_bridge.api import EngineError
 from rsb_console.glyphs import DONE, FAILED
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
     from textual.app import ComposeResult
 
-    from rsb_bridge.engine import Engine
+    from rsb_bridge.api import EngineApi
 
 RUNNING = "◌"
 
@@ -76,7 +76,7 @@ class RestartScreen(ModalScreen[None]):
 
     BINDINGS: ClassVar = [Binding("escape,q", "dismiss", show=False)]
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: EngineApi) -> None:
         super().__init__()
         self._engine = engine
         self.steps = Steps()

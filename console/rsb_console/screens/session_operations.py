@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 from textual import work
 from textual.screen import Screen
 
+from rsb_bridge.api import EngineError
+
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_console.app import ConsoleApp
@@ -158,7 +160,6 @@ class SessionOperationsScreen(Screen[None]):
             await self._run(imported.session, imported.path)
 
     async def _demo(self) -> None:
-        from rsb_bridge.engine import EngineError  # noqa: PLC0415 -- keeps the start short
         from rsb_console.demo import running_demo  # noqa: PLC0415 -- keeps the start short
 
         if not await self.may_end("Run the demo instead?", "Run"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from textual import on, work
 
-from rsb_bridge.engine import EngineError
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.qos import PROFILES
 from rsb_console.screens.form import FormScreen
 from rsb_console.topic_draft import Ends, offers_of, problems_of, topic_of, values_of
@@ -18,7 +18,7 @@ from rsb_console.widgets.picker import PickField
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from rsb_bridge.engine import Engine
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
@@ -45,7 +45,7 @@ class TopicScreen(FormScreen[Draft]):
         route: the topic to edit; None: a new one.
     """
 
-    def __init__(self, engine: Engine, route: RouteSnapshot | None = None) -> None:
+    def __init__(self, engine: EngineApi, route: RouteSnapshot | None = None) -> None:
         self._engine, self._route = engine, route
         now = engine.snapshot()
         self._links = [route.link] if route is not None else [link.name for link in now.links]

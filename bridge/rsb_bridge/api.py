@@ -1,0 +1,90 @@
+"""What a user interface needs of an engine, be it in its own process or attached from elsewhere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
+
+
+class EngineError(Exception):
+    """The engine cannot do what was asked; the message tells the operator why, and what to do."""
+
+
+class EngineApi(Protocol):
+    """An engine as a user interface sees it. Every method may be called from any thread.
+
+    Nothing here waits for the network. Commands return a future; what is wrong with a request comes through it as an
+    `EngineError`.
+    """
+
+    @property
+    def session(self) -> Session:
+        """The session as it is now: a client's topics as operators have left them."""
+        ...
+
+    @property
+    def waits_for_operator(self) -> bool:
+        """Whether a client's link was shut down on purpose, so that it does not come back by itself."""
+        ...
+
+    def start(self) -> None:
+        """Join the ROS domain, and bind or begin to connect.
+
+        Raises:
+            EngineError: it cannot; nothing is left running.
+        """
+        ...
+
+    def stop(self, timeout: float = 5.0) -> None:
+        """Tell the peers, close everything, end the threads: within `timeout` s, whatever the peers do."""
+        ...
+
+    def snapshot(self) -> Snapshot:
+        """The state of everything at one moment, recent and immutable."""
+        ...
+
+    def events(self, after: int = 0) -> list[Event]:
+        """The events numbered above `after` that are still remembered, oldest first."""
+        ...
+
+    def wait_for_events(self, after: int, timeout: float) -> list[Event]:
+        """As `events`, but waits up to `timeout` s for one to come."""
+        ...
+
+    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
+        """Bridge one more topic. On a server `link` says with which client. Gives the route's key."""
+        ...
+
+    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
+        """Put another topic in a route's place. Gives the new route's key; where that fails, the old one stays."""
+        ...
+
+    def remove_topic(self, key: str) -> Future[None]:
+        """Stop bridging a topic, on both sides."""
+        ...
+
+    def pause(self, key: str, paused: bool) -> Future[None]:
+        """Stop or resume carrying a topic's messages, on both sides."""
+        ...
+
+    def retry(self, link: str = "") -> Future[None]:
+        """Connect now instead of later, and open refused topics again."""
+        ...
+
+    def shut_down(self) -> Future[None]:
+        """Do what the shutdown topic does: close the sockets on both sides until an operator restarts."""
+        ...
+
+    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
+        """Close the links on both sides and open them again; `step` is told of each step, on the engine's thread."""
+        ...
+
+    def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
+        """The topics that can be bridged: of this side's graph, or with `link` of that peer's."""
+        ...
