@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from dataclasses import dataclass, field
+from random import Random
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ class Context:
         events: what happened.
         ros_queue: from the ROS thread to the I/O loop.
         loop: the I/O loop; all engine state belongs to its thread.
+        clock: the wall clock.
+        random: for jitter; never for secrets.
         limited: the way to `events` for what a peer may be the cause of.
     """
 
@@ -40,10 +43,12 @@ class Context:
     events: EventLog
     ros_queue: RosToLoopQueue
     loop: asyncio.AbstractEventLoop
+    clock: Clock = field(default_factory=Clock)
+    random: Random = field(default_factory=Random)
     limited: RateLimitedEventLog = field(init=False)
 
     def __post_init__(self) -> None:
-        self.limited = RateLimitedEventLog(self.events)
+        self.limited = RateLimitedEventLog(self.events, self.now)
 
     def log(
         self, level: Level, source: str, text: str, *, link: str = "", topic: str = "", link_status: bool = False
@@ -59,7 +64,14 @@ class Context:
         with contextlib.suppress(RuntimeError):
             self.loop.call_soon_threadsafe(work)
 
-    @staticmethod
-    def now() -> float:
-        """s, on the clock that all timers use."""
-        return time.monotonic()
+    def now(self) -> float:
+        """Seconds on the clock that all timers use. Nobody sets it."""
+        return self.loop.time()
+
+    def wall(self) -> float:
+        """Seconds since the epoch on the wall clock, which may be set at any time."""
+        return self.wall_ns() / 1e9
+
+    def wall_ns(self) -> int:
+        """As `wall`, in nanoseconds."""
+        return self.clock.time_ns()

@@ -7,9 +7,9 @@ import dataclasses
 import logging
 import os
 import threading
-import time
 from concurrent.futures import Future
 from pathlib import Path
+from random import Random
 from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
@@ -19,6 +19,7 @@ from rsb_bridge.config.keys import KeyFileError, key_path, read_key
 from rsb_bridge.context import Context
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole, clients_of
+from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.ros.api import RosError, RosInterface, Subscription
 from rsb_bridge.ros.graph import topics_of
@@ -53,21 +54,34 @@ class Engine(EngineApi):
         session: what to bridge.
         base: the folder that its key files are relative to.
         ros: the ROS side; None: `rsb_bridge.ros.node.RosNode` in the session's domain.
+        clock: the wall clock; None: the machine's.
+        random: for jitter; None: seeded by the system.
     """
 
-    def __init__(self, session: Session, *, base: Path = Path(), ros: RosInterface | None = None) -> None:
+    def __init__(
+        self,
+        session: Session,
+        *,
+        base: Path = Path(),
+        ros: RosInterface | None = None,
+        clock: Clock | None = None,
+        random: Random | None = None,
+    ) -> None:
         self._session = session
         self._base = base
         self._ros = ros
-        self._events = EventLog()
+        self._clock = clock or Clock()
+        self._random = random or Random()  # noqa: S311 — jitter, no secret
+        self._events = EventLog(self._clock)
         self._stopping = asyncio.Event()
         self._errors_said: dict[str, float] = {}
         self._thread: threading.Thread | None = None
         self._context: Context | None = None
         self._end: BridgeRole | None = None
         address = format_address((session.server_ip, session.server_port))
-        blank = Snapshot(time.time(), session.name, session.role, address, session.domain_id or 0, running=False)
-        self._observer = SnapshotPublisher(blank, self._events)
+        started = self._clock.time_ns() / 1e9
+        blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
+        self._observer = SnapshotPublisher(blank, self._events, self._clock)
 
     # --- from any thread
 
@@ -231,7 +245,9 @@ class Engine(EngineApi):
     async def _main(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(self._internal_error)
-        context = self._context = Context(self._session, domain, ros, self._events, RosToLoopQueue(loop), loop)
+        context = self._context = Context(
+            self._session, domain, ros, self._events, RosToLoopQueue(loop), loop, self._clock, self._random
+        )
         end = self._end = (ServerRole if self._session.role == "server" else ClientRole)(context, keys)
         watch: Subscription | None = None
         try:
@@ -262,7 +278,7 @@ class Engine(EngineApi):
                 end.tick()
                 for link in end.links():
                     await self._tick(link)
-            if tick or self._observer.looked_at:
+            if tick or self._observer.looked_at(context.now()):
                 await self._observer.refresh(end)
             try:
                 async with asyncio.timeout_at(context.loop.time() + _POLL):
@@ -298,10 +314,10 @@ class Engine(EngineApi):
             if link.control is not None:
                 link.control.abort("internal error")
 
-    def _internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
+    def _internal_error(self, loop: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         error = details.get("exception")
         words = f"internal error, please report it: {error or details.get('message')}"
-        now = time.monotonic()
+        now = loop.time()
         if now - self._errors_said.get(words, -_ERROR_SAID_EVERY) < _ERROR_SAID_EVERY:
             return
         self._errors_said = {words: now}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import random
 import socket
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -128,7 +127,7 @@ class ClientLink(Link):
         longest = _LONGEST_DELAY_REFUSED if self._refused else _LONGEST_DELAY
         delay: float | None = None
         if not self._stays_down:
-            delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * random.uniform(0.8, 1.2)  # noqa: S311 — jitter, no secret
+            delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * self.context.random.uniform(0.8, 1.2)
             delay = max(delay, self._retry_after)
             self.retry_at = self.context.now() + delay
         try:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import time
+from typing import TYPE_CHECKING
 
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.wire.messages import Ping, Pong
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
 
 DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up."""
@@ -20,11 +23,12 @@ class Keepalive:
         tx_rate: wire bytes/s sent.
     """
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self.clock = ClockOffset()
         self.rx_rate = 0.0
         self.tx_rate = 0.0
-        self._heard = now
+        self._heard = context.now()
         self._received = 0
         self._rx = 0
         self._tx = 0
@@ -43,18 +47,17 @@ class Keepalive:
         self.tx_rate += 0.5 * (max(0, sent - self._tx) - self.tx_rate)
         self._rx, self._tx = received, sent
         self._pings += 1
-        return Ping(n=self._pings, sent=time.time_ns())
+        return Ping(n=self._pings, sent=self._context.wall_ns())
 
     def quiet(self, now: float) -> float:
         """How long (s) nothing has come."""
         return now - self._heard
 
-    @staticmethod
-    def answer(ping: Ping) -> Pong:
+    def answer(self, ping: Ping) -> Pong:
         """The answer to the peer's ping."""
-        now = time.time_ns()
+        now = self._context.wall_ns()
         return Pong(n=ping.n, sent=ping.sent, received=now, answered=now)
 
     def answered(self, pong: Pong) -> None:
         """The peer answered ours."""
-        self.clock.add(pong.sent, pong.received, pong.answered, time.time_ns())
+        self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -79,9 +78,9 @@ class Link(Side):
         self.expansion = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, context.now())
         self._by_id: dict[int, Route] = {}
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
-        self._since = time.time()
+        self._since = self.context.wall()
         self._linked_at = 0.0
-        self.keepalive = Keepalive(context.now())
+        self.keepalive = Keepalive(context)
         self.negotiation = Negotiation(self)
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -121,8 +120,8 @@ class Link(Side):
         self.control, self.peer, self.keys = control, peer, keys
         self.path_probe = PathProbe(keys, self.side, self.other_side)
         self._linked_at = self.context.now()
-        self.keepalive = Keepalive(self._linked_at)
-        self._since = time.time()
+        self.keepalive = Keepalive(self.context)
+        self._since = self.context.wall()
         self.attempts = 0
         self.retry_at = None
         words = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
@@ -138,7 +137,7 @@ class Link(Side):
             return
         self.control = self.keys = self.path_probe = None
         self.reason = reason
-        self._since = time.time()
+        self._since = self.context.wall()
         self._by_id.clear()
         for route in self.routes.values():
             route.close(reason)

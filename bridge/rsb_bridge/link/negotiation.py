@@ -7,7 +7,6 @@ import itertools
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.proposals import same_route, topic_of
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.graph import topics_of
@@ -78,7 +77,7 @@ class Negotiation:
             case Propose():
                 self._proposed(message)
             case Ping():
-                self._link.send(Keepalive.answer(message))
+                self._link.send(self._link.keepalive.answer(message))
             case Pong():
                 self._link.keepalive.answered(message)
             case Report():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from typing import TYPE_CHECKING, ClassVar
 
@@ -150,7 +149,7 @@ class IncomingRoute(Route):
         publisher = self._publisher
         if publisher is None:
             return
-        now = time.time_ns()
+        now = self.context.wall_ns()
         count = size = 0
         stamp = now
         for payload, stamp, flags in messages:  # noqa: B007 — the last one's stamp is the batch's latency sample

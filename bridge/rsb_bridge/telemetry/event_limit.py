@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.telemetry.event_log import EventLog
 
 AT_ONCE = 1000
@@ -23,10 +24,15 @@ class RateLimitedEventLog:
 
     What is said of the link itself, up or down, has a share of its own, so that no flood of other lines displaces it;
     of a link that itself goes up and down too often the newest line is told, late.
+
+    Args:
+        events: the log.
+        now: gives the time (s) on a clock that nobody sets.
     """
 
-    def __init__(self, events: EventLog) -> None:
+    def __init__(self, events: EventLog, now: Callable[[], float]) -> None:
         self._events = events
+        self._now = now
         self._shares: dict[tuple[str, bool], _Quota] = {}
 
     def add(self, level: Level, source: str, text: str, *, link: str, topic: str, link_status: bool) -> None:
@@ -40,7 +46,7 @@ class RateLimitedEventLog:
             topic: which it is about, or empty.
             link_status: it is about the link itself.
         """
-        now = time.monotonic()
+        now = self._now()
         share = self._shares.get((link, link_status))
         if share is None:
             share = self._shares[link, link_status] = _Quota(now)
@@ -53,7 +59,7 @@ class RateLimitedEventLog:
 
     def tick(self) -> None:
         """Once a second: tell how many were left out, where that is over or has lasted."""
-        now = time.monotonic()
+        now = self._now()
         for (link, link_status), share in self._shares.items():
             if share.due(now):
                 self._tell(link, link_status=link_status)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import itertools
 import threading
-import time
 from collections import deque
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Event, Level
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.clock import Clock
 
 KEPT = 5000
 
@@ -15,7 +18,8 @@ KEPT = 5000
 class EventLog:
     """A bounded list of events. Writing never waits for a reader."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
         self._events: deque[Event] = deque(maxlen=KEPT)
         self._numbers = itertools.count(1)
         self._news = threading.Condition()
@@ -25,7 +29,7 @@ class EventLog:
         """Append an event."""
         with self._news:
             self.last = next(self._numbers)
-            self._events.append(Event(self.last, time.time(), level, source, text, link, topic))
+            self._events.append(Event(self.last, self._clock.time_ns() / 1e9, level, source, text, link, topic))
             self._news.notify_all()
 
     def after(self, number: int) -> list[Event]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import time
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.link.roles import BridgeRole
+    from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import EventLog
@@ -31,22 +31,26 @@ class SnapshotPublisher:
         latest: the newest snapshot; replaced, never changed, so that any thread may read it.
     """
 
-    def __init__(self, blank: Snapshot, events: EventLog) -> None:
+    def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
         self.latest = blank
         self._events = events
+        self._clock = clock
         self._routes: dict[Route, RouteSnapshot] = {}
-        self._looked_at = 0.0
+        self._looks = self._looks_seen = 0
+        self._looked_at = float("-inf")
         self._turn = 0
 
     def look(self) -> Snapshot:
         """The newest snapshot; called on any thread."""
-        self._looked_at = time.monotonic()
+        self._looks += 1
         return self.latest
 
-    @property
-    def looked_at(self) -> bool:
-        """Whether anybody has looked lately."""
-        return time.monotonic() - self._looked_at < _LOOKED_AT_FOR
+    def looked_at(self, now: float) -> bool:
+        """Whether anybody has looked during the last 2 s before `now` (s), as far as is noticed when this is called."""
+        if self._looks != self._looks_seen:
+            self._looks_seen = self._looks
+            self._looked_at = now
+        return now - self._looked_at < _LOOKED_AT_FOR
 
     async def refresh(self, end: BridgeRole) -> None:
         """Renew the links, and the routes or as many of them as have their turn."""
@@ -71,7 +75,7 @@ class SnapshotPublisher:
                 self._renew(route)
         self.latest = dataclasses.replace(
             self.latest,
-            time=time.time(),
+            time=self._clock.time_ns() / 1e9,
             running=running,
             links=tuple(link.snapshot() for link in end.links()),
             routes=tuple(self._routes[route] for route in _routes_of(end)),
