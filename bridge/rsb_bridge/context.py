@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
+    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.ros.api import RosInterface
@@ -51,13 +52,13 @@ class Context:
         self.limited = RateLimitedEventLog(self.events, self.now)
 
     def log(
-        self, level: Level, source: str, text: str, *, link: str = "", topic: str = "", link_status: bool = False
+        self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "", link_status: bool = False
     ) -> None:
         """Add an event; of a link's, those that are within its share (`RateLimitedEventLog`)."""
         if link:
-            self.limited.add(level, source, text, link=link, topic=topic, link_status=link_status)
+            self.limited.add(level, code, text, link=link, topic=topic, link_status=link_status)
         else:
-            self.events.add(level, source, text, topic=topic)
+            self.events.add(level, code, text, topic=topic)
 
     def call(self, work: Callable[[], None]) -> None:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""

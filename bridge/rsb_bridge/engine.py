@@ -20,6 +20,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole, clients_of
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.ros.api import RosError, RosInterface, Subscription
 from rsb_bridge.ros.graph import topics_of
@@ -187,7 +188,7 @@ class Engine(EngineApi):
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         async def work(end: BridgeRole) -> None:
             def say(words: str) -> None:
-                self._events.add(Level.INFO, "engine", f"restart: {words}")
+                self._events.add(Level.INFO, EventCode.ENGINE_RESTARTING, f"restart: {words}")
                 if step is not None:
                     step(words)
 
@@ -238,7 +239,7 @@ class Engine(EngineApi):
         except Exception as error:
             _logger.exception("the engine failed inside")
             words = f"the engine failed inside, please report it: {error}"
-            self._events.add(Level.ERROR, "engine", words)
+            self._events.add(Level.ERROR, EventCode.ENGINE_ERROR, words)
             if not started.done():
                 started.set_exception(EngineError(words))
 
@@ -263,7 +264,7 @@ class Engine(EngineApi):
             if watch is not None:
                 watch.close()
             await end.stop()
-            self._events.add(Level.INFO, "engine", "stopped")
+            self._events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
             self._observer.refresh_now(end, running=False)
 
     async def _run(self, context: Context, end: BridgeRole) -> None:
@@ -293,7 +294,7 @@ class Engine(EngineApi):
         words = f'"shutdown" on {topic} in domain {context.domain_id}'
 
         def act() -> None:
-            self._events.add(Level.WARNING, "engine", f"{words}: closing the sockets on both sides")
+            self._events.add(Level.WARNING, EventCode.ENGINE_SHUTDOWN, f"{words}: closing the sockets on both sides")
             end.shut_down(words)
 
         return watch_shutdown_topic(context.ros, topic, lambda: context.call(act))
@@ -323,7 +324,7 @@ class Engine(EngineApi):
         self._errors_said = {words: now}
         exc_info = (type(error), error, error.__traceback__) if isinstance(error, BaseException) else None
         _logger.error("%s", words, exc_info=exc_info)
-        self._events.add(Level.ERROR, "engine", words)
+        self._events.add(Level.ERROR, EventCode.ENGINE_ERROR, words)
 
     # --- before starting
 
@@ -334,7 +335,9 @@ class Engine(EngineApi):
             session.name: session.key_file
         }
         if not session.use_encryption:
-            self._events.add(Level.WARNING, "key", "encryption is off: everything crosses in the clear")
+            self._events.add(
+                Level.WARNING, EventCode.KEY_UNENCRYPTED, "encryption is off: everything crosses in the clear"
+            )
             return dict.fromkeys(files)
         keys = {}
         for name, file in files.items():
@@ -347,7 +350,7 @@ class Engine(EngineApi):
             except KeyFileError as error:
                 raise EngineError(str(error)) from None
             for warning in keys[name].warnings:
-                self._events.add(Level.WARNING, "key", warning)
+                self._events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
         return keys
 
 

@@ -218,7 +218,7 @@ def _json_line(content: dict[str, object]) -> str:
 
 
 def _json_event(event: Event) -> str:
-    content = asdict(event)
+    content = asdict(event) | {"source": event.source}
     del content["number"]  # counts the events that are not printed, too
     return _json_line(content)
 

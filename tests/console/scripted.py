@@ -113,12 +113,26 @@ ROUTES = (
 )  # fmt: skip
 
 EVENTS = (
-    Event(1, NOW - 724, Level.INFO, "link", "robot1: linked to 10.0.0.20:49152, AESGCM", "robot1"),
-    Event(2, NOW - 700, Level.INFO, "route", "/robot1/scan: flowing", "robot1", "/robot1/scan"),
+    Event(1, NOW - 724, Level.INFO, "link.up", "robot1: linked to 10.0.0.20:49152, AESGCM", "robot1"),
+    Event(2, NOW - 700, Level.INFO, "route.connected", "/robot1/scan: flowing", "robot1", "/robot1/scan"),
     Event(
-        3, NOW - 12, Level.WARNING, "stale", "/robot1/map: nothing for 15 s (warning 1 of 5)", "robot1", "/robot1/map"
+        3,
+        NOW - 12,
+        Level.WARNING,
+        "route.stale",
+        "/robot1/map: nothing for 15 s (warning 1 of 5)",
+        "robot1",
+        "/robot1/map",
     ),
-    Event(4, NOW - 5, Level.ERROR, "route", "/robot2/scan channel 3: No route to host", "robot1", "/robot2/scan"),
+    Event(
+        4,
+        NOW - 5,
+        Level.ERROR,
+        "route.channel_lost",
+        "/robot2/scan channel 3: No route to host",
+        "robot1",
+        "/robot2/scan",
+    ),
 )
 FAULTY = ["/robot2/scan", "/robot1/map"]
 """Of these, the worst first."""

@@ -14,13 +14,13 @@ def happen(app, *events: Event) -> None:
     app.pull()
 
 
-MORE = [Event(n, NOW, Level.INFO, "link", f"more {n}") for n in range(5, 40)]
-NEWEST = Event(40, NOW, Level.INFO, "link", "newest")
+MORE = [Event(n, NOW, Level.INFO, "link.up", f"more {n}") for n in range(5, 40)]
+NEWEST = Event(40, NOW, Level.INFO, "link.up", "newest")
 
 
 @on_main()
 async def test_log_levels_and_search(app, pilot) -> None:
-    happen(app, Event(5, NOW, Level.DEBUG, "link", "a detail"))
+    happen(app, Event(5, NOW, Level.DEBUG, "link.up", "a detail"))
     assert "a detail" not in text(app)
     await pilot.press("L")
     await shown(pilot, "Log ▸ WARN+")
@@ -82,7 +82,7 @@ async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app, pilot) 
 @on_main(size=NARROW)
 async def test_a_long_line_of_the_log_can_be_read_whole(app, pilot) -> None:
     words = " ".join(f"word{number}" for number in range(40))
-    app.engine.happened.append(Event(5, NOW, Level.ERROR, "link", words, "robot1"))
+    app.engine.happened.append(Event(5, NOW, Level.ERROR, "link.up", words, "robot1"))
     put(app, links=(LINK,))
     assert "word39" not in text(app)
     await pilot.press("l", "enter")

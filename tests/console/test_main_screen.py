@@ -19,7 +19,7 @@ from rsb_bridge.model.snapshot import Event, Level, State
 async def test_freezing_holds_the_view_only_and_says_so(app, pilot) -> None:
     await pilot.press("space")
     await shown(pilot, "VIEW FROZEN")
-    app.engine.happened.append(Event(5, NOW, Level.ERROR, "route", "meanwhile"))
+    app.engine.happened.append(Event(5, NOW, Level.ERROR, "route.refused", "meanwhile"))
     put(app, route("/new"), links=(replace(LINK, state=State.DOWN, reason="gone"),))
     await shown(pilot, "✗ DOWN")  # the status line goes on
     assert "/robot1/scan" in text(app)
@@ -207,7 +207,7 @@ class Dying(ScriptedEngine):
     """An engine that ends by itself, as after a fault of ROS's."""
 
     def die(self) -> None:
-        self.happened.append(Event(5, NOW, Level.ERROR, "engine", "the ROS node is gone"))
+        self.happened.append(Event(5, NOW, Level.ERROR, "engine.error", "the ROS node is gone"))
         self.now = replace(self.now, running=False, links=(), routes=())
 
 

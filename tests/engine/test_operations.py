@@ -11,6 +11,7 @@ from tests.support.domain import LATCHED, text
 from tests.support.waiting import holds
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
@@ -198,7 +199,8 @@ def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: D
     counted_from = {engine: engine.events()[-1].number for engine in (client, server)}
 
     def warnings(engine: Engine) -> list[str]:
-        return [event.text for event in engine.events(counted_from[engine]) if event.source == "stale"]
+        of_silence = (EventCode.ROUTE_STALE, EventCode.ROUTE_DATA_AGAIN)
+        return [event.text for event in engine.events(counted_from[engine]) if event.code in of_silence]
 
     expected = [
         "/chat: nothing for 0.5 s (warning 1 of 2)",

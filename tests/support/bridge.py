@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
+    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.api import RosInterface
 
@@ -201,6 +202,11 @@ def settled(engine: Engine, topic: str, offered: int, within: float = 10.0) -> L
 def balance(ledger: Ledger) -> int:
     """What the parts of a ledger add up to."""
     return ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired + ledger.in_flight
+
+
+def happened(engine: Engine, code: EventCode, about: str = "") -> Event | None:
+    """The newest event of a kind; with `about`, the newest that has these words in it."""
+    return next((event for event in reversed(engine.events()) if event.code == code and about in event.text), None)
 
 
 def said(engine: Engine, words: str) -> Event | None:

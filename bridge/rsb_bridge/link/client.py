@@ -12,6 +12,7 @@ from rsb_bridge.channel.rfcomm import RfcommMultiplexer
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport import rfcomm, tcp, udp
 from rsb_bridge.transport.streams import Stream, StreamHandler, format_address, os_error_message
@@ -90,7 +91,7 @@ class ClientLink(Link):
     async def _call(self) -> None:
         """One attempt; returns when it failed or when the link it made is over."""
         if not self.attempts:
-            self.log(Level.INFO, f"connecting to {self.address}", link_status=True)
+            self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.address}", link_status=True)
         secret = self._key.secret if self._key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
         transport = "bluetooth" if self.is_bluetooth else "tcp"
@@ -120,7 +121,8 @@ class ClientLink(Link):
         self._refused = failure.refused
         repeated = failure.reason == self.reason
         self.reason = failure.reason
-        self.log(Level.DEBUG if repeated else Level.ERROR, f"{failure.reason}; trying again", link_status=True)
+        code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
+        self.log(Level.DEBUG if repeated else Level.ERROR, code, f"{failure.reason}; trying again", link_status=True)
 
     async def _pause(self) -> None:
         """Wait until it is time to call again, or until somebody says that it is."""
@@ -137,8 +139,8 @@ class ClientLink(Link):
             pass
         self.retry_at = None
 
-    def down(self, reason: str, *, on_purpose: bool = False) -> None:
-        super().down(reason, on_purpose=on_purpose)
+    def down(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
+        super().down(reason, code)
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
@@ -252,7 +254,8 @@ class ClientLink(Link):
         try:
             socket = udp.connect(server, self._datagrams)
         except OSError as error:
-            self.log(Level.ERROR, f"UDP to {format_address(server)}: {os_error_message(error)}")
+            text = f"UDP to {format_address(server)}: {os_error_message(error)}"
+            self.log(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
             return None
         udp_channel = UdpChannel(socket, self.path_probe, server=server)
         udp_channel.tick(self.context.now())

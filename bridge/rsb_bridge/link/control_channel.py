@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.multiplexer import Multiplexer
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.fields import plain
@@ -35,6 +36,7 @@ class ControlChannel(StreamHandler):
         self.shared = Multiplexer(stream)
         self._connection = connection
         self._goodbye = ""
+        self._code = EventCode.LINK_LOST
         stream.handler = self
 
     def send(self, message: ControlMessage) -> None:
@@ -43,10 +45,10 @@ class ControlChannel(StreamHandler):
         if self.stream.waiting_bytes > _MOST_WAITING:
             self.stream.abort("the peer asks for more than it takes")  # it is over once this call's caller is done
 
-    def shut_down(self, reason: str, *, retry_after: float | None) -> None:
+    def shut_down(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """Tell the peer that this ends on purpose, and end it."""
         self.send(Shutdown(reason=plain(reason), retry_after=retry_after))
-        self._goodbye = reason
+        self._goodbye, self._code = reason, code
         self.stream.close(reason)
         self._over(reason)
 
@@ -93,4 +95,4 @@ class ControlChannel(StreamHandler):
 
     def _over(self, reason: str) -> None:
         if self.link.control is self:
-            self.link.down(reason, on_purpose=bool(self._goodbye))
+            self.link.down(reason, self._code)

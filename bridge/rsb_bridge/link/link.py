@@ -14,6 +14,7 @@ from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.link.negotiation import LinkError, Negotiation
 from rsb_bridge.link.side import Side
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE, IncomingRoute
@@ -126,12 +127,12 @@ class Link(Side):
         self.retry_at = None
         words = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = f"linked with {control.stream.peer}, {words}, rsb-console {peer.version} there"
-        self.log(Level.INFO, linked, link_status=True)
+        self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         for route in tuple(self.routes.values()):
             if route.proposed_here:
                 self.propose(route)
 
-    def down(self, reason: str, *, on_purpose: bool = False) -> None:
+    def down(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
         """The connection is over."""
         if self.control is None:
             return
@@ -145,8 +146,8 @@ class Link(Side):
             udp_channel.close()
         self.udp_channels.clear()
         self.negotiation.end()
-        level, how = (Level.INFO, "closed") if on_purpose else (Level.WARNING, "lost")
-        self.log(level, f"link {how}: {reason}", link_status=True)
+        level, how = (Level.WARNING, "lost") if code is EventCode.LINK_LOST else (Level.INFO, "closed")
+        self.log(level, code, f"link {how}: {reason}", link_status=True)
 
     def destroy(self) -> None:
         """End routes and tasks for good."""
@@ -192,13 +193,13 @@ class Link(Side):
         """End a route on both sides."""
         if route.id:
             self.send(Close(route=route.id, reason=plain(reason), removed=True))
-        self.forget(route, reason)
+        self.forget(route, EventCode.ROUTE_REMOVED, reason)
 
-    def forget(self, route: Route, reason: str) -> None:
+    def forget(self, route: Route, code: EventCode, reason: str) -> None:
         """End a route on this side."""
         self.routes.pop(route.key, None)
         route.destroy()
-        route.log(Level.INFO, reason)
+        route.log(Level.INFO, code, reason)
 
     def pause(self, route: Route, paused: bool) -> None:
         """Pause or resume a route on both sides."""
@@ -217,9 +218,9 @@ class Link(Side):
             if self.linked and route.proposed_here and not route.id:
                 self.propose(route)
 
-    def end_opening(self, route: Route, reason: str) -> None:
+    def end_opening(self, route: Route, code: EventCode, reason: str) -> None:
         """There is no such route for now, as one of the sides says; it is tried again if it was proposed here."""
-        route.refuse(reason)
+        route.refuse(code, reason)
 
     def closed(self, route_id: int) -> None:
         """An opening is over."""
@@ -246,7 +247,7 @@ class Link(Side):
             await self.prepare_port(route)
         except ListenError as error:
             if route.id == route_id:
-                self.end_opening(route, str(error))
+                self.end_opening(route, EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
         if route.id == route_id:
             self.send(msgspec.structs.replace(route.proposal, route=route_id, paused=route.paused))
 
@@ -328,7 +329,7 @@ class Link(Side):
             if route.proposed_here and not route.id and now >= route.retry_at:
                 self.propose(route)
             elif not route.proposed_here and not route.id and now > route.awaited_until(self._linked_at):
-                self.forget(route, "the other side no longer asks for it")
+                self.forget(route, EventCode.ROUTE_ABANDONED, "the other side no longer asks for it")
 
     def _carried(self) -> tuple[int, int]:
         """Wire bytes received and sent by all that the link has now; less than before where something was closed."""
@@ -344,9 +345,9 @@ class Link(Side):
         before = udp_channel.trouble
         udp_channel.tick(now)
         if udp_channel.trouble and not before:
-            self.log(Level.WARNING, udp_channel.trouble)
+            self.log(Level.WARNING, EventCode.LINK_UDP_BLOCKED, udp_channel.trouble)
         elif before and not udp_channel.trouble:
-            self.log(Level.INFO, "UDP gets through again")
+            self.log(Level.INFO, EventCode.LINK_UDP_RESTORED, "UDP gets through again")
 
     def _report(self) -> None:
         routes = [route for route in self.routes.values() if route.id]
@@ -387,6 +388,6 @@ class Link(Side):
         """One that nobody has joined yet, and nothing is known against, is no fault."""
         return State.OK if self.linked else State.WAITING if self.reason is _NOT_YET else State.DOWN
 
-    def log(self, level: Level, text: str, *, source: str = "link", topic: str = "", link_status: bool = False) -> None:
+    def log(self, level: Level, code: EventCode, text: str, *, topic: str = "", link_status: bool = False) -> None:
         """Add an event about this link."""
-        self.context.log(level, source, text, link=self.name, topic=topic, link_status=link_status)
+        self.context.log(level, code, text, link=self.name, topic=topic, link_status=link_status)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.proposals import same_route, topic_of
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.route.incoming import IncomingRoute
@@ -127,7 +128,8 @@ class Negotiation:
         if known is not None and known.proposed_here and link.is_client:
             raise LinkError(f"{admitted.topic} is bridged in that direction already")
         if known is not None and (known.proposed_here or not same_route(known.proposal, admitted)):
-            link.forget(known, "replaced by the other side's")  # where both propose, the client's is the one that stays
+            # Where both propose, the client's is the one that stays.
+            link.forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         route = known or link.add(topic_of(admitted), admitted, proposed_here=False)
         link.reopen(route, proposal.route)
@@ -139,7 +141,7 @@ class Negotiation:
             await link.prepare_port(route)
         except ListenError as error:
             if link.control is control and route.id == proposal.route:
-                link.end_opening(route, str(error))
+                link.end_opening(route, EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
                 self._refuse(proposal, "port_taken", str(error))
             return
         if link.control is not control or route.id != proposal.route:
@@ -153,7 +155,8 @@ class Negotiation:
             if len(self._refused) >= MOST_ROUTES:
                 self._refused.clear()
             self._refused[proposal.topic] = reason
-            self._link.log(Level.WARNING, f"refused {proposal.topic}: {reason}", source="route", topic=proposal.topic)
+            text = f"refused {proposal.topic}: {reason}"
+            self._link.log(Level.WARNING, EventCode.ROUTE_REFUSED, text, topic=proposal.topic)
         self._link.send(Refuse(route=proposal.route, code=code, reason=plain(reason)))
 
     def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
@@ -162,15 +165,15 @@ class Negotiation:
                 route.set_peer_topic(message.topic)
                 route.on_accepted()
             case Refuse():
-                self._link.end_opening(route, f"refused by the other side: {message.reason}")
+                self._link.end_opening(route, EventCode.ROUTE_REFUSED, f"refused by the other side: {message.reason}")
             case Describe() if isinstance(route, IncomingRoute):
                 route.described(message)
             case Ready() if isinstance(route, OutgoingRoute):
                 route.peer_ready(message.before)
             case Close() if message.removed:
-                self._link.forget(route, f"removed by the other side: {message.reason}")
+                self._link.forget(route, EventCode.ROUTE_REMOVED, f"removed by the other side: {message.reason}")
             case Close():
-                self._link.end_opening(route, f"closed by the other side: {message.reason}")
+                self._link.end_opening(route, EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():
                 route.set_paused(message.paused)
 

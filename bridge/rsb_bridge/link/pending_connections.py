@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Attach, Established, Failed, Refused
@@ -25,6 +26,7 @@ _PENALTY = 1.0
 _HOSTS_REMEMBERED = 1024
 _SAID_EVERY = 10.0
 _SAID_MOST = 256
+_CODES = {RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY, RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME}
 
 
 class PendingConnections:
@@ -55,19 +57,19 @@ class PendingConnections:
         """How long (s) a host's handshake waits: failures cost time, but lock nobody out (many share an address)."""
         return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
 
-    def failed(self, stream: Stream, words: str) -> None:
+    def failed(self, stream: Stream, code: EventCode, words: str) -> None:
         """A stream was turned away that did not do as a friend would."""
         now = self.server.context.now()
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
-        self.say(stream, words)
+        self.say(stream, code, words)
 
-    def say(self, stream: Stream, words: str) -> None:
+    def say(self, stream: Stream, code: EventCode, words: str) -> None:
         """Tell the operator of a stream that was turned away; not more often than every 10 s."""
         if (stream.host, words) not in self._said and len(self._said) < _SAID_MOST:
             self._said[stream.host, words] = self.server.context.now()
-            self.server.context.log(Level.WARNING, "link", f"turned {stream.peer} away: {words}")
+            self.server.context.log(Level.WARNING, code, f"turned {stream.peer} away: {words}")
 
     def tick(self) -> None:
         """Once a second: forget old failures, and what was said of them."""
@@ -125,7 +127,7 @@ class _PendingConnection(StreamHandler):
         if stream is None:
             return
         self._leave()
-        self._pending.failed(stream, words)
+        self._pending.failed(stream, EventCode.LINK_REJECTED, words)
         stream.write(self._connection.refuse(RefusalCode.BUSY, words))
         stream.close(words)
 
@@ -157,9 +159,9 @@ class _PendingConnection(StreamHandler):
                     self._attach(stream, event)
                     return
                 case Refused(code, words, _):
-                    self._refused(stream, self._for_operator(code, words))
+                    self._refused(stream, _CODES.get(code, EventCode.LINK_REJECTED), self._for_operator(code, words))
                 case Failed(reason):
-                    self._refused(stream, reason)
+                    self._refused(stream, EventCode.LINK_REJECTED, reason)
                 case _:
                     pass
 
@@ -167,13 +169,13 @@ class _PendingConnection(StreamHandler):
         try:
             self._server.attach(stream, self._connection, event)
         except Refusal as refusal:  # costs its host nothing: a friend's route may have been closed meanwhile
-            self._pending.say(stream, refusal.words)
+            self._pending.say(stream, EventCode.LINK_REJECTED, refusal.words)
             stream.write(self._connection.refuse(refusal.code, refusal.words))
             stream.close(refusal.words)
 
-    def _refused(self, stream: Stream, words: str) -> None:
+    def _refused(self, stream: Stream, code: EventCode, words: str) -> None:
         self._leave()
-        self._pending.failed(stream, words)
+        self._pending.failed(stream, code, words)
         stream.close(words)
 
     def _for_operator(self, code: RefusalCode, words: str) -> str:

@@ -15,6 +15,7 @@ from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.streams import format_address
@@ -181,7 +182,7 @@ class Server:
         for transport in transports:
             await self._ports.open(transport, session.server_port)
         address = format_address((session.server_ip, session.server_port))
-        self.context.log(Level.INFO, "engine", f"listening on {address} ({' and '.join(transports)})")
+        self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(transports)})")
 
     def stop(self) -> None:
         """Take nobody in any more."""
@@ -215,7 +216,9 @@ class Server:
         link = self.links[event.peer.name]
         if link.control is not None:
             link.control.shut_down(
-                f"replaced by a newer connection of {link.name} from {stream.peer}", retry_after=_REPLACED_PAUSE
+                f"replaced by a newer connection of {link.name} from {stream.peer}",
+                retry_after=_REPLACED_PAUSE,
+                code=EventCode.LINK_REPLACED,
             )
         control = ControlChannel(stream, connection, link)
         link.up(control, event.peer, event.keys)

@@ -38,7 +38,7 @@ class Event:
         number: counts up from 1 without a gap.
         time: s since the epoch.
         level: how grave.
-        source: what it concerns: ``engine``, ``link``, ``route``, ``key``, ``stale``, ``ros``.
+        code: what kind of event, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
         text: one line, complete in itself.
         link: the peer's name, or empty.
         topic: the topic, or empty.
@@ -47,10 +47,15 @@ class Event:
     number: int
     time: float
     level: Level
-    source: str
+    code: str
     text: str
     link: str = ""
     topic: str = ""
+
+    @property
+    def source(self) -> str:
+        """What it concerns: ``engine``, ``key``, ``link`` or ``route``."""
+        return self.code.partition(".")[0]
 
 
 @dataclass(frozen=True, slots=True)

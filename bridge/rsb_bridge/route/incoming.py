@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import msgspec
 import zstandard
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import Publisher, RosError
@@ -92,7 +93,7 @@ class IncomingRoute(Route):
             if qos.durability == "transient_local":
                 self._latched = Latched(self.peer.latched, qos.depth)
             self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
-        self.log(Level.INFO, f"← {self.transport} connected ({description.type})")
+        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport} connected ({description.type})")
         self.peer.send(Ready(route=self.id, before=self._before))
         self.advance()
 
@@ -110,7 +111,7 @@ class IncomingRoute(Route):
 
     def _refuse_type(self, reason: str) -> None:
         route_id = self.id
-        self.refuse(reason)
+        self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=plain(reason)))
 
     def advance(self) -> None:
@@ -159,16 +160,17 @@ class IncomingRoute(Route):
                 if self._latched is not None and not self._latched.keep(len(content)):
                     self._dropped["latched full"] += 1
                     self._say(
-                        f"this link's latched topics keep more than {LATCHED_LIMIT:,} bytes: give it a smaller depth"
+                        EventCode.ROUTE_LATCHED_FULL,
+                        f"this link's latched topics keep more than {LATCHED_LIMIT:,} bytes: give it a smaller depth",
                     )
                     continue
                 publisher.publish(content)
             except _ExpansionError as error:
                 self._dropped["expands too much"] += 1
-                self._say(str(error))
+                self._say(EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error))
             except (RosError, zstandard.ZstdError) as error:
                 self._dropped["publish failed"] += 1
-                self._say(str(error))
+                self._say(EventCode.ROUTE_PUBLISH_FAILED, str(error))
             else:
                 count += 1
                 size += len(payload)
@@ -185,7 +187,10 @@ class IncomingRoute(Route):
         if self._received != self._received_before:
             self._received_before, self._expired_before = self._received, expired
         elif expired - self._expired_before >= _INCOMPLETE_IN_A_ROW:
-            self._say("none of its messages comes whole: too large for UDP on this network: use protocol: tcp")
+            self._say(
+                EventCode.ROUTE_INCOMPLETE,
+                "none of its messages comes whole: too large for UDP on this network: use protocol: tcp",
+            )
 
     def _decompress(self, payload: bytes) -> bytes:
         size = zstandard.frame_content_size(payload)
@@ -198,10 +203,10 @@ class IncomingRoute(Route):
             )
         return self._decompressor.decompress(payload)
 
-    def _say(self, text: str) -> None:
+    def _say(self, code: EventCode, text: str) -> None:
         if text != self.last_error:
             self.last_error = text
-            self.log(Level.ERROR, text)
+            self.log(Level.ERROR, code, text)
 
     # --- the ledger
 

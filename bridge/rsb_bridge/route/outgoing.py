@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import zstandard
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError, Subscription
@@ -78,8 +79,9 @@ class OutgoingRoute(Route):
         self._publisher_qos = match_publishers([e.qos for e in self._publishers]) if self._publishers else None
         if any(self.peer.is_at(publisher.node) for publisher in self._publishers):
             self.request_reopen(
+                EventCode.ROUTE_LOOP,
                 f"the other side publishes {self.topic} in this same domain, {self.context.domain_id}: all would come "
-                "back for ever; give the two sides different domains (domain_id), or use_name on the server"
+                "back for ever; give the two sides different domains (domain_id), or use_name on the server",
             )
             return
         described = self._resolve()
@@ -87,7 +89,7 @@ class OutgoingRoute(Route):
             return
         if self._described is not None and described.type_hash != self._described.type_hash:
             # A new opening, so that no message of the old type comes where the new one is published.
-            self.request_reopen(f"its type has become {described.type}")
+            self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, f"its type has become {described.type}")
             return
         if described != self._described:
             self._unsubscribe()
@@ -149,10 +151,10 @@ class OutgoingRoute(Route):
                 origin=self.peer.name,
             )
         except RosError as error:
-            self.request_reopen(str(error))
+            self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error))
             return
         self.stale.rearm(self.context.now())
-        self.log(Level.INFO, f"→ {self.transport} connected ({described.type})")
+        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport} connected ({described.type})")
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
@@ -248,7 +250,7 @@ class OutgoingRoute(Route):
         text = f"a message of {size:,} bytes is more than {self.transport} carries here ({self._largest:,}): use tcp"
         if text != self.last_error:
             self.last_error = text
-            self.log(Level.ERROR, text)
+            self.log(Level.ERROR, EventCode.ROUTE_TOO_LARGE, text)
 
     # --- the ledger
 

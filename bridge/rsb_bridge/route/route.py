@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import msgspec
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.wire.fields import plain
@@ -209,11 +210,11 @@ class Route:
         """End it for good: endpoints too."""
         self.close("removed")
 
-    def refuse(self, reason: str) -> None:
+    def refuse(self, code: EventCode, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
         if reason != self._told:  # until messages flow, the next tries need not say the same
             self._told = reason
-            self.log(Level.ERROR, reason)
+            self.log(Level.ERROR, code, reason)
         self.close(reason)
         self.refusal = self.last_error = reason
         self.refusals += 1
@@ -227,13 +228,13 @@ class Route:
 
     def channel_lost(self, reason: str) -> None:
         """What carried the route broke while the link lives: open it again."""
-        self.request_reopen(f"data connection: {reason}")
+        self.request_reopen(EventCode.ROUTE_CHANNEL_LOST, f"data connection: {reason}")
 
-    def request_reopen(self, reason: str) -> None:
+    def request_reopen(self, code: EventCode, reason: str) -> None:
         """Close the route on both sides; its proposer opens it again."""
         if self.id:
             route_id = self.id
-            self.refuse(reason)
+            self.refuse(code, reason)
             self.peer.send(Close(route=route_id, reason=plain(reason)))
 
     def set_paused(self, paused: bool) -> None:
@@ -242,7 +243,8 @@ class Route:
             self.paused = paused
             self.spec = msgspec.structs.replace(self.spec, paused=paused)
             self.stale.rearm(self.context.now())
-            self.log(Level.INFO, "paused" if paused else "resumed")
+            code = EventCode.ROUTE_PAUSED if paused else EventCode.ROUTE_RESUMED
+            self.log(Level.INFO, code, "paused" if paused else "resumed")
         self.advance()
 
     # --- time
@@ -258,7 +260,7 @@ class Route:
                 text = f"nothing for {self.stale.after * number:g} s (warning {number} of {self.stale.times})"
                 if number == self.stale.times:
                     text += "; no more will be said until data returns"
-                self.log(Level.WARNING, text, source="stale")
+                self.log(Level.WARNING, EventCode.ROUTE_STALE, text)
         else:
             self.stale.rearm(now)
 
@@ -269,7 +271,7 @@ class Route:
         self.meter.add(messages, size, now)
         quiet = self.stale.seen(now)
         if quiet is not None:
-            self.log(Level.INFO, f"reinitialized: data again after {quiet:.0f} s", source="stale")
+            self.log(Level.INFO, EventCode.ROUTE_DATA_AGAIN, f"reinitialized: data again after {quiet:.0f} s")
 
     # --- how it is
 
@@ -353,9 +355,9 @@ class Route:
             last_error=self.last_error,
         )
 
-    def log(self, level: Level, text: str, *, source: str = "route") -> None:
+    def log(self, level: Level, code: EventCode, text: str) -> None:
         """Add an event about this route."""
-        self.context.log(level, source, f"{self.local_topic}: {text}", link=self.peer.name, topic=self.local_topic)
+        self.context.log(level, code, f"{self.local_topic}: {text}", link=self.peer.name, topic=self.local_topic)
 
 
 def route_key(link: str, proposal: Propose) -> str:

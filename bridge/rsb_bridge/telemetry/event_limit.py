@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 
@@ -35,12 +36,12 @@ class RateLimitedEventLog:
         self._now = now
         self._shares: dict[tuple[str, bool], _Quota] = {}
 
-    def add(self, level: Level, source: str, text: str, *, link: str, topic: str, link_status: bool) -> None:
+    def add(self, level: Level, code: EventCode, text: str, *, link: str, topic: str, link_status: bool) -> None:
         """Add an event of a link, if its share has room.
 
         Args:
             level: how grave it is.
-            source: what part it is about.
+            code: what happened.
             text: in one line.
             link: by the client's name.
             topic: which it is about, or empty.
@@ -55,7 +56,7 @@ class RateLimitedEventLog:
         if link_status:  # in their order: first what was left out before it
             self._tell(link, link_status=False)
             self._tell(link, link_status=True)
-        self._events.add(level, source, text, link=link, topic=topic)
+        self._events.add(level, code, text, link=link, topic=topic)
 
     def tick(self) -> None:
         """Once a second: tell how many were left out, where that is over or has lasted."""
@@ -71,7 +72,7 @@ class RateLimitedEventLog:
         newest = f"; the last one: {share.newest}" if link_status else ""
         words = f"{share.left_out:,} more line{'s' if share.left_out > 1 else ''} left out{newest}"
         share.left_out = 0
-        self._events.add(Level.WARNING, "link", words, link=link)
+        self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, words, link=link)
 
 
 class _Quota:

@@ -11,6 +11,7 @@ from rsb_bridge.model.snapshot import Event, Level
 
 if TYPE_CHECKING:
     from rsb_bridge.model.clock import Clock
+    from rsb_bridge.model.codes import EventCode
 
 KEPT = 5000
 
@@ -25,11 +26,11 @@ class EventLog:
         self._news = threading.Condition()
         self.last = 0
 
-    def add(self, level: Level, source: str, text: str, *, link: str = "", topic: str = "") -> None:
+    def add(self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "") -> None:
         """Append an event."""
         with self._news:
             self.last = next(self._numbers)
-            self._events.append(Event(self.last, self._clock.time_ns() / 1e9, level, source, text, link, topic))
+            self._events.append(Event(self.last, self._clock.time_ns() / 1e9, level, code, text, link, topic))
             self._news.notify_all()
 
     def after(self, number: int) -> list[Event]:

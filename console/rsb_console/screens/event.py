@@ -34,7 +34,7 @@ class EventScreen(ModalScreen[None]):
     def compose(self) -> ComposeResult:
         """The text, and below it what it concerns."""
         event = self._event
-        concerns = [word for word in (event.source, event.link, event.topic) if word]
+        concerns = [word for word in (event.code, event.link, event.topic) if word]
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = f"{WORD[event.level]} at {formats.time_of_day(event.time)}"
             yield Static(event.text, markup=False)
