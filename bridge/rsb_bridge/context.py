@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
+from rsb_bridge.transport.registry import Transports, default_transports
 
 if TYPE_CHECKING:
     import asyncio
@@ -35,6 +36,7 @@ class Context:
         loop: the I/O loop; all engine state belongs to its thread.
         clock: the wall clock.
         random: for jitter; never for secrets.
+        transports: what links and routes run over.
         limited: the way to `events` for what a peer may be the cause of.
     """
 
@@ -46,6 +48,7 @@ class Context:
     loop: asyncio.AbstractEventLoop
     clock: Clock = field(default_factory=Clock)
     random: Random = field(default_factory=Random)
+    transports: Transports = field(default_factory=default_transports)
     limited: RateLimitedEventLog = field(init=False)
 
     def __post_init__(self) -> None:

@@ -28,8 +28,8 @@ from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshots import SnapshotPublisher, in_slices
-from rsb_bridge.transport.streams import format_address
-from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.transport.registry import Transports, default_transports
+from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -57,6 +57,7 @@ class Engine(EngineApi):
         ros: the ROS side; None: `rsb_bridge.ros.node.RosNode` in the session's domain.
         clock: the wall clock; None: the machine's.
         random: for jitter; None: seeded by the system.
+        transports: what the links run over; None: the kernel's sockets.
     """
 
     def __init__(
@@ -67,19 +68,22 @@ class Engine(EngineApi):
         ros: RosInterface | None = None,
         clock: Clock | None = None,
         random: Random | None = None,
+        transports: Transports | None = None,
     ) -> None:
         self._session = session
         self._base = base
         self._ros = ros
         self._clock = clock or Clock()
         self._random = random or Random()  # noqa: S311 — jitter, no secret
+        self._transports = transports or default_transports()
         self._events = EventLog(self._clock)
         self._stopping = asyncio.Event()
         self._errors_said: dict[str, float] = {}
         self._thread: threading.Thread | None = None
         self._context: Context | None = None
         self._end: BridgeRole | None = None
-        address = format_address((session.server_ip, session.server_port))
+        transport = self._transports.of_link(session.server_ip)
+        address = transport.format_address((session.server_ip, session.server_port))
         started = self._clock.time_ns() / 1e9
         blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
         self._observer = SnapshotPublisher(blank, self._events, self._clock)
@@ -247,7 +251,15 @@ class Engine(EngineApi):
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(self._internal_error)
         context = self._context = Context(
-            self._session, domain, ros, self._events, RosToLoopQueue(loop), loop, self._clock, self._random
+            self._session,
+            domain,
+            ros,
+            self._events,
+            RosToLoopQueue(loop),
+            loop,
+            self._clock,
+            self._random,
+            self._transports,
         )
         end = self._end = (ServerRole if self._session.role == "server" else ClientRole)(context, keys)
         watch: Subscription | None = None

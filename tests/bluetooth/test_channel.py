@@ -17,13 +17,17 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import Level, State
-from rsb_bridge.transport import rfcomm, tcp
+from rsb_bridge.transport.registry import Transports
+from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.tcp import Tcp
+from rsb_bridge.transport.transport import Acceptor
+from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
 from rsb_bridge.wire.opening import Kind, data_header, opening
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from rsb_bridge.model.snapshot import RouteSnapshot
@@ -59,8 +63,8 @@ class _Noting(StreamHandler):
         self._inner.connected(stream)
 
 
-class Radio:
-    """What `rsb_bridge.transport.rfcomm` is to the engines.
+class Radio(Rfcomm):
+    """RFCOMM as the engines see it, over TCP.
 
     Attributes:
         called: the client's ends of the connections that were made, the oldest first.
@@ -73,20 +77,22 @@ class Radio:
         self.accepted: list[_End] = []
         self.off = False
         self._port = 0
+        self._tcp = Tcp()
 
-    async def listen(self, _: str, channel: int, make_handler: Callable[[], StreamHandler]) -> asyncio.Server:
-        assert channel == _CHANNEL
-        server = await tcp.listen("127.0.0.1", self._port, lambda: _Noting(make_handler(), self.accepted))
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> asyncio.Server:
+        assert (host, port) == (_MAC, _CHANNEL)
+        noting = Acceptor(lambda: _Noting(acceptor.make_handler(), self.accepted), acceptor.datagrams)
+        server = await self._tcp.listen("127.0.0.1", self._port, noting)
         self._port = server.sockets[0].getsockname()[1]
         return server
 
-    async def connect(self, _: str, channel: int, handler: StreamHandler) -> Stream:
-        assert channel == _CHANNEL
+    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+        assert (host, port) == (_MAC, _CHANNEL)
         assert all(end.stream.over for end in self.called), "two adapters have one connection on a channel"
         if self.off:
             await asyncio.sleep(0.5)  # so that others come to wait for the same
             raise OSError("no answer")
-        return await tcp.connect("127.0.0.1", self._port, _Noting(handler, self.called))
+        return await self._tcp.connect("127.0.0.1", self._port, _Noting(handler, self.called))
 
 
 class Pair(NamedTuple):
@@ -143,10 +149,9 @@ _TOPICS = (on_channel("/map"), on_channel("/joy"), on_channel("/cmd", "receive")
 
 
 @contextmanager
-def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic, **changes: Any) -> Iterator[Pair]:
+def paired(base: Path, *topics: Topic, **changes: Any) -> Iterator[Pair]:
     radio = Radio()
-    monkeypatch.setattr(rfcomm, "listen", radio.listen)
-    monkeypatch.setattr(rfcomm, "connect", radio.connect)
+    transports = Transports(radio, Tcp(), Udp())
     write_key(base / "robot.key")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -154,8 +159,8 @@ def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic, **change
     common = {"name": "robot1", "server_ip": "127.0.0.1", "server_port": port, "key_file": "robot.key"}
     common |= {"bluetooth_address": _MAC, "domain_id": 1, "shutdown_topic": None} | changes
     here, there = StandIn(map=Qos(), joy=Qos(), odom=Qos(), late=Qos()), StandIn(cmd=Qos())
-    server = Engine(Session(role="server", **common), base=base, ros=there)
-    client = Engine(Session(role="client", topics=topics, **common), base=base, ros=here)
+    server = Engine(Session(role="server", **common), base=base, ros=there, transports=transports)
+    client = Engine(Session(role="client", topics=topics, **common), base=base, ros=here, transports=transports)
     server.start()
     try:
         client.start()
@@ -166,10 +171,8 @@ def paired(monkeypatch: pytest.MonkeyPatch, base: Path, *topics: Topic, **change
 
 
 @pytest.mark.parametrize("topics", [_TOPICS, _TOPICS[::-1]], ids=["in order", "reversed"])
-def test_topics_share_one_connection(
-    topics: tuple[Topic, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    with paired(monkeypatch, tmp_path, *topics) as pair:
+def test_topics_share_one_connection(topics: tuple[Topic, ...], tmp_path: Path) -> None:
+    with paired(tmp_path, *topics) as pair:
         pair.carries("/map", "/joy", "/cmd", "/odom")
         pair.settled("/map", "/joy", "/odom")
         assert len(pair.radio.called) == 1
@@ -179,20 +182,20 @@ def test_topics_share_one_connection(
         assert not held_channels(pair.client.session, pair.client.snapshot())
 
 
-def test_a_channel_of_the_servers_ports_number(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_channel_of_the_servers_ports_number(tmp_path: Path) -> None:
     """Channels and ports are numbered each for themselves."""
     host = "127.0.0.11"
     try:
         socket.create_server((host, _CHANNEL)).close()
     except PermissionError:
         pytest.skip(f"port {_CHANNEL} may not be bound here")
-    with paired(monkeypatch, tmp_path, *_TOPICS, server_ip=host, server_port=_CHANNEL) as pair:
+    with paired(tmp_path, *_TOPICS, server_ip=host, server_port=_CHANNEL) as pair:
         pair.carries("/map", "/joy", "/cmd", "/odom")
         assert not pair.complaints()
 
 
-def test_one_goes_and_others_come_while_the_connection_lives(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with paired(monkeypatch, tmp_path, *_TOPICS) as pair:
+def test_one_goes_and_others_come_while_the_connection_lives(tmp_path: Path) -> None:
+    with paired(tmp_path, *_TOPICS) as pair:
         pair.carries("/map", "/joy", "/cmd")
         pair.remove("/map")
         pair.carries("/joy", "/cmd")
@@ -212,10 +215,8 @@ def test_one_goes_and_others_come_while_the_connection_lives(monkeypatch: pytest
         assert not pair.complaints()
 
 
-def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    with paired(monkeypatch, tmp_path, *_TOPICS) as pair:
+def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: Path) -> None:
+    with paired(tmp_path, *_TOPICS) as pair:
         pair.carries("/map", "/joy", "/cmd")
         for _ in range(10):
             pair.here.publish("/map", bytes(1_000_000))
@@ -227,8 +228,8 @@ def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(
         assert not pair.complaints()
 
 
-def test_a_topic_that_begins_paused_joins_when_it_is_resumed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with paired(monkeypatch, tmp_path, on_channel("/map"), on_channel("/cmd", "receive", paused=True)) as pair:
+def test_a_topic_that_begins_paused_joins_when_it_is_resumed(tmp_path: Path) -> None:
+    with paired(tmp_path, on_channel("/map"), on_channel("/cmd", "receive", paused=True)) as pair:
         pair.carries("/map")
         pair.client.pause(pair.route("/cmd").key, False).result(5)
         pair.carries("/map", "/cmd")
@@ -241,10 +242,8 @@ def test_a_topic_that_begins_paused_joins_when_it_is_resumed(monkeypatch: pytest
 
 
 @pytest.mark.parametrize("side", ["called", "accepted"])
-def test_all_are_begun_anew_when_the_connection_dies(
-    side: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    with paired(monkeypatch, tmp_path, *_TOPICS) as pair:
+def test_all_are_begun_anew_when_the_connection_dies(side: str, tmp_path: Path) -> None:
+    with paired(tmp_path, *_TOPICS) as pair:
         pair.carries("/map", "/joy", "/cmd", "/odom")
         getattr(pair.radio, side)[0].cut()
         wait_until(lambda: len(pair.radio.called) == 2, "it is opened again")
@@ -257,8 +256,8 @@ def test_all_are_begun_anew_when_the_connection_dies(
         assert "/odom" not in pair.complaints()
 
 
-def test_all_that_wait_hear_why_there_is_no_connection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with paired(monkeypatch, tmp_path, Topic("/odom", "transmit")) as pair:
+def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
+    with paired(tmp_path, Topic("/odom", "transmit")) as pair:
         pair.carries("/odom")
         pair.radio.off = True
         for topic in _TOPICS[:3]:
@@ -288,12 +287,10 @@ def test_all_that_wait_hear_why_there_is_no_connection(monkeypatch: pytest.Monke
         ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), "an opening frame came on an open stream"),
     ],
 )
-def test_what_has_no_place_on_it_ends_it_in_words(
-    side: str, data: bytes, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:
     """Routes 1 and 3 are on it; 5 is the TCP topic's, 7 is paused and not on it yet, and 9 was never opened."""
     topics = (on_channel("/map"), on_channel("/joy"), Topic("/odom", "transmit"), on_channel("/late", paused=True))
-    with paired(monkeypatch, tmp_path, *topics) as pair:
+    with paired(tmp_path, *topics) as pair:
         wait_until(lambda: pair.here.subscribed("/map", "/joy", "/odom"), "all are open")
         getattr(pair.radio, side)[0].say(data)
         wait_until(lambda: words in pair.complaints(), "the operators are told")

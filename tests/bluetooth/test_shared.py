@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, cast
 
 from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedChannel, Multiplexer
+from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import HEADER, LENGTH, DataReader, DataWriter, FrameReader
 from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
@@ -73,7 +74,7 @@ async def slow_link(*topics: Topic) -> AsyncIterator[None]:
     loop = asyncio.get_running_loop()
     near, far = socket.socketpair()
     handler = _Pumping()
-    _, stream = await loop.create_connection(lambda: Stream(handler), sock=near)
+    _, stream = await loop.create_connection(lambda: RfcommStream(handler), sock=near)
     assert handler.shared is not None
     ends = {}
     for topic in topics:

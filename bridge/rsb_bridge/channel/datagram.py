@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts
 from rsb_bridge.transport.streams import BATCH_BYTES
-from rsb_bridge.transport.udp import SendPath
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramReader, DatagramWriter, Probe
 from rsb_bridge.wire.framing import ProtocolError
 
@@ -15,7 +14,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.link.link import Link
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.udp import Address, UdpSocket
+    from rsb_bridge.transport.streams import Address
+    from rsb_bridge.transport.transport import DatagramSocket, SendPath
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
@@ -62,7 +62,7 @@ class UdpChannel:
     """
 
     def __init__(
-        self, socket: UdpSocket, path_probe: PathProbe, *, server: Address | None = None, own: str = ""
+        self, socket: DatagramSocket, path_probe: PathProbe, *, server: Address | None = None, own: str = ""
     ) -> None:
         """Begin.
 
@@ -142,7 +142,7 @@ class UdpChannel:
             return
         self._heard = now
         if not probe.pong and not self._is_client:
-            self._address, self._send_path = address, SendPath.between(self._own, address)
+            self._address, self._send_path = address, self.socket.path(self._own, address)
             self.send(self._path_probe.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
 
     def tick(self, now: float) -> None:

@@ -14,8 +14,7 @@ from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.transport import rfcomm, tcp, udp
-from rsb_bridge.transport.streams import Stream, StreamHandler, format_address, os_error_message
+from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
@@ -25,7 +24,7 @@ from rsb_bridge.wire.opening import RefusalCode
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
+    from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import Hello, Propose, Shutdown
     from rsb_bridge.wire.sealing import Suite
 
@@ -60,7 +59,7 @@ class ClientLink(Link):
 
     @property
     def address(self) -> str:
-        return format_address((self.host, self.port))
+        return self.transport.format_address((self.host, self.port))
 
     def shared_port(self) -> int:
         return self.port
@@ -93,9 +92,8 @@ class ClientLink(Link):
         if not self.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.address}", link_status=True)
         secret = self._key.secret if self._key else None
-        connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.is_bluetooth)
-        transport = "bluetooth" if self.is_bluetooth else "tcp"
-        failure = await self._open(transport, self.port, _ControlOpening(self, connection))
+        connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
+        failure = await self._open(self.transport, self.port, _ControlOpening(self, connection))
         if failure is not None:
             self._failed(failure)
             return
@@ -104,15 +102,15 @@ class ClientLink(Link):
             self.control.shut_down("shut down", retry_after=None)
         await self._ended.wait()
 
-    async def _open(self, transport: str, port: int, opening: _Opening) -> _Failure | None:
+    async def _open(self, transport: StreamTransport, port: int, opening: _Opening) -> _Failure | None:
         """Connect, and wait for the server's answer; None: the stream is let in."""
-        host = (self.context.session.adapter if transport == "bluetooth" else None) or self.host
+        host = transport.host(self.context.session)
         try:
-            await (rfcomm.connect if transport == "bluetooth" else tcp.connect)(host, port, opening)
+            await transport.connect(host, port, opening)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
                 return await opening.outcome
         except OSError as error:
-            return _Failure(f"{format_address((host, port))}: {_connect_error_message(error)}", refused=False)
+            return _Failure(f"{transport.format_address((host, port))}: {_connect_error_message(error)}", refused=False)
         finally:
             opening.end()
 
@@ -180,10 +178,10 @@ class ClientLink(Link):
 
     def tick(self) -> None:
         super().tick()
-        if self.control is None or self.is_bluetooth or self.keepalive.quiet(self.context.now()) < _MOVED_AND_QUIET:
+        if self.control is None or self.keepalive.quiet(self.context.now()) < _MOVED_AND_QUIET:
             return
         stream = self.control.stream
-        now_from = tcp.own_address(stream.address)
+        now_from = self.transport.source_address(stream.address)
         if now_from not in ("", stream.own_address):
             self.control.abort(
                 f"this machine's address towards {self.host} changed: {stream.own_address} to {now_from}"
@@ -197,24 +195,24 @@ class ClientLink(Link):
     async def prepare_port(self, route: Route) -> None:
         return
 
-    def open_stream(self, route: Route) -> None:
-        if route.transport == "bluetooth":
-            self._share_radio(route)
+    def open_stream(self, route: Route, transport: StreamTransport) -> None:
+        if transport.multiplexed:
+            self._share_stream(route, transport)
         elif route.id not in self._streams_opening:
-            self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id))
+            self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id, transport))
 
-    async def _open_stream(self, route: Route, route_id: int) -> None:
-        failure = await self._attach(route, route_id)
+    async def _open_stream(self, route: Route, route_id: int, transport: StreamTransport) -> None:
+        failure = await self._attach(route, route_id, transport)
         if failure is not None and route.id == route_id:
             route.channel_lost(failure.reason)
 
-    async def _attach(self, route: Route, route_id: int) -> _Failure | None:
+    async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> _Failure | None:
         assert self.keys is not None
-        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route)
-        return await self._open(route.transport, route.proposal.port or self.port, opening)
+        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route, multiplexed=transport.multiplexed)
+        return await self._open(transport, route.proposal.port or self.port, opening)
 
-    def _share_radio(self, route: Route) -> None:
-        """Join the stream of the route's channel; open it, where it is not there and nobody does already."""
+    def _share_stream(self, route: Route, transport: StreamTransport) -> None:
+        """Join the stream of the route's channel, or open it if nobody has begun to."""
         assert self.keys is not None
         channel = route.proposal.port
         if radio := self._radio(channel):
@@ -224,7 +222,7 @@ class ClientLink(Link):
             self._waiting[channel][route.id] = route
         else:
             self._waiting[channel] = {route.id: route}
-            self._streams_opening[route.id] = self.spawn(self._open_radio(route, route.id))
+            self._streams_opening[route.id] = self.spawn(self._open_shared(route, route.id, transport))
 
     def _radio(self, channel: int) -> RfcommMultiplexer | None:
         for route in self.routes.values():
@@ -235,8 +233,8 @@ class ClientLink(Link):
                     return radio
         return None
 
-    async def _open_radio(self, first: Route, first_id: int) -> None:
-        failure = await self._attach(first, first_id)
+    async def _open_shared(self, first: Route, first_id: int, transport: StreamTransport) -> None:
+        failure = await self._attach(first, first_id, transport)
         waiting = self._waiting.pop(first.proposal.port, {})
         if first.id != first_id:  # it was closed meanwhile, and the others ask again
             return
@@ -246,22 +244,22 @@ class ClientLink(Link):
             elif route.id == route_id:
                 route.advance()
 
-    def open_udp_channel(self, port: int) -> UdpChannel | None:
+    def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
         assert self.control is not None
         assert self.path_probe is not None
         address = self.control.stream.address
-        server: Address = (address[0], port) if len(address) == 2 else (address[0], port, address[2], address[3])
+        server = (address[0], port, *address[2:])
         try:
-            socket = udp.connect(server, self._datagrams)
+            socket = transport.connect(server, self._datagrams)
         except OSError as error:
-            text = f"UDP to {format_address(server)}: {os_error_message(error)}"
+            text = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
             self.log(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
             return None
         udp_channel = UdpChannel(socket, self.path_probe, server=server)
         udp_channel.tick(self.context.now())
         return udp_channel
 
-    def _datagrams(self, socket: UdpSocket, datagrams: Datagrams) -> None:
+    def _datagrams(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
         udp_channel = next(
             (udp_channel for udp_channel in self.udp_channels.values() if udp_channel.socket is socket), None
         )
@@ -361,11 +359,12 @@ class _ControlOpening(_Opening):
 class _StreamOpening(_Opening):
     """Makes a stream of a route's own."""
 
-    def __init__(self, link: ClientLink, connection: DataConnection, route: Route) -> None:
+    def __init__(self, link: ClientLink, connection: DataConnection, route: Route, *, multiplexed: bool) -> None:
         super().__init__(link, connection)
+        self._multiplexed = multiplexed
         self._route = route
         self._route_id = route.id
 
     def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
         if self._route.id == self._route_id:  # else it was closed meanwhile
-            self._link.attach_stream(self._route, stream, self._connection.leftover())
+            self._link.attach_stream(self._route, stream, self._connection.leftover(), multiplexed=self._multiplexed)

@@ -22,7 +22,7 @@ from rsb_bridge.route.latched import LATCHED_LIMIT
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Route, route_key
 from rsb_bridge.telemetry.meters import ClockOffset
-from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.transport.streams import Stream, StreamHandler
-    from rsb_bridge.transport.udp import Address
+    from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+    from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
@@ -47,6 +47,7 @@ class Link(Side):
     """A peer and its routes. It lives on while the peer is away.
 
     Attributes:
+        transport: what carries the control connection.
         name: the client's name, on both sides.
         is_client: whether this side is the client.
         routes: by key.
@@ -59,6 +60,7 @@ class Link(Side):
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
         self.context = context
+        self.transport = context.transports.of_link(context.session.server_ip)
         self.name = name
         self.is_client = is_client
         self.side: Role = "client" if is_client else "server"
@@ -96,11 +98,6 @@ class Link(Side):
     def down_reason(self) -> str:
         """Why it isn't linked."""
         return "" if self.control else self.reason
-
-    @property
-    def is_bluetooth(self) -> bool:
-        """Whether the link is RFCOMM."""
-        return self.context.session.is_bluetooth
 
     def is_at(self, node: str) -> bool:
         """Whether a ROS node of this domain, by its name, is the peer's own."""
@@ -170,6 +167,10 @@ class Link(Side):
             self.control.send(message)
 
     # --- routes
+
+    def transport_of(self, topic: Topic) -> Transport:
+        """What carries a topic's messages; the link's own transport unless the topic names another."""
+        return self.context.transports[topic.protocol] if topic.protocol else self.transport
 
     def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
         """Make a route's half here; with `proposed_here` the peer is asked for its half at once.
@@ -260,25 +261,26 @@ class Link(Side):
     def open_channel(self, route: Route) -> None:
         """Set a route's path going."""
         port = route.proposal.port or self.shared_port()
-        if self.is_bluetooth and port == self.shared_port():
+        if self.transport.multiplexed and port == self.shared_port():
             assert self.control is not None
             route.channel = MultiplexedChannel(self.control.shared, route, stream_codec(self, route))
             return
-        if route.transport != "udp":
-            self.open_stream(route)
+        transport = route.transport
+        if isinstance(transport, StreamTransport):
+            self.open_stream(route, transport)
             return
         udp_channel = self.udp_channels.get(port)
         if udp_channel is None or udp_channel.over:
-            udp_channel = self.open_udp_channel(port)
+            udp_channel = self.open_udp_channel(transport, port)
         if udp_channel is None:
             return
         self.udp_channels[port] = udp_channel
         route.channel = DatagramChannel(udp_channel, route, datagram_codec(self, route))
 
-    def attach_stream(self, route: Route, stream: Stream, beginning: bytes) -> None:
-        """A stream is let in that was opened for the route; `beginning` came behind its opening."""
+    def attach_stream(self, route: Route, stream: Stream, beginning: bytes, *, multiplexed: bool) -> None:
+        """A stream is let in that was opened for the route; `beginning` came behind its opening frame."""
         handler: StreamHandler
-        if route.transport == "bluetooth":
+        if multiplexed:
             handler = radio = RfcommMultiplexer(stream, self, route.proposal.port)
             radio.carry(route)
         else:

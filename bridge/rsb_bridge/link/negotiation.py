@@ -14,7 +14,7 @@ from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Route, route_key
-from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.fields import NAME_LIMIT, RefuseCode, plain
 from rsb_bridge.wire.messages import (
     Accept,

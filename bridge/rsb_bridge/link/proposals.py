@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import msgspec
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.messages import Propose
 
+if TYPE_CHECKING:
+    from rsb_bridge.transport.transport import Transport
 
-def proposal_of(topic: Topic, *, client_name: str, use_name: bool, bluetooth: bool) -> Propose:
+
+def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_name: bool) -> Propose:
     """What to ask the peer for.
 
     Args:
         topic: as the client sees it.
+        transport: what will carry it.
         client_name: the client's name: the prefix.
         use_name: whether the server's name of the topic has the prefix.
-        bluetooth: whether the link is RFCOMM.
 
     Raises:
         ValueError: its QoS is none.
     """
     on_server = topic.remote_topic or (f"/{client_name}{topic.topic}" if use_name else topic.topic)
     from_client = topic.direction == "transmit"
-    transport = topic.protocol or ("bluetooth" if bluetooth else "tcp")
     return Propose(
         route=1,  # its id is given when it is sent
         topic=topic.topic if from_client else on_server,
         remote_topic=on_server if from_client else topic.topic,
         from_client=from_client,
         type="" if topic.type == "auto" else topic.type,
-        transport=transport,
+        transport=transport.name,
         port=topic.port or 0,
         qos=topic.parsed_qos(),
-        compression=topic.compression or ("zstd" if transport == "bluetooth" else "none"),
+        compression=topic.compression or transport.compression,
         max_rate=topic.max_rate or 0.0,
         expected_rate=topic.expected_rate or 0.0,
         stale_after=topic.stale_after,

@@ -102,9 +102,8 @@ class ClientRole:
 
     def add(self, topic: Topic, link: str) -> Route:
         session = self._context.session
-        proposal = proposal_of(
-            topic, client_name=session.name, use_name=session.use_name, bluetooth=self._link.is_bluetooth
-        )
+        transport = self._link.transport_of(topic)
+        proposal = proposal_of(topic, transport, client_name=session.name, use_name=session.use_name)
         return self._link.add(topic, proposal, proposed_here=True)
 
     def retry(self, link: str) -> None:
@@ -161,7 +160,8 @@ class ServerRole:
 
     def add(self, topic: Topic, link: str) -> Route:
         robot = self._chosen(link)
-        proposal = proposal_of(topic, client_name=robot.name, use_name=robot.use_name, bluetooth=robot.is_bluetooth)
+        transport = robot.transport_of(topic)
+        proposal = proposal_of(topic, transport, client_name=robot.name, use_name=robot.use_name)
         return robot.add(topic, proposal, proposed_here=True)
 
     def _chosen(self, name: str) -> ServerLink:

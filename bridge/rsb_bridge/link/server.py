@@ -18,8 +18,7 @@ from rsb_bridge.link.pending_connections import PendingConnections
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.ports import Ports
-from rsb_bridge.transport.streams import format_address
-from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
 from rsb_bridge.wire.connection import Credential, ServerConnection
 from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
@@ -33,11 +32,11 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Client
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.transport.udp import Address, Datagrams, UdpSocket
+    from rsb_bridge.transport.streams import Address, Stream
+    from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach, Established
 
-_FIRST_PORT, _MOST_PORTS = 1024, 64
+_MOST_PORTS = 64
 _NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
 _REPLACED_PAUSE = 10.0
 """s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
@@ -92,52 +91,59 @@ class ServerLink(Link):
         field = "remote_topic" if proposal.from_client else "topic"
         return msgspec.structs.replace(proposal, **{field: ours})
 
-    def open_stream(self, route: Route) -> None:
+    def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """The client opens it."""
 
-    def waiting_route(self, opening: Attach | DataOpening) -> Route:
-        """The route that a stream is asked for; raises Refusal where none waits for it."""
+    def waiting_route(self, opening: Attach | DataOpening) -> tuple[Route, StreamTransport]:
+        """The route that a stream is asked for, and its transport; raises Refusal where none waits for a stream."""
         route = self.open_route(opening.route)
-        if self.keys is None or route is None or route.channel is not None or route.transport == "udp":
+        transport = route.transport if route is not None else None
+        if (
+            self.keys is None
+            or route is None
+            or route.channel is not None
+            or not isinstance(transport, StreamTransport)
+        ):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
         try:
             self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
         except SealError as error:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
-        return route
+        return route, transport
 
     def join_stream(self, radio: RfcommMultiplexer, frame: bytes) -> None:
         opening = parse_further(frame)
         if self.is_closed_id(opening.route):
             return  # it was closed here while the frame was under way
-        route = self.waiting_route(opening)
-        if (route.transport, route.proposal.port) != ("bluetooth", radio.channel):
+        route, transport = self.waiting_route(opening)
+        if not transport.multiplexed or route.proposal.port != radio.channel:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} has no place on channel {radio.channel}")
         radio.carry(route)
         route.advance()
 
-    def open_udp_channel(self, port: int) -> UdpChannel | None:
+    def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
         """The client's first probe does."""
         return None
 
     async def prepare_port(self, route: Route) -> None:
-        port, route_id = route.proposal.port, route.id
-        shares_namespace = (route.transport == "bluetooth") == self.is_bluetooth  # channel 5 is not port 5
-        if not port or (shares_namespace and port == self.shared_port()):
+        port, route_id, transport = route.proposal.port, route.id, route.transport
+        same_numbers = transport.port_kind == self.transport.port_kind  # channel 5 is not port 5
+        if not port or (same_numbers and port == self.shared_port()):
             return
-        if route.transport != "bluetooth" and port < _FIRST_PORT:
-            raise ListenError(f"port {port}: topics may have ports from {_FIRST_PORT} up")
+        kind, first = transport.port_kind, transport.topic_ports.start
+        if port < first:
+            raise ListenError(f"{kind} {port}: topics may have {kind}s from {first} up")
         if sum(other.release_port is not None for other in self.routes.values()) >= _MOST_PORTS:
             raise ListenError(
                 f"{self.name} has {_MOST_PORTS} ports of its topics' own already: let more share the link's"
             )
-        release = await self._ports.open(route.transport, port)
+        release = await self._ports.open(transport.name, port)
         if route.id == route_id and route.release_port is None:
             route.release_port = release
         else:  # it was closed while the port was being bound
             release()
 
-    def arrived(self, socket: UdpSocket, datagrams: list[tuple[int, bytes, Address]]) -> None:
+    def arrived(self, socket: DatagramSocket, datagrams: list[tuple[int, bytes, Address]]) -> None:
         """Datagrams say they are this link's; the first ones on a socket make a UDP channel of it.
 
         They come the way the control connection did: a forged one by the other IP must not take the UDP channel away.
@@ -167,7 +173,9 @@ class Server:
         self._make_welcome = make_welcome
         self._aes = aes
         self._pending = PendingConnections(self)
-        self._ports = Ports(context.session.server_ip, context.session.adapter, self._pending.arrive, self._datagrams)
+        self._transport = context.transports.of_link(context.session.server_ip)
+        acceptor = Acceptor(self._pending.arrive, self._datagrams)
+        self._ports = Ports(context.session, context.transports, acceptor)
         self._entries = {entry.client.name: entry for entry in entries}
         self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
 
@@ -178,11 +186,11 @@ class Server:
             ListenError: it is taken, or not ours.
         """
         session = self.context.session
-        transports = ("bluetooth",) if session.is_bluetooth else ("tcp", "udp")
-        for transport in transports:
-            await self._ports.open(transport, session.server_port)
-        address = format_address((session.server_ip, session.server_port))
-        self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(transports)})")
+        names = (self._transport.name, *self._transport.companions)
+        for name in names:
+            await self._ports.open(name, session.server_port)
+        address = self._transport.format_address((session.server_ip, session.server_port))
+        self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(names)})")
 
     def stop(self) -> None:
         """Take nobody in any more."""
@@ -197,8 +205,7 @@ class Server:
 
     def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
         """The state machine for a stream that comes in."""
-        bluetooth = self.context.session.is_bluetooth
-        return ServerConnection(identify, self._welcome, self._aes, multiplexed=bluetooth)
+        return ServerConnection(identify, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
 
     def credential(self, name: str) -> Credential:
         """What a client of that name has to prove; raises Refusal where there is none."""
@@ -229,9 +236,9 @@ class Server:
         link = self._link_of(event.link_id)
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
-        route = link.waiting_route(event)
+        route, transport = link.waiting_route(event)
         stream.write(connection.accept_attach())
-        link.attach_stream(route, stream, connection.leftover())
+        link.attach_stream(route, stream, connection.leftover(), multiplexed=transport.multiplexed)
 
     def fingerprint_of(self, name: str) -> str:
         """Of the key that a client of that name should have; empty: none, or no such client."""
@@ -251,7 +258,7 @@ class Server:
             (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
         )
 
-    def _datagrams(self, socket: UdpSocket, datagrams: Datagrams) -> None:
+    def _datagrams(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
         by_link: dict[bytes, list[tuple[int, bytes, Address]]] = {}
         for datagram, address in datagrams:
             if to := addressee(datagram):

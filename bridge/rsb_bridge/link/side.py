@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rsb_bridge.channel.datagram import UdpChannel
     from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import Propose, Shutdown
 
 
@@ -29,11 +30,11 @@ class Side(ABC):
         """Whether the server's names of the client's topics have the client's before them, as far as is known."""
 
     @abstractmethod
-    def open_stream(self, route: Route) -> None:
+    def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """Get the route's stream going, or on it; a server waits for the client's."""
 
     @abstractmethod
-    def open_udp_channel(self, port: int) -> UdpChannel | None:
+    def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
         """Datagrams to and from the peer by that port; None: not now."""
 
     @abstractmethod

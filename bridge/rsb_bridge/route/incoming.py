@@ -93,7 +93,7 @@ class IncomingRoute(Route):
             if qos.durability == "transient_local":
                 self._latched = Latched(self.peer.latched, qos.depth)
             self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
-        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport} connected ({description.type})")
+        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, before=self._before))
         self.advance()
 

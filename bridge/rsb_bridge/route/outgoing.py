@@ -14,9 +14,10 @@ from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError, Subscription
 from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.route.ledger import RouteLedger
-from rsb_bridge.route.route import LARGEST_DATAGRAM_MESSAGE, Peer, Route
+from rsb_bridge.route.route import Peer, Route
+from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import plain
-from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.wire.framing import ZSTD, Message
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
 
 _QUEUE_BYTES = 32 * 1024 * 1024
-_RADIO_QUEUE_BYTES = 64 * 1024  # on Bluetooth, a second or two, of what needn't arrive: later it would be stale
+_SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
 _ZSTD_LEVEL = 3
 
@@ -53,7 +54,7 @@ class OutgoingRoute(Route):
         self._interval = int(1e9 / proposal.max_rate) if proposal.max_rate else 0
         self._due = 0
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
-        self._largest = LARGEST_DATAGRAM_MESSAGE if proposal.transport == "udp" else MESSAGE_LIMIT
+        self._largest = self.transport.largest_message
         self._ledger = RouteLedger()
         self._described: Describe | None = None
         self._ready = False
@@ -154,7 +155,7 @@ class OutgoingRoute(Route):
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error))
             return
         self.stale.rearm(self.context.now())
-        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport} connected ({described.type})")
+        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({described.type})")
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
@@ -221,8 +222,8 @@ class OutgoingRoute(Route):
             self._queue_bytes += size
         congested = path is not None and path.congested
         depth = self.qos.depth if congested and self.qos is not None and self.qos.history == "keep_last" else 0
-        stale = self.transport == "bluetooth" and self.qos is not None and self.qos.reliability == "best_effort"
-        limit = _RADIO_QUEUE_BYTES if stale else _QUEUE_BYTES + self._largest
+        stale = self.transport.slow and self.qos is not None and self.qos.reliability == "best_effort"
+        limit = _SLOW_QUEUE_BYTES if stale else _QUEUE_BYTES + self._largest
         while len(queue) > 1 and ((depth and len(queue) > depth) or self._queue_bytes > limit):
             self._queue_bytes -= len(queue.popleft()[0])
             self._ledger.drop("queue full", 1)
@@ -247,7 +248,9 @@ class OutgoingRoute(Route):
 
     def _too_large(self, size: int) -> None:
         self._ledger.drop("too large", 1)
-        text = f"a message of {size:,} bytes is more than {self.transport} carries here ({self._largest:,}): use tcp"
+        text = (
+            f"a message of {size:,} bytes is more than {self.transport.name} carries here ({self._largest:,}): use tcp"
+        )
         if text != self.last_error:
             self.last_error = text
             self.log(Level.ERROR, EventCode.ROUTE_TOO_LARGE, text)
@@ -267,7 +270,7 @@ class OutgoingRoute(Route):
     def _passed(self) -> int:
         """Datagrams' messages that the peer has seen newer ones of, or that should long have arrived; 0 on streams."""
         report = self._ledger.report
-        if self.transport != "udp" or report is None:
+        if report is None or not isinstance(self.transport, DatagramTransport):
             return 0
         return max(report.newest, self._ledger.overdue)
 

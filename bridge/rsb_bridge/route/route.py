@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 _LONGEST_PAUSE = 10.0
 _PROPOSED_WITHIN = 3.0
 LINK_STAGE = "link up"
-LARGEST_DATAGRAM_MESSAGE = 8 * 1024 * 1024
-"""Bytes of one serialized message that UDP carries."""
 
 
 class Peer(Protocol):
@@ -110,7 +108,7 @@ class Route:
         self.topic = proposal.topic
         self.remote_topic = proposal.remote_topic
         self.from_client = proposal.from_client
-        self.transport = proposal.transport
+        self.transport = context.transports[proposal.transport]
         self.proposed_here = proposed_here
         self.key = route_key(peer.name, proposal)
         self.id = 0
@@ -338,7 +336,7 @@ class Route:
             qos=self.qos,
             publisher_qos=publisher_qos,
             subscriber_qos=subscriber_qos,
-            transport=self.transport,
+            transport=self.transport.name,
             port=self.proposal.port or self.peer.shared_port(),
             stages=stages,
             ledger=self.ledger(),

@@ -1,8 +1,8 @@
-"""Bluetooth RFCOMM: connect and listen. Addresses are MACs, ports are channels.
+"""Bluetooth RFCOMM. Hosts are adapters' MACs, ports are channels.
 
-What the kernel does (seen on Linux 6.1.170 and 6.12) and this allows for: an absent peer is waited for as long as the
-radio pages it; right after a connection was closed the next one may be refused, reset or find the channel busy; one
-pair of adapters has one connection a channel; an address that no adapter has binds without an error.
+The kernel's behaviour that this module allows for (seen on Linux 6.1.170 and 6.12): connecting to an absent peer takes
+as long as the radio pages it; right after a connection was closed the next one may be refused, reset or find the
+channel busy; two adapters have one connection on a channel; an address that no adapter has binds without an error.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import socket
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
-from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.model.session import is_mac
+from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message
+from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
+from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
-    import socket
-    from collections.abc import Callable
+    from rsb_bridge.model.session import Session
 
 CONNECT_TIMEOUT = 12.0
 """s: paging alone takes up to 5.12 (Bluetooth Core, vol 4 part E, Page_Timeout), then come encryption and RFCOMM."""
@@ -27,22 +29,77 @@ _TRANSIENT = (errno.ECONNREFUSED, errno.ECONNRESET, errno.EBUSY)
 _RETRY_FOR = 1.0
 _RETRY_EVERY = 0.1
 _BACKLOG = 8
+_BUFFER = 4096
 
 
-async def connect(address: str, channel: int, handler: StreamHandler) -> Stream:
-    """Connect to a channel of the adapter with that address.
+class RfcommStream(Stream):
+    """An RFCOMM connection. It carries some 50 kB/s: what waits on it should be well below a second of that."""
 
-    Raises:
-        OSError: nobody answered within `CONNECT_TIMEOUT`, or it was refused; the words are an operator's.
-    """
-    loop = asyncio.get_running_loop()
-    try:
-        async with asyncio.timeout(CONNECT_TIMEOUT):
-            sock = await _connected(address, channel)
-    except TimeoutError:
-        raise OSError(_connect_error_message(errno.EHOSTDOWN, channel)) from None
-    _, stream = await loop.create_connection(lambda: Stream(handler), sock=sock)
-    return stream
+    batch_bytes = 2048
+    high_water = 2048
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        sock: socket.socket = transport.get_extra_info("socket")
+        for buffer in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            sock.setsockopt(socket.SOL_SOCKET, buffer, _BUFFER)
+        super().connection_made(transport)
+
+    @property
+    def peer(self) -> str:
+        return _format_address(self.address)
+
+
+class Rfcomm(StreamTransport):
+    """Bluetooth RFCOMM. Two adapters have one connection on a channel, so the routes of a channel share it."""
+
+    name = "bluetooth"
+    port_kind = "channel"
+    topic_ports = range(1, 31)
+    slow = True
+    compression = "zstd"
+    multiplexed = True
+    largest_message = MESSAGE_LIMIT
+
+    def carries_links_to(self, host: str) -> bool:
+        return is_mac(host)
+
+    def host(self, session: Session) -> str:
+        return session.adapter or session.server_ip
+
+    def format_address(self, address: Address) -> str:
+        return _format_address(address)
+
+    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(CONNECT_TIMEOUT):
+                sock = await _connected(host, port)
+        except TimeoutError:
+            raise OSError(_connect_error_message(errno.EHOSTDOWN, port)) from None
+        _, stream = await loop.create_connection(lambda: RfcommStream(handler), sock=sock)
+        return stream
+
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> asyncio.Server:
+        """Accept connections on one adapter's channel, or with `hci.ANY_ADAPTER` on all adapters'."""
+        loop = asyncio.get_running_loop()
+        try:
+            own = {adapter.address for adapter in hci.adapters()}
+            if host.upper() not in own | {hci.ANY_ADAPTER}:
+                here = f"this machine's are {', '.join(sorted(own))}" if own else "it has none"
+                raise ListenError(f"{host} is no Bluetooth adapter of this machine: {here}")
+            sock = hci.rfcomm_socket()
+        except hci.NoBluetoothError as error:
+            raise ListenError(str(error)) from None
+        try:
+            sock.bind((host, port))
+            return await loop.create_server(lambda: RfcommStream(acceptor.make_handler()), sock=sock, backlog=_BACKLOG)
+        except OSError as error:
+            sock.close()
+            if error.errno == errno.EADDRINUSE:
+                raise ListenError(
+                    f"RFCOMM channel {port} is taken: choose one that rsb-console bt-scan shows as free"
+                ) from None
+            raise ListenError(f"RFCOMM channel {port} of {host}: {os_error_message(error)}") from None
 
 
 async def _connected(address: str, channel: int) -> socket.socket:
@@ -79,27 +136,5 @@ def _connect_error_message(error: int | None, channel: int) -> str:
     return os.strerror(error or 0)
 
 
-async def listen(address: str, channel: int, make_handler: Callable[[], StreamHandler]) -> asyncio.Server:
-    """Accept connections on one adapter's channel, or with `hci.ANY_ADAPTER` on all adapters'.
-
-    Raises:
-        ListenError: in words.
-    """
-    loop = asyncio.get_running_loop()
-    try:
-        own = {adapter.address for adapter in hci.adapters()}
-        if address.upper() not in own | {hci.ANY_ADAPTER}:
-            here = f"this machine's are {', '.join(sorted(own))}" if own else "it has none"
-            raise ListenError(f"{address} is no Bluetooth adapter of this machine: {here}")
-        sock = hci.rfcomm_socket()
-    except hci.NoBluetoothError as error:
-        raise ListenError(str(error)) from None
-    try:
-        sock.bind((address, channel))
-        return await loop.create_server(lambda: Stream(make_handler()), sock=sock, backlog=_BACKLOG)
-    except OSError as error:
-        sock.close()
-        if error.errno == errno.EADDRINUSE:
-            words = f"RFCOMM channel {channel} is taken: choose one that rsb-console bt-scan shows as free"
-            raise ListenError(words) from None
-        raise ListenError(f"RFCOMM channel {channel} of {address}: {os_error_message(error)}") from None
+def _format_address(address: Address) -> str:
+    return f"{address[0]} channel {address[1]}"

@@ -1,38 +1,27 @@
-"""A connected stream socket on the I/O loop, be it TCP or RFCOMM."""
+"""A connected stream on the I/O loop, whatever transport carries it."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import os
 import socket
-from typing import Any, cast
+from typing import Any, ClassVar, TypeAlias
 
-from rsb_bridge.model.session import is_mac
+Address: TypeAlias = tuple[Any, ...]
+"""As the socket module has it: host and port (TCP and UDP over IPv6: with flow and scope behind them)."""
 
 BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
 _LINGER = 2.0
-_NOT_SENT_LOW_WATER = 32 * 1024
-_TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
-_IDLE, _KEEPALIVE_EVERY = 20, 5
-"""s; the stingiest NATs forget an idle connection within a minute."""
-_GIVEN_UP_AFTER_MS = 6_000
-_TCP_RTO_MAX_MS = 44
-_RETRIED_EVERY_MS = 1000
-"""The kernel alone would wait ever longer between retransmissions, and so long after the network is back."""
-# RFCOMM carries some 50 kB/s: what waits behind the scheduler (`shared`) should be well below a second of that.
-_RFCOMM_HIGH_WATER = 2048
-_RFCOMM_BUFFER = 4096
 
 
 class StreamHandler:
-    """What a stream's bytes go to; by itself it lets everything pass. Every method is called on the I/O loop."""
+    """Receives what happens on a stream, on the I/O loop. The base class ignores everything."""
 
     def connected(self, stream: Stream) -> None:
-        """The stream is there; called once, on its first handler."""
+        """The stream is connected; called once, on its first handler."""
 
     def received(self, data: bytes) -> None:
         """Bytes came."""
@@ -41,30 +30,36 @@ class StreamHandler:
         """The stream was congested and takes more again."""
 
     def closed(self, reason: str) -> None:
-        """The stream is over, by whatever cause; called once."""
+        """The stream is over, whatever ended it; called once."""
 
 
 class Stream(asyncio.Protocol):
-    """A thin shell over asyncio's transport: it adds byte counts, an address in words, and a handler that may change.
+    """An asyncio protocol that counts bytes, knows both addresses, and has a handler that may be replaced.
+
+    Connect it as any asyncio protocol: to an `asyncio.Transport` that offers ``peername`` and ``sockname`` as extra
+    information, keeps to `set_write_buffer_limits`, and calls `pause_writing` and `resume_writing`.
 
     Attributes:
-        handler: gets what happens from now on.
-        congested: bytes (RFCOMM: 2 KiB) wait for the kernel to take them: better not to write now.
+        batch_bytes: how much to write in one call.
+        high_water: bytes that may wait for the kernel before the stream counts as congested.
+        handler: receives what happens from now on.
+        congested: more than `high_water` bytes wait for the kernel: better not to write now.
         received_bytes: so far.
-        sent_bytes: so far, those still waiting included.
-        address: of the other end, as the socket module has it.
-        own_address: of this end: its host or adapter.
-        batch_bytes: how much to write at once, for good.
+        sent_bytes: so far, including those that still wait.
+        address: of the other end.
+        own_address: host or adapter of this end; empty: not known.
     """
+
+    batch_bytes: ClassVar[int] = BATCH_BYTES
+    high_water: ClassVar[int] = 0
 
     def __init__(self, handler: StreamHandler) -> None:
         self.handler = handler
         self.congested = False
         self.received_bytes = 0
         self.sent_bytes = 0
-        self.address: tuple[Any, ...] = ("?", 0)
+        self.address: Address = ("?", 0)
         self.own_address = ""
-        self.batch_bytes = BATCH_BYTES
         self._transport: asyncio.Transport | None = None
         self._reason = ""
 
@@ -104,24 +99,16 @@ class Stream(asyncio.Protocol):
         return self._transport is None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast("asyncio.Transport", transport)
-        sock: socket.socket = transport.get_extra_info("socket")
-        # What waits should wait with us, where old messages can be dropped, not in the kernel.
-        if sock.family in (socket.AF_INET, socket.AF_INET6):
-            self._transport.set_write_buffer_limits(high=0)
-            _set_tcp_options(sock)
-        else:
-            self.batch_bytes = _RFCOMM_HIGH_WATER
-            self._transport.set_write_buffer_limits(high=_RFCOMM_HIGH_WATER)
-            for buffer in (socket.SO_SNDBUF, socket.SO_RCVBUF):
-                sock.setsockopt(socket.SOL_SOCKET, buffer, _RFCOMM_BUFFER)
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._transport.set_write_buffer_limits(high=self.high_water)
         self.address = transport.get_extra_info("peername") or self.address
-        self.own_address = str((sock.getsockname() or [""])[0])  # a socketpair has no name
+        self.own_address = str((transport.get_extra_info("sockname") or [""])[0])  # a socketpair has no name
         self.handler.connected(self)
 
     @property
     def peer(self) -> str:
-        """The other end's address in words."""
+        """The other end's address, as an operator reads it."""
         return format_address(self.address)
 
     @property
@@ -148,32 +135,19 @@ class Stream(asyncio.Protocol):
         self.handler.closed(self._reason or (os_error_message(error) if error else "closed"))
 
 
-def _set_tcp_options(sock: socket.socket) -> None:
-    """Have idle connections remembered by NATs, and those that carry nothing retried often, and given up in the end."""
-    sock.setsockopt(socket.IPPROTO_TCP, _TCP_NOTSENT_LOWAT, _NOT_SENT_LOW_WATER)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _KEEPALIVE_EVERY)
-    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _GIVEN_UP_AFTER_MS)
-    with contextlib.suppress(OSError):  # Linux 6.15
-        sock.setsockopt(socket.IPPROTO_TCP, _TCP_RTO_MAX_MS, _RETRIED_EVERY_MS)
-
-
-def format_address(address: tuple[Any, ...]) -> str:
-    """A socket address as ``host:port``, ``[host]:port`` for IPv6, ``MAC channel n`` for RFCOMM."""
+def format_address(address: Address) -> str:
+    """A socket address as ``host:port``, ``[host]:port`` for IPv6."""
     host, port = address[0], address[1]
-    if is_mac(str(host)):
-        return f"{host} channel {port}"
     return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
 
 
 def os_error_message(error: BaseException) -> str:
-    """An OS error as a person reads it: the kernel's own words, without numbers."""
+    """The kernel's message for an OS error, without its number, and with a remedy where there is one."""
     if isinstance(error, TimeoutError) and not error.args:
         return "timed out"
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
-        words = os.strerror(error.errno)  # asyncio puts its own into strerror
-        return f"{words}: is the server running there?" if error.errno == errno.ECONNREFUSED else words
+        message = os.strerror(error.errno)  # asyncio puts its own text into strerror
+        return f"{message}: is the server running there?" if error.errno == errno.ECONNREFUSED else message
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return str(error) or type(error).__name__

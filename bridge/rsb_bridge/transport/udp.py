@@ -1,4 +1,4 @@
-"""UDP sockets on the I/O loop, with what Python's own datagram transport lacks: draining, pacing, path MTU."""
+"""UDP sockets on the I/O loop, with what asyncio's datagram transport lacks: draining, pacing, path MTU."""
 
 from __future__ import annotations
 
@@ -8,11 +8,21 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.transport.tcp import ListenError, listen_error_message
+from rsb_bridge.transport.tcp import listen_error_message
+from rsb_bridge.transport.transport import (
+    Acceptor,
+    Datagrams,
+    DatagramSocket,
+    DatagramTransport,
+    ListenError,
+    SendPath,
+)
 
-Address: TypeAlias = tuple[str, int] | tuple[str, int, int, int]
+if TYPE_CHECKING:
+    from rsb_bridge.transport.streams import Address
 
 _READS_PER_WAKE = 64
 _BUFFER = 8 * 1024 * 1024
@@ -27,38 +37,16 @@ _SIZE_HOLDS = 1.0
 _BACKLOG_LIMIT = 16 * 1024 * 1024
 
 
-class SendPath(NamedTuple):
-    """Where a bound socket sends to.
-
-    Attributes:
-        address: of the peer.
-        control: has the datagrams come from one address of ours, whichever the kernel would prefer (sendmsg(2)).
-    """
-
-    address: Address
-    control: list[tuple[int, int, bytes]]
-
-    @classmethod
-    def between(cls, own: str, address: Address) -> SendPath:
-        """From one of our addresses to a peer (ip(7) IP_PKTINFO, ipv6(7) IPV6_PKTINFO)."""
-        if len(address) == 4:
-            content = struct.pack("=16sI", socket.inet_pton(socket.AF_INET6, own), 0)
-            return cls(address, [(socket.IPPROTO_IPV6, socket.IPV6_PKTINFO, content)])
-        content = struct.pack("=I4s4x", 0, socket.inet_aton(own))
-        return cls(address, [(socket.IPPROTO_IP, _IP_PKTINFO, content)])
-
-
-Datagrams: TypeAlias = list[tuple[bytes, Address]]
-"""Datagrams, each with where it came from."""
-Received: TypeAlias = Callable[["UdpSocket", Datagrams], None]
-"""Called with what one wake-up of the socket brought."""
+Received: TypeAlias = Callable[[DatagramSocket, Datagrams], None]
 
 
 class UdpSocket:
     """A bound or connected UDP socket.
 
     Attributes:
-        congested: datagrams wait for the kernel's buffer, or for their turn: better not to send now.
+        when_writable: called once the socket was congested and takes more again.
+        received_bytes: so far.
+        sent_bytes: so far.
     """
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
@@ -82,30 +70,38 @@ class UdpSocket:
     def congested(self) -> bool:
         return bool(self._backlog)
 
-    def send(self, datagrams: list[bytes], send_path: SendPath | None) -> None:
-        """Send one message's datagrams, by a send path or, on a connected socket, None.
+    def path(self, source: str, address: Address) -> SendPath:
+        """See `DatagramSocket.path`; the kernel alone might choose another source (IP_PKTINFO, IPV6_PKTINFO)."""
+        if len(address) == 4:
+            content = struct.pack("=16sI", socket.inet_pton(socket.AF_INET6, source), 0)
+            return SendPath(address, [(socket.IPPROTO_IPV6, socket.IPV6_PKTINFO, content)])
+        content = struct.pack("=I4s4x", 0, socket.inet_aton(source))
+        return SendPath(address, [(socket.IPPROTO_IP, _IP_PKTINFO, content)])
+
+    def send(self, datagrams: list[bytes], path: SendPath | None) -> None:
+        """See `DatagramSocket.send`.
 
         A message larger than a burst is paced at 128 MB/s: the far kernel's buffer is small, and nothing on loopback or
         a fast link would slow us down.
         """
         if self._backlog:
             if sum(len(d) for d, _ in self._backlog) < _BACKLOG_LIMIT:
-                self._backlog.extend((datagram, send_path) for datagram in datagrams)
+                self._backlog.extend((datagram, path) for datagram in datagrams)
             return
         burst = _BURST
         for index, datagram in enumerate(datagrams):
             burst -= len(datagram)
             if burst < 0 and index:
-                self._backlog.extend((rest, send_path) for rest in datagrams[index:])
+                self._backlog.extend((rest, path) for rest in datagrams[index:])
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
-            if not self._send_one(datagram, send_path):
-                self._backlog.extend((rest, send_path) for rest in datagrams[index:])
+            if not self._send_one(datagram, path):
+                self._backlog.extend((rest, path) for rest in datagrams[index:])
                 self._loop.add_writer(self._sock, self._flush)
                 return
 
     def datagram_size(self, address: Address) -> int:
-        """Bytes of the largest datagram that reaches `address` without IP fragmentation, as far as the kernel knows."""
+        """See `DatagramSocket.datagram_size`; without IP fragmentation, as far as the kernel knows."""
         now = self._loop.time()
         size, until = self._sizes.get(address, (0, 0.0))
         if now >= until:
@@ -132,12 +128,12 @@ class UdpSocket:
             self.received_bytes += sum([len(datagram) for datagram, _ in datagrams])
             self._received(self, datagrams)
 
-    def _send_one(self, datagram: bytes, send_path: SendPath | None) -> bool:
+    def _send_one(self, datagram: bytes, path: SendPath | None) -> bool:
         try:
-            if send_path is None:
+            if path is None:
                 self._sock.send(datagram)
             else:
-                self._sock.sendmsg((datagram,), send_path.control, 0, send_path.address)
+                self._sock.sendmsg((datagram,), path.control, 0, path.address)
         except BlockingIOError:
             return False
         except OSError:
@@ -151,12 +147,12 @@ class UdpSocket:
         self._timer = None
         burst = _BURST
         while self._backlog:
-            datagram, send_path = self._backlog[0]
+            datagram, path = self._backlog[0]
             burst -= len(datagram)
             if burst < 0:
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
-            if not self._send_one(datagram, send_path):
+            if not self._send_one(datagram, path):
                 self._loop.add_writer(self._sock, self._flush)
                 return
             self._backlog.popleft()
@@ -164,47 +160,52 @@ class UdpSocket:
             writable()
 
 
-async def bind(host: str, port: int, received: Received) -> list[UdpSocket]:
-    """Bind a UDP socket on each of the host's addresses.
+@dataclass(frozen=True, slots=True)
+class _Bound:
+    """The sockets of one port, one for each address."""
 
-    Raises:
-        ListenError: in words.
-    """
-    loop = asyncio.get_running_loop()
-    sockets: list[UdpSocket] = []
-    try:
-        found = await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
-        for family, kind, proto, _, address in dict.fromkeys(found):
-            sock = _socket(family, kind, proto)
-            try:
-                if family == socket.AF_INET6:
-                    sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                sock.bind(address)
-            except OSError:
-                sock.close()
-                raise
-            sockets.append(UdpSocket(sock, received))
-    except OSError as error:
-        for udp in sockets:
+    sockets: list[UdpSocket]
+
+    def close(self) -> None:
+        for udp in self.sockets:
             udp.close()
-        raise ListenError(listen_error_message(error, f"{host}:{port}", "UDP")) from None
-    return sockets
 
 
-def connect(peer: Address, received: Received) -> UdpSocket:
-    """A UDP socket to one peer, at a port of the kernel's choice.
+class Udp(DatagramTransport):
+    """UDP over IPv4 and IPv6."""
 
-    Raises:
-        OSError: there is no route to it.
-    """
-    family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
-    sock = _socket(family, socket.SOCK_DGRAM, 0)
-    try:
-        sock.connect(peer)
-    except OSError:
-        sock.close()
-        raise
-    return UdpSocket(sock, received)
+    name = "udp"
+    largest_message = 8 * 1024 * 1024
+
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> _Bound:
+        loop = asyncio.get_running_loop()
+        bound = _Bound([])
+        try:
+            found = await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
+            for family, kind, proto, _, address in dict.fromkeys(found):
+                sock = _socket(family, kind, proto)
+                try:
+                    if family == socket.AF_INET6:
+                        sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                    sock.bind(address)
+                except OSError:
+                    sock.close()
+                    raise
+                bound.sockets.append(UdpSocket(sock, acceptor.datagrams))
+        except OSError as error:
+            bound.close()
+            raise ListenError(listen_error_message(error, f"{host}:{port}", "UDP")) from None
+        return bound
+
+    def connect(self, peer: Address, received: Received) -> UdpSocket:
+        family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
+        sock = _socket(family, socket.SOCK_DGRAM, 0)
+        try:
+            sock.connect(peer)
+        except OSError:
+            sock.close()
+            raise
+        return UdpSocket(sock, received)
 
 
 def _socket(family: int, kind: int, proto: int) -> socket.socket:

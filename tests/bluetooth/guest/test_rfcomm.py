@@ -13,8 +13,9 @@ import pytest
 
 from rsb_bridge.bluetooth.hci import ANY_ADAPTER
 from rsb_bridge.transport import rfcomm
+from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.transport.tcp import ListenError
+from rsb_bridge.transport.transport import Acceptor, ListenError
 
 from .conftest import bare_rate, holding
 
@@ -86,17 +87,21 @@ class Pair:
     async def connect(self) -> tuple[Recorder, Recorder]:
         """A new connection: the client's end and the server's."""
         client = Recorder()
-        await rfcomm.connect(self.address, self.channel, client)
+        await Rfcomm().connect(self.address, self.channel, client)
         async with asyncio.timeout(_DEADLINE):
             server = await self._newest.get()
         await server.until(lambda end: end.stream)
         return client, server
 
 
+def _streams_to(make_handler: Callable[[], Recorder]) -> Acceptor:
+    return Acceptor(make_handler, lambda socket, datagrams: None)
+
+
 @asynccontextmanager
 async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator[Pair]:
     pair = Pair(address, channel)
-    server = await rfcomm.listen(bind or address, channel, pair.accept)
+    server = await Rfcomm().listen(bind or address, channel, _streams_to(pair.accept))
     try:
         yield pair
     finally:
@@ -161,12 +166,12 @@ def test_refusals_are_explained(addresses: tuple[str, str]) -> None:
     async def main() -> None:
         started = time.monotonic()
         with pytest.raises(OSError, match="nobody listens on channel 9 there: is the server running"):
-            await rfcomm.connect(addresses[0], 9, Recorder())
+            await Rfcomm().connect(addresses[0], 9, Recorder())
         assert 1.0 < time.monotonic() - started < 5.0
         async with listening(addresses[0], 7) as pair:
             await pair.connect()
             with pytest.raises(OSError, match="channel 7 there is in use by another program of this machine"):
-                await rfcomm.connect(addresses[0], 7, Recorder())
+                await Rfcomm().connect(addresses[0], 7, Recorder())
 
     asyncio.run(main())
 
@@ -177,7 +182,7 @@ def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatc
     async def main() -> None:
         started = time.monotonic()
         with pytest.raises(OSError, match="no answer: is it on, near, and is the MAC right"):
-            await rfcomm.connect("00:11:22:33:44:55", 5, Recorder())
+            await Rfcomm().connect("00:11:22:33:44:55", 5, Recorder())
         assert time.monotonic() - started < 4.0
         async with listening(addresses[0], 5) as pair:  # and it leaves nothing behind that would be in the way
             await pair.connect()
@@ -188,9 +193,9 @@ def test_an_absent_peer_is_not_waited_for(addresses: tuple[str, str], monkeypatc
 def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
     async def main() -> None:
         with pytest.raises(ListenError, match=f"00:11:22:33:44:55 is no .* this machine's are {', '.join(addresses)}"):
-            await rfcomm.listen("00:11:22:33:44:55", 3, Recorder)
+            await Rfcomm().listen("00:11:22:33:44:55", 3, _streams_to(Recorder))
         with holding((addresses[0], 3, "listen")), pytest.raises(ListenError, match="channel 3 is taken: choose one"):
-            await rfcomm.listen(addresses[0].lower(), 3, Recorder)
+            await Rfcomm().listen(addresses[0].lower(), 3, _streams_to(Recorder))
 
     asyncio.run(main())
 

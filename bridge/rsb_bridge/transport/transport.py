@@ -1,0 +1,188 @@
+"""The seam between links and what carries them: what TCP, UDP, RFCOMM and any further transport fulfil.
+
+A transport is one class in one module of this package, listed in `rsb_bridge.transport.registry`. There are two kinds:
+
+- A `StreamTransport` connects byte streams (`rsb_bridge.transport.streams.Stream`). It can carry a whole link: its
+  control connection, and routes beside it.
+- A `DatagramTransport` sends single datagrams. It carries routes of a link whose control connection is a stream.
+
+Links and routes never ask which transport they have. They ask for its properties, so a new transport changes no other
+file. A test replaces a transport by a subclass with methods of its own, and passes it to the engine in a
+`rsb_bridge.transport.registry.Transports`.
+
+All of it runs on the I/O loop. Timers and the time come from the loop, so that a test can own them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
+
+from rsb_bridge.transport.streams import Address, format_address
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.model.session import Compression, Session
+    from rsb_bridge.model.session import Protocol as TransportName
+    from rsb_bridge.transport.streams import Stream, StreamHandler
+
+
+class ListenError(Exception):
+    """An address can't be bound; the message says why and what to do."""
+
+
+class SendPath(NamedTuple):
+    """Where a bound datagram socket sends to; made by `DatagramSocket.path`.
+
+    Attributes:
+        address: of the peer.
+        control: ancillary data (sendmsg(2)) that fixes which of our addresses the datagrams come from.
+    """
+
+    address: Address
+    control: list[tuple[int, int, bytes]]
+
+
+class DatagramSocket(Protocol):
+    """A bound or connected datagram socket.
+
+    Attributes:
+        when_writable: called once the socket was congested and takes more again.
+    """
+
+    when_writable: set[Callable[[], None]]
+
+    @property
+    def port(self) -> int:
+        """The local port."""
+        ...
+
+    @property
+    def congested(self) -> bool:
+        """Whether datagrams wait here for the network: better not to send now."""
+        ...
+
+    def send(self, datagrams: list[bytes], path: SendPath | None) -> None:
+        """Send one message's datagrams, along a path or, on a connected socket, None. Never waits; may lose them."""
+        ...
+
+    def path(self, source: str, address: Address) -> SendPath:
+        """The way from one of our addresses to a peer."""
+        ...
+
+    def datagram_size(self, address: Address) -> int:
+        """Bytes of the largest datagram that reaches `address` in one piece, as far as is known now."""
+        ...
+
+    def close(self) -> None:
+        """Close it; what waits is lost."""
+        ...
+
+
+Datagrams: TypeAlias = list[tuple[bytes, Address]]
+"""Datagrams, each with the address it came from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptor:
+    """What a listening transport does with what arrives.
+
+    Attributes:
+        make_handler: called for each inbound stream, before its `StreamHandler.connected`.
+        datagrams: called with the datagrams that one wake-up of a socket brought.
+    """
+
+    make_handler: Callable[[], StreamHandler]
+    datagrams: Callable[[DatagramSocket, Datagrams], None]
+
+
+class Listener(Protocol):
+    """A bound port."""
+
+    def close(self) -> None:
+        """Free the port. Streams that it accepted stay open; datagram sockets are closed."""
+        ...
+
+
+class _Transport(ABC):
+    """What every transport has.
+
+    Attributes:
+        name: of the transport in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
+        port_kind: what its numbers are called, ``port`` or ``channel``; transports of the same kind share them.
+        topic_ports: the numbers that a topic may name for itself.
+        slow: it carries some 50 kB/s, so what may be lost should not queue for seconds.
+        compression: of a topic that names none.
+        largest_message: bytes of one serialized message.
+    """
+
+    name: ClassVar[TransportName]
+    port_kind: ClassVar[str] = "port"
+    topic_ports: ClassVar[range] = range(1024, 65536)
+    slow: ClassVar[bool] = False
+    compression: ClassVar[Compression] = "none"
+    largest_message: ClassVar[int]
+
+    def host(self, session: Session) -> str:
+        """The server's address for this transport, as the session gives it."""
+        return session.server_ip
+
+    def format_address(self, address: Address) -> str:
+        """An address as an operator reads it: ``host:port`` and the like."""
+        return format_address(address)
+
+    @abstractmethod
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
+        """Accept what comes to all of the host's addresses.
+
+        Raises:
+            ListenError: the address can't be bound.
+        """
+
+
+class StreamTransport(_Transport):
+    """A transport of byte streams.
+
+    Attributes:
+        multiplexed: the routes of a link share one stream per number, and the link's own stream is one of them. Else
+            each route has a stream of its own.
+        companions: names of the transports that a server of such links binds to the same number for their routes.
+    """
+
+    multiplexed: ClassVar[bool] = False
+    companions: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def carries_links_to(self, host: str) -> bool:
+        """Whether a session with that `server_ip` runs over this transport."""
+
+    @abstractmethod
+    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+        """Connect a stream; the handler is told by `StreamHandler.connected` before this returns.
+
+        When cancelled it leaves no socket behind.
+
+        Raises:
+            OSError: there is no connection; `rsb_bridge.transport.streams.os_error_message` says why.
+        """
+
+    def source_address(self, peer: Address) -> str:
+        """The own address from which a new stream to `peer` would come now; empty: not known, or it can't change."""
+        return ""
+
+
+class DatagramTransport(_Transport):
+    """A transport of datagrams. Its routes share one socket for each number."""
+
+    @abstractmethod
+    def connect(self, peer: Address, received: Callable[[DatagramSocket, Datagrams], None]) -> DatagramSocket:
+        """A socket that sends to, and receives from, one peer.
+
+        Raises:
+            OSError: there is no way to the peer.
+        """
+
+
+Transport: TypeAlias = StreamTransport | DatagramTransport
