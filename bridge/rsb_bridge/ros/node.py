@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 import secrets
 import threading
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.middleware import check_middleware
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 if TYPE_CHECKING:
@@ -55,8 +57,9 @@ class RosNode:
         """Join the domain and start the thread.
 
         Raises:
-            RosError: rclpy is missing, or the domain could not be joined.
+            RosError: rclpy or the middleware is missing, or the domain could not be joined.
         """
+        check_middleware(os.environ)
         try:
             from rsb_bridge.ros.rcl import Participant  # noqa: PLC0415  only a node that starts needs rclpy
         except ImportError as error:

@@ -1,0 +1,55 @@
+"""An RMW_IMPLEMENTATION that is not installed: a clear error instead of rcl's exit code 102."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Session
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.middleware import check_middleware
+
+COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+
+
+@pytest.mark.parametrize("variable", ["RMW_IMPLEMENTATION", "RCL_ASSERT_RMW_ID_MATCHES"])
+def test_the_program_names_a_middleware_that_is_missing(variable: str, tmp_path: Path) -> None:
+    write_key(tmp_path / "robot1.key")
+    session = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=49152, key_file="robot1.key")
+    save(session, tmp_path / "robot1.yaml")
+    run = subprocess.run(
+        [COMMAND, "run", str(tmp_path / "robot1.yaml"), "--no-ui"],
+        env={**os.environ, variable: "rmw_nonsense_cpp"},
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert run.returncode == 1, run
+    [line] = run.stderr.splitlines()
+    assert f"{variable} is rmw_nonsense_cpp, which is not installed (installed: rmw_fastrtps_cpp)" in line
+    assert f"unset {variable}, or install ros-jazzy-rmw-nonsense-cpp" in line
+    assert run.stdout == ""
+
+
+def test_the_index_of_every_installation_is_read(tmp_path: Path) -> None:
+    for number, name in enumerate(("rmw_one_cpp", "rmw_other_cpp")):
+        entry = tmp_path / str(number) / "share/ament_index/resource_index/rmw_typesupport" / name
+        entry.parent.mkdir(parents=True)
+        entry.touch()
+    prefixes = f"{tmp_path / '0'}:{tmp_path / '1'}"
+    for wanted in ("rmw_one_cpp", "rmw_other_cpp", ""):
+        check_middleware({"AMENT_PREFIX_PATH": prefixes, "RMW_IMPLEMENTATION": wanted})
+    with pytest.raises(RosError, match=r"installed: .*rmw_one_cpp, rmw_other_cpp"):
+        check_middleware({"AMENT_PREFIX_PATH": prefixes, "RMW_IMPLEMENTATION": "rmw_implementation"})
+
+
+def test_an_installation_without_an_index_is_left_to_rcl(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    check_middleware({"RMW_IMPLEMENTATION": "rmw_nonsense_cpp"})
