@@ -324,8 +324,7 @@ class Engine(EngineApi):
             work()
         except Exception as error:  # noqa: BLE001 — whatever it is, it is one link's
             self._internal_error(link.context.loop, {"exception": error})
-            if link.control is not None:
-                link.control.abort("internal error")
+            link.fail()
 
     def _internal_error(self, loop: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         error = details.get("exception")

@@ -12,6 +12,7 @@ from rsb_bridge.channel.rfcomm import RfcommMultiplexer
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
+from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
@@ -30,12 +31,14 @@ if TYPE_CHECKING:
 
 _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
-_LONGEST_DELAY = 1.25
+_LONGEST_DELAY_UNREACHED = 1.25
 """s; a server that is back must be found within 3 s, handshake and DDS discovery included."""
 _MOVED_AND_QUIET = 1.5
 """s without a byte, with pings every second, after which a connection from an address we no longer have is given up."""
-_LONGEST_DELAY_REFUSED = 10.0
+_LONGEST_DELAY = 10.0
 """s, where the server is there and said no: it won't change its mind soon."""
+_LONGEST_RETRY_AFTER = 60.0
+"""s that a server may have this side wait; a wrong figure must not keep it away."""
 
 
 class ClientLink(Link):
@@ -54,6 +57,7 @@ class ClientLink(Link):
         self._retry_after = 0.0
         self._stays_down = False
         self._refused = False
+        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random)
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
 
@@ -71,7 +75,8 @@ class ClientLink(Link):
     # --- calling
 
     async def run(self) -> None:
-        """Keep linked, for ever."""
+        """Keep linked, for ever. Whatever an earlier run left is ended first."""
+        self.fail()
         while True:
             self._retry.clear()
             self._ended.clear()
@@ -98,6 +103,7 @@ class ClientLink(Link):
             self._failed(failure)
             return
         self._refused = False
+        self._backoff.reset()
         if self._stays_down and self.control is not None:  # so it was decided during the handshake
             self.control.shut_down("shut down", retry_after=None)
         await self._ended.wait()
@@ -124,11 +130,10 @@ class ClientLink(Link):
 
     async def _pause(self) -> None:
         """Wait until it is time to call again, or until somebody says that it is."""
-        longest = _LONGEST_DELAY_REFUSED if self._refused else _LONGEST_DELAY
         delay: float | None = None
         if not self._stays_down:
-            delay = min(longest, _FIRST_DELAY * 2 ** max(0, self.attempts - 1)) * self.context.random.uniform(0.8, 1.2)
-            delay = max(delay, self._retry_after)
+            longest = _LONGEST_DELAY if self._refused else _LONGEST_DELAY_UNREACHED
+            delay = max(self._backoff.next(longest), self._retry_after)
             self.retry_at = self.context.now() + delay
         try:
             async with asyncio.timeout(delay):
@@ -147,7 +152,7 @@ class ClientLink(Link):
 
     def on_shutdown(self, message: Shutdown) -> None:
         self._stays_down = message.retry_after is None
-        self._retry_after = message.retry_after or 0.0
+        self._retry_after = min(message.retry_after or 0.0, _LONGEST_RETRY_AFTER)
         if self.control is not None:
             self.control.abort(f"the server closed the link: {message.reason}")
 
@@ -202,9 +207,12 @@ class ClientLink(Link):
             self._streams_opening[route.id] = self.spawn(self._open_stream(route, route.id, transport))
 
     async def _open_stream(self, route: Route, route_id: int, transport: StreamTransport) -> None:
-        failure = await self._attach(route, route_id, transport)
-        if failure is not None and route.id == route_id:
-            route.channel_lost(failure.reason)
+        try:
+            failure = await self._attach(route, route_id, transport)
+            if failure is not None and route.id == route_id:
+                route.channel_lost(failure.reason)
+        finally:
+            self._streams_opening.pop(route_id, None)
 
     async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> _Failure | None:
         assert self.keys is not None
@@ -234,7 +242,10 @@ class ClientLink(Link):
         return None
 
     async def _open_shared(self, first: Route, first_id: int, transport: StreamTransport) -> None:
-        failure = await self._attach(first, first_id, transport)
+        try:
+            failure = await self._attach(first, first_id, transport)
+        finally:
+            self._streams_opening.pop(first_id, None)
         waiting = self._waiting.pop(first.proposal.port, {})
         if first.id != first_id:  # it was closed meanwhile, and the others ask again
             return

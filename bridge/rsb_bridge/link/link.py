@@ -21,6 +21,7 @@ from rsb_bridge.route.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE, Inc
 from rsb_bridge.route.latched import LATCHED_LIMIT
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Route, route_key
+from rsb_bridge.tasks import Tasks
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.budget import Budget
@@ -85,7 +86,7 @@ class Link(Side):
         self._linked_at = 0.0
         self.keepalive = Keepalive(context)
         self.negotiation = Negotiation(self)
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = Tasks(context.loop, self.fail)
 
     # --- up and down
 
@@ -148,18 +149,19 @@ class Link(Side):
 
     def destroy(self) -> None:
         """End routes and tasks for good."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel()
         for route in self.routes.values():
             route.destroy()
         self.routes.clear()
 
     def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Run a coroutine beside; it ends with the engine at the latest."""
-        task = self.context.loop.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
+        """Run a coroutine beside; it ends with the engine at the latest. If it fails, the connection ends."""
+        return self._tasks.spawn(work)
+
+    def fail(self) -> None:
+        """Something of this link's own has failed: end its connection, so that both sides begin anew."""
+        if self.control is not None:
+            self.control.abort("internal error")
 
     def send(self, message: ControlMessage) -> None:
         """Send a control message; without a connection, nothing happens."""

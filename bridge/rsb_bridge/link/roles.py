@@ -13,7 +13,9 @@ from rsb_bridge.link.client import ClientLink
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.server import Entry, Server, ServerLink
+from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.tasks import Tasks
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.sealing import Suite
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 _RESTART_WITHIN = 5.0
 _LOOK_EVERY = 0.05
 _FAREWELL = 0.5
+_RESTARTED_AFTER, _LONGEST_PAUSE = 1.0, 10.0
 
 Keys = Mapping[str, Key | None]
 """By client's name; None: without encryption."""
@@ -81,16 +84,15 @@ class ClientRole:
         hello = Hello(__version__, session.name, context.ros.instance_id, context.domain_id)
         self._context = context
         self._link = ClientLink(context, hello, keys[session.name], preferred_suite())
-        self._calling: asyncio.Task[None] | None = None
+        self._tasks = Tasks(context.loop, self._link.fail)
 
     async def start(self) -> None:
         for topic in self._context.session.topics:
             self.add(topic, "")
-        self._calling = asyncio.create_task(self._link.run())
+        self._tasks.keep(self._link.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
 
     async def stop(self) -> None:
-        if self._calling is not None:
-            self._calling.cancel()
+        self._tasks.cancel()
         await _farewell(self.links(), "the client stops", retry_after=0.0)
         self._link.destroy()
 

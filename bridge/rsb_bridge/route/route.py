@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import msgspec
 
+from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.framing import Message
 
-_LONGEST_PAUSE = 10.0
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
 LINK_STAGE = "link up"
 
@@ -117,7 +118,7 @@ class Route:
         self.opened_at = 0.0
         self.closed_at = 0.0
         self.retry_at = 0.0
-        self.refusals = 0
+        self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self._told = ""
         self.paused = proposal.paused
         self.channel: DataChannel | None = None
@@ -139,7 +140,7 @@ class Route:
     def on_accepted(self) -> None:
         """Both sides want the route."""
         self.accepted = True
-        self.refusals = 0
+        self._backoff.reset()
         self.advance()
 
     def advance(self) -> None:
@@ -215,8 +216,7 @@ class Route:
             self.log(Level.ERROR, code, reason)
         self.close(reason)
         self.refusal = self.last_error = reason
-        self.refusals += 1
-        self.retry_at = self.context.now() + min(_LONGEST_PAUSE, 0.5 * 2**self.refusals)
+        self.retry_at = self.context.now() + self._backoff.next()
 
     def awaited_until(self, linked_at: float) -> float:
         """Until when (s) the other side will have asked for the route anew, if it still wants it."""

@@ -1,0 +1,72 @@
+"""Tasks that do not end unnoticed."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Coroutine
+
+    from rsb_bridge.model.backoff import Backoff
+
+
+class Tasks:
+    """The tasks of one owner. An exception that ends one goes to the loop's exception handler, which logs it.
+
+    Args:
+        loop: runs them.
+        on_failure: called after a task has ended with an exception.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, on_failure: Callable[[], None]) -> None:
+        self._loop = loop
+        self._on_failure = on_failure
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._cancelled = False
+
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        """Run a coroutine that ends by itself. Cancelling its task is no failure."""
+        task = self._add(work)
+        task.add_done_callback(self._ended)
+        return task
+
+    def keep(self, make: Callable[[], Coroutine[None, None, None]], backoff: Backoff) -> None:
+        """Run a coroutine that should never end; start it again, after a delay, whenever it does end.
+
+        Args:
+            make: makes the coroutine.
+            backoff: gives the delay.
+        """
+        if not self._cancelled:
+            self._add(make()).add_done_callback(partial(self._ended_early, make, backoff))
+
+    def cancel(self) -> None:
+        """Cancel all tasks, and start none again."""
+        self._cancelled = True
+        for task in self._tasks:
+            task.cancel()
+
+    def _add(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._report(task, error)
+
+    def _ended_early(
+        self, make: Callable[[], Coroutine[None, None, None]], backoff: Backoff, task: asyncio.Task[None]
+    ) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None or not self._cancelled:
+            self._report(task, error)
+        self._loop.call_later(backoff.next(), self.keep, make, backoff)
+
+    def _report(self, task: asyncio.Task[None], error: BaseException | None) -> None:
+        what = "a task failed" if error else "a task ended that should go on"
+        self._loop.call_exception_handler({"message": what, "exception": error, "task": task})
+        self._on_failure()

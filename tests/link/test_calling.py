@@ -1,0 +1,126 @@
+"""A client calls its server for as long as it takes."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from rsb_bridge.link.roles import ClientRole
+from rsb_bridge.transport.registry import Transports
+from rsb_bridge.transport.tcp import Tcp
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.transport.streams import Stream
+
+HALF_A_DAY = 12 * 3600.0
+
+
+class NoServer(Tcp):
+    """A network on which nobody answers.
+
+    Attributes:
+        times: s, when it was called.
+        error: what it raises.
+    """
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.times: list[float] = []
+        self.error: Exception = ConnectionRefusedError()
+        self._loop = loop
+
+    async def connect(self, *_: Any) -> Stream:
+        self.times.append(self._loop.time())
+        raise self.error
+
+
+@pytest.fixture
+def calls(loop: VirtualLoop) -> NoServer:
+    return NoServer(loop)
+
+
+def client(make_context: Callable[..., Context], tcp: NoServer) -> ClientRole:
+    return ClientRole(make_context(transports=Transports(tcp)), {"robot1": None})
+
+
+async def run_for(role: ClientRole, seconds: float) -> None:
+    await role.start()
+    await asyncio.sleep(seconds)
+    await role.stop()
+
+
+def test_a_client_calls_on_while_its_server_is_away_for_half_a_day(
+    loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
+) -> None:
+    loop.run_until_complete(run_for(client(make_context, calls), HALF_A_DAY))
+    assert loop.errors == []
+    assert calls.times[-1] > HALF_A_DAY - 2.0
+    gaps = [later - earlier for earlier, later in zip(calls.times, calls.times[1:], strict=False)]
+    assert max(gaps) < 1.6
+
+
+def test_a_calling_task_that_fails_is_reported_and_started_again(
+    loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
+) -> None:
+    calls.error = RuntimeError("a mistake of ours")
+    loop.run_until_complete(run_for(client(make_context, calls), 3600.0))
+    assert calls.times[-1] > 3600.0 - 13.0
+    assert 300 < len(calls.times) < 500
+    assert len(loop.errors) == len(calls.times)
+    assert str(loop.errors[0]["exception"]) == "a mistake of ours"
+
+
+def test_a_calling_task_that_is_cancelled_by_mistake_is_started_again(
+    loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
+) -> None:
+    calls.error = asyncio.CancelledError()  # type: ignore[assignment]
+    loop.run_until_complete(run_for(client(make_context, calls), 60.0))
+    assert len(calls.times) > 5
+    assert [each["message"] for each in loop.errors] == ["a task ended that should go on"] * len(calls.times)
+
+
+def test_nothing_runs_on_after_a_client_was_stopped(
+    loop: VirtualLoop, make_context: Callable[..., Context], calls: NoServer
+) -> None:
+    loop.run_until_complete(run_for(client(make_context, calls), 10.0))
+    before = len(calls.times)
+    loop.run_until_complete(asyncio.sleep(60.0))
+    assert len(calls.times) == before
+    assert loop.errors == []
+
+
+def test_a_task_of_a_link_that_fails_ends_the_connection(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    role = ClientRole(make_context(), {"robot1": None})
+    link: Link = role.links()[0]
+    aborted: list[str] = []
+
+    class Control:
+        def abort(self, reason: str) -> None:
+            aborted.append(reason)
+
+    link.control = Control()  # type: ignore[assignment]
+
+    async def fail() -> None:
+        raise KeyError("a mistake of ours")
+
+    link.spawn(fail())
+    loop.run_until_complete(asyncio.sleep(1.0))
+    assert aborted == ["internal error"]
+    assert isinstance(loop.errors[0]["exception"], KeyError)
+
+
+def test_a_server_cannot_keep_a_client_away_for_years(make_context: Callable[..., Context]) -> None:
+    from rsb_bridge.wire.messages import Shutdown
+
+    link = ClientRole(make_context(), {"robot1": None}).links()[0]
+    link.on_shutdown(Shutdown(reason="come back in 30 years", retry_after=1e9))
+    assert link._retry_after == 60.0  # type: ignore[attr-defined]

@@ -1,0 +1,37 @@
+"""A route that is refused for weeks is asked for again, and costs its link nothing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.support.offline import FakePeer
+
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.outgoing import OutgoingRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+
+def test_a_route_is_asked_for_again_after_any_number_of_refusals(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    context = make_context()
+    topic = Topic("/scan", "transmit")
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, FakePeer(), topic, proposal, proposed_here=True)
+    pauses = []
+    for number in range(20_000):
+        route.open(2 * number + 1)
+        route.refuse(EventCode.ROUTE_REFUSED, "denied")
+        pauses.append(route.retry_at - context.now())
+        loop.jump(pauses[-1])
+    assert pauses[:6] == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
+    assert max(pauses) < 10.001
+    assert len(context.events.after(0)) == 1

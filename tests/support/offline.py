@@ -1,0 +1,94 @@
+"""A context on virtual time, without ROS and without a network."""
+
+from __future__ import annotations
+
+from random import Random
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
+
+from rsb_bridge.context import Context
+from rsb_bridge.model.session import Session
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.transport.registry import Transports, default_transports
+from rsb_bridge.wire.budget import Budget
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.messages import ControlMessage
+
+
+@pytest.fixture
+def loop() -> Iterator[VirtualLoop]:
+    with virtual_loop() as made:
+        yield made
+
+
+class NoRos:
+    """A ROS graph that has nothing in it."""
+
+    instance_id = "0123abcd"
+
+
+@pytest.fixture
+def make_context(loop: VirtualLoop) -> Callable[..., Context]:
+    """Makes the context of a session with these fields."""
+
+    def make(ros: Any = None, transports: Transports | None = None, **fields: Any) -> Context:
+        session = Session(**{"name": "robot1", "role": "client", "server_ip": "127.0.0.1", "server_port": 1, **fields})
+        clock = VirtualClock(loop)
+        return Context(
+            session,
+            0,
+            ros or NoRos(),
+            EventLog(clock),
+            RosToLoopQueue(loop),
+            loop,
+            clock,
+            Random(1),
+            transports or default_transports(),
+        )
+
+    return make
+
+
+class FakePeer:
+    """A peer that a route alone is tested with.
+
+    Attributes:
+        sent: the control messages that the route has sent.
+        instance: which process of the peer it is.
+    """
+
+    name = "robot1"
+    is_client = True
+    linked = True
+    clock_offset = 0.0
+    clock_uncertainty = 0.001
+    down_reason = ""
+
+    def __init__(self) -> None:
+        self.sent: list[ControlMessage] = []
+        self.instance = "first"
+        self.latched = Budget(1 << 30)
+        self.expansion = TokenBucket(1 << 30, 1 << 30, 0.0)
+
+    def is_at(self, node: str) -> bool:
+        return False
+
+    def send(self, message: ControlMessage) -> None:
+        self.sent.append(message)
+
+    def open_channel(self, route: Route) -> None:
+        pass
+
+    def shared_port(self) -> int:
+        return 1
+
+    def closed(self, route_id: int) -> None:
+        pass

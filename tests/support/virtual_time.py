@@ -1,0 +1,78 @@
+"""An event loop whose time jumps to the next timer, for code that waits for hours."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import selectors
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.model.clock import Clock
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """Runs what is ready, and then moves its time to the next timer instead of waiting for it.
+
+    Attributes:
+        errors: what nobody caught, as given to the exception handler.
+    """
+
+    def __init__(self) -> None:
+        self._time = 0.0
+        self.errors: list[dict[str, Any]] = []
+        super().__init__(_NeverWaits(self))
+        self.set_exception_handler(lambda _, details: self.errors.append(details))
+
+    def time(self) -> float:
+        return self._time
+
+    def jump(self, seconds: float) -> None:
+        """Move time on; called by the selector."""
+        self._time += seconds
+
+
+class _NeverWaits(selectors.DefaultSelector):
+    def __init__(self, loop: VirtualLoop) -> None:
+        super().__init__()
+        self._loop = loop
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready = super().select(0)
+        if not ready:
+            assert timeout is not None, "everything waits, and no timer will ever wake anything"
+            self._loop.jump(timeout)
+        return ready
+
+
+class VirtualClock(Clock):
+    """A wall clock that goes with a loop's time, and that a test may set.
+
+    Attributes:
+        epoch: s since 1970 at the loop's time 0.
+    """
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.epoch = 1.7e9
+        self._loop = loop
+
+    def time_ns(self) -> int:
+        """As `rsb_bridge.model.clock.Clock`."""
+        return int((self.epoch + self._loop.time()) * 1e9)
+
+
+@contextlib.contextmanager
+def virtual_loop() -> Iterator[VirtualLoop]:
+    """A loop for the length of a `with`; its tasks are cancelled at the end."""
+    loop = VirtualLoop()
+    try:
+        yield loop
+    finally:
+        tasks = asyncio.all_tasks(loop)
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            loop.run_until_complete(asyncio.wait(tasks))
+        loop.close()
