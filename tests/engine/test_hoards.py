@@ -45,8 +45,8 @@ def rogue(bridge: Bridge, server: Engine) -> Iterator[Rogue]:
 
 
 def link_of(server: Engine) -> Link:
-    assert server._end is not None
-    return next(iter(server._end.links()))
+    assert server._bridge is not None
+    return next(iter(server._bridge.links()))
 
 
 @pytest.mark.parametrize("how", ["frames", "chunks"])
@@ -78,7 +78,7 @@ def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
     writers = [rogue.datagrams(rogue.route(f"/begun{number}", "udp", Qos())) for number in range(3)]
     rogue.probe()
     link = link_of(server)
-    eventually(lambda: link.lanes, what="the server has heard the probe")
+    eventually(lambda: link.udp_channels, what="the server has heard the probe")
     highest, over = 0, time.monotonic() + 4.0
     while time.monotonic() < over:
         for writer in writers:

@@ -255,7 +255,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
 
 def test_a_newer_connection_of_the_same_name(friend: Any, bridge: Bridge) -> None:
     """It takes the older one's place; the older is told, and does not push back at once."""
-    server, client, _, _ = friend
+    server, client, out, _ = friend
     newer = bridge.client()
     eventually(lambda: linked(newer))
     eventually(lambda: said(client, "replaced by a newer connection of robot1"))
@@ -264,6 +264,7 @@ def test_a_newer_connection_of_the_same_name(friend: Any, bridge: Bridge) -> Non
     newer.stop()
     client.retry().result(5)
     eventually(lambda: linked(client) and route(client, "/beat").state != "down")
+    carries([out], server, ["/beat"])
 
 
 def test_noise_on_every_port_at_full_speed(friend: Any, bridge: Bridge) -> None:

@@ -141,8 +141,8 @@ def link(engine: Engine, name: str = "robot1") -> LinkSnapshot:
 
 def linked(engine: Engine, name: str = "robot1") -> bool:
     """Whether that link is up, asked of itself: the snapshot may be a second behind."""
-    assert engine._end is not None
-    return any(link.linked for link in engine._end.links() if link.name == name)
+    assert engine._bridge is not None
+    return any(link.linked for link in engine._bridge.links() if link.name == name)
 
 
 def route(engine: Engine, topic: str) -> RouteSnapshot:
@@ -180,8 +180,8 @@ def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[
 
 def listened_to(engine: Engine) -> set[str]:
     """The topics that an engine publishes to somebody, asked of the publishers: the snapshot may be 1 s behind."""
-    assert engine._end is not None
-    routes = [route for link in engine._end.links() for route in tuple(link.routes.values())]
+    assert engine._bridge is not None
+    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
     incoming = [route for route in routes if isinstance(route, IncomingRoute)]
     return {route.remote_topic for route in incoming if route._publisher and route._publisher.subscriber_count}
 

@@ -1,0 +1,236 @@
+"""One session's bridge on an event loop: everything of the engine but its threads.
+
+`rsb_bridge.engine.Engine` gives it a thread of its own; the simulation in the tests gives it a clock and a network of
+its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.link.negotiation import LinkError
+from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level, TopicInfo
+from rsb_bridge.ros.api import RosError, Subscription
+from rsb_bridge.ros.graph import topics_of
+from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
+from rsb_bridge.telemetry.snapshots import SnapshotPublisher, in_slices
+from rsb_bridge.transport.transport import ListenError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.route import Route
+
+_ERROR_SAID_EVERY = 10.0
+_POLL = 0.25
+_POLLS_PER_TICK = 4
+
+_logger = logging.getLogger(__name__)
+
+
+class Bridge:
+    """Bridges what a session says: `start`, then `run`, which returns some time after `stop`. Used once.
+
+    All of it belongs to the thread of the running loop. Commands are coroutines; what is wrong with a request is an
+    `EngineError`.
+
+    Args:
+        context: the session, and what every part shares.
+        keys: of each client.
+        snapshots: kept up to date for user interfaces.
+    """
+
+    def __init__(self, context: Context, keys: Keys, snapshots: SnapshotPublisher) -> None:
+        self.context = context
+        self._snapshots = snapshots
+        self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
+        self._stopping = asyncio.Event()
+        self._shutdown_watch: Subscription | None = None
+        self._errors_said: dict[str, float] = {}
+
+    def links(self) -> list[Link]:
+        """All links, up or down: a client's one, or a server's many."""
+        return self._role.links()
+
+    # --- life
+
+    async def start(self) -> None:
+        """Bind, or begin to connect.
+
+        Raises:
+            EngineError: it cannot; nothing is left open.
+        """
+        started = False
+        try:
+            self._shutdown_watch = self._watch_shutdown()
+            await self._role.start()
+            started = True
+        except (ListenError, RosError, LinkError, ValueError) as error:
+            raise EngineError(str(error)) from None
+        finally:
+            if not started:
+                await self._close()
+        self._snapshots.refresh_now(self._role)
+
+    async def run(self) -> None:
+        """Do the regular work until `stop` is called, then tell the peers and close everything."""
+        try:
+            await self._run()
+        finally:
+            await self._close()
+
+    def stop(self) -> None:
+        """Have `run` return soon."""
+        self._stopping.set()
+
+    async def _run(self) -> None:
+        polls = 0
+        while not self._stopping.is_set():
+            polls += 1
+            for link in self.links():
+                self._guarded(link, link.poll)
+            tick = polls % _POLLS_PER_TICK == 0
+            if tick:
+                self.context.limited.tick()
+                self._role.tick()
+                for link in self.links():
+                    await self._tick(link)
+            if tick or self._snapshots.looked_at(self.context.now()):
+                await self._snapshots.refresh(self._role)
+            try:
+                async with asyncio.timeout_at(self.context.now() + _POLL):
+                    await self._stopping.wait()
+            except TimeoutError:
+                pass
+
+    async def _close(self) -> None:
+        if self._shutdown_watch is not None:
+            self._shutdown_watch.close()
+        await self._role.stop()
+        self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
+        self._snapshots.refresh_now(self._role, running=False)
+
+    def _watch_shutdown(self) -> Subscription | None:
+        context, topic = self.context, self.context.session.shutdown_topic
+        if topic is None:
+            return None
+        words = f'"shutdown" on {topic} in domain {context.domain_id}'
+
+        def act() -> None:
+            context.events.add(Level.WARNING, EventCode.ENGINE_SHUTDOWN, f"{words}: closing the sockets on both sides")
+            self._role.shut_down(words)
+
+        return watch_shutdown_topic(context.ros, topic, lambda: context.call(act))
+
+    async def _tick(self, link: Link) -> None:
+        def each(route: Route) -> None:
+            self._guarded(link, route.tick)
+
+        await in_slices(tuple(link.routes.values()), each)
+        self._guarded(link, link.tick)
+
+    def _guarded(self, link: Link, work: Callable[[], None]) -> None:
+        """Do a link's regular work; what fails in it ends that link's connection, not the others'."""
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001 — whatever it is, it is one link's
+            self.internal_error(self.context.loop, {"exception": error})
+            link.fail()
+
+    def internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
+        """Log what nobody caught; an event loop's exception handler."""
+        error = details.get("exception")
+        words = f"internal error, please report it: {error or details.get('message')}"
+        now = self.context.now()
+        if now - self._errors_said.get(words, -_ERROR_SAID_EVERY) < _ERROR_SAID_EVERY:
+            return
+        self._errors_said = {words: now}
+        exc_info = (type(error), error, error.__traceback__) if isinstance(error, BaseException) else None
+        _logger.error("%s", words, exc_info=exc_info)
+        self.context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, words)
+
+    # --- commands: `rsb_bridge.api.EngineApi` says what each does
+
+    async def add_topic(self, topic: Topic, link: str = "") -> str:
+        """Bridge one more topic; its route's key."""
+        with self._command():
+            return self._role.add(topic, link).key
+
+    async def edit_topic(self, key: str, topic: Topic) -> str:
+        """Put another topic in a route's place; the new route's key."""
+        with self._command():
+            link, route = self._find(key)
+            link.remove(route, "edited")
+            try:
+                return self._role.add(topic, link.name).key
+            except (LinkError, ValueError):
+                self._role.add(route.spec, link.name)
+                raise
+
+    async def remove_topic(self, key: str) -> None:
+        """Stop bridging a topic."""
+        with self._command():
+            link, route = self._find(key)
+            link.remove(route, "removed by an operator")
+
+    async def pause(self, key: str, *, paused: bool) -> None:
+        """Stop or resume carrying a topic's messages."""
+        with self._command():
+            link, route = self._find(key)
+            link.pause(route, paused)
+
+    async def retry(self, link: str = "") -> None:
+        """Connect now, and open refused topics again."""
+        with self._command():
+            self._role.retry(link)
+
+    async def shut_down(self) -> None:
+        """Close the sockets on both sides until an operator restarts."""
+        with self._command():
+            self._role.shut_down("an operator shut it down")
+
+    async def restart(self, step: Callable[[str], None] | None = None) -> None:
+        """Close the links on both sides and open them again."""
+
+        def say(words: str) -> None:
+            self.context.events.add(Level.INFO, EventCode.ENGINE_RESTARTING, f"restart: {words}")
+            if step is not None:
+                step(words)
+
+        with self._command():
+            await self._role.restart(say)
+
+    async def topics(self, link: str | None = None) -> list[TopicInfo]:
+        """The topics that can be bridged, on this side or on a peer's."""
+        with self._command():
+            if link is None:
+                return await asyncio.to_thread(topics_of, self.context.ros)
+            for candidate in self.links():
+                if candidate.name == link:
+                    return await candidate.negotiation.remote_topics()
+            raise LinkError(f"there is no link {link!r}")
+
+    @contextlib.contextmanager
+    def _command(self) -> Iterator[None]:
+        """Carry a command out: what is wrong with it becomes an `EngineError`, what it did shows in the snapshot."""
+        try:
+            yield
+        except (LinkError, ListenError, RosError, ValueError) as error:
+            raise EngineError(str(error)) from None
+        finally:
+            self._snapshots.refresh_now(self._role)
+
+    def _find(self, key: str) -> tuple[Link, Route]:
+        for link in self.links():
+            if key in link.routes:
+                return link, link.routes[key]
+        raise LinkError(f"there is no route {key!r} any more")
