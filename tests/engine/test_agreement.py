@@ -10,11 +10,12 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
-from tests.support.bridge import carries, eventually, find, free_port, heard, link, route, said, stage
+from tests.support.bridge import carries, eventually, find, free_port, happened, heard, link, route, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
@@ -101,7 +102,8 @@ def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> No
     words = "publishes /loop in this same domain"
     publisher = robot.publisher("/loop")
     server, client = bridge.server(domain_id=robot.id), bridge.client(Topic("/loop", "transmit"))
-    eventually(lambda: publisher.publish(text("round")) or (down(client, "/loop", words) and said(server, words)))
+    eventually(lambda: publisher.publish(text("round")) or down(client, "/loop", words))
+    eventually(lambda: happened(server, EventCode.ROUTE_CLOSED, words))
     assert route(client, "/loop").state is State.DOWN
 
     bridge.close()
@@ -228,7 +230,7 @@ def test_addresses_that_will_not_do(bridge: Bridge) -> None:
     with pytest.raises(EngineError, match=r"the name is not known .*: set server_ip in this side's session file to"):
         bridge.server(server_ip="no-such-host.invalid")
     client = bridge.client(server_ip="no-such-host.invalid")
-    eventually(lambda: said(client, f"no-such-host.invalid:{bridge.port}: "))
+    eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE, f"no-such-host.invalid:{bridge.port}: "))
     assert "correct server_ip in this side's session file" in link(client).reason
     nobody = bridge.client(server_ip="localhost")
     eventually(lambda: link(nobody).attempts > 1)
@@ -278,7 +280,7 @@ def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     pc.clear()
     robot.node.destroy_publisher(out)
     numbers, out = pc.listener("/state", Int32), robot.publisher("/state", Int32)
-    eventually(lambda: said(client, f"/state: its type has become {INT32}"))
+    eventually(lambda: happened(client, EventCode.ROUTE_TYPE_CHANGED, INT32))
     carries([out], server, ["/state"])
     out.publish(Int32(data=7))
     assert heard(numbers, 1) == [serialize_message(Int32(data=7))]

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.serialization import serialize_message
-from tests.support.bridge import carries, eventually, heard, link, route, said, settled
+from tests.support.bridge import carries, eventually, happened, heard, link, route, settled
 from tests.support.domain import text
 from tests.support.filled import filled
 
 from rsb_bridge.link import roles as ends
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
@@ -128,7 +129,7 @@ def test_both_ways_over(address: str, changes: dict[str, Any], bridge: Bridge, r
     for engine in (server, client):
         assert link(engine).encrypted is encrypted
         assert bool(link(engine).cipher) is encrypted
-        assert (said(engine, "NOT ENCRYPTED") is None) is encrypted
+        assert (happened(engine, EventCode.KEY_UNENCRYPTED) is None) is encrypted
 
 
 @pytest.mark.parametrize("slow_side", ["server", "client"])
@@ -220,5 +221,5 @@ def test_a_message_that_udp_does_not_carry_is_counted_and_said(bridge: Bridge, r
     assert heard(there, 1) == [text("small")]
     ledger = settled(client, "/big", 2)
     assert ledger.dropped == {"too large": 1}
-    assert said(client, "use tcp")
+    assert happened(client, EventCode.ROUTE_TOO_LARGE, "use tcp")
     assert "use tcp" in route(client, "/big").last_error

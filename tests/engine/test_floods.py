@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import carries, eventually, heard, linked, said
+from tests.support.bridge import carries, eventually, happened, heard, linked
 from tests.support.domain import text
 from tests.support.rogue import Rogue
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.telemetry.event_limit import AT_ONCE
@@ -68,33 +68,32 @@ def of_link(server: Engine, name: str) -> list[Event]:
 
 
 @pytest.mark.parametrize(
-    ("flood", "words"),
+    ("flood", "codes"),
     [
-        (come_and_go, "removed by the other side: gone"),
-        (are_refused, "is not an absolute topic name"),
-        (pause_and_resume, ("paused", "resumed")),
+        (come_and_go, {EventCode.ROUTE_REMOVED}),
+        (are_refused, {EventCode.ROUTE_REFUSED}),
+        (pause_and_resume, {EventCode.ROUTE_PAUSED, EventCode.ROUTE_RESUMED}),
     ],
 )
 def test_lines_at_line_speed(
-    flood: Callable[[Rogue], None], words: str | tuple[str, ...], bridge: Bridge, server: Engine, rogue: Rogue
+    flood: Callable[[Rogue], None], codes: set[EventCode], bridge: Bridge, server: Engine, rogue: Rogue
 ) -> None:
     """Of three thousand lines a third are written, and how many were not; none about the link itself is lost."""
     flood(rogue)
     rogue.say(Ping(n=1, sent=1))
     rogue._wait(Pong)  # so it has read everything before
     rogue.close()
-    lost = eventually(lambda: said(server, "link lost"))
+    lost = eventually(lambda: happened(server, EventCode.LINK_LOST))
     written = of_link(server, "robot1")
     assert len(written) < AT_ONCE + 100
-    ends = (words,) if isinstance(words, str) else words
-    told = [event for event in written if any(end in event.text for end in ends)]
-    counts = [re.fullmatch(r"([\d,]+) more lines left out", event.text) for event in written]
-    left_out = sum(int(count[1].replace(",", "")) for count in counts if count)
+    told = [event for event in written if event.code in codes]
+    counts = [event for event in written if event.code == EventCode.LINK_EVENTS_LEFT_OUT]
+    left_out = sum(int(event.text.partition(" ")[0].replace(",", "")) for event in counts)
     assert len(told) >= AT_ONCE - 2
     assert len(told) + left_out == FRAMES
-    assert [event.number for event in written if "left out" in event.text][-1] == lost.number - 1
+    assert counts[-1].number == lost.number - 1
     again = Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
-    eventually(lambda: len([event for event in of_link(server, "robot1") if "linked with" in event.text]) == 2)
+    eventually(lambda: len([event for event in of_link(server, "robot1") if event.code == EventCode.LINK_UP]) == 2)
     again.close()
 
 
@@ -103,13 +102,12 @@ def test_a_link_that_is_made_and_broken_at_full_speed(bridge: Bridge, server: En
     key = read_key(bridge.folder / bridge.key_file).secret
     for _ in range(FRAMES // 4):
         Rogue(bridge.port, key).close()
-    eventually(lambda: said(server, "left out") and not linked(server))
-    told = eventually(lambda: (event := of_link(server, "robot1")[-1]) and "lost" in event.text and event, within=12)
-    assert re.fullmatch(r"(\d+ more lines left out; the last one: )?link lost: .*", told.text)
+    eventually(lambda: happened(server, EventCode.LINK_EVENTS_LEFT_OUT) and not linked(server))
+    eventually(lambda: of_link(server, "robot1")[-1].code == EventCode.LINK_LOST, within=12)
     assert len(server.events()) < AT_ONCE + 100
     again = Rogue(bridge.port, key)
     again.say(propose(1, "/no name"))
-    eventually(lambda: said(server, "refused /no name"))
+    eventually(lambda: happened(server, EventCode.ROUTE_REFUSED, "/no name"))
     again.close()
 
 
@@ -119,9 +117,11 @@ def test_the_others_lines_are_written(bridge: Bridge, server: Engine, rogue: Rog
     there, out = pc.listener("/beat"), robot.publisher("/beat")
     other = bridge.client(Topic("/beat", "transmit"), name="robot2", key_file="other.key")
     carries([out], server, ["/beat"])
-    assert any("connected" in event.text for event in of_link(server, "robot2"))
-    assert not any("left out" in event.text for event in (*of_link(server, "robot2"), *other.events()))
-    eventually(lambda: any("left out" in event.text for event in of_link(server, "robot1")), within=3)
+    assert any(event.code == EventCode.ROUTE_CONNECTED for event in of_link(server, "robot2"))
+    assert not any(
+        event.code == EventCode.LINK_EVENTS_LEFT_OUT for event in (*of_link(server, "robot2"), *other.events())
+    )
+    eventually(lambda: happened(server, EventCode.LINK_EVENTS_LEFT_OUT), within=3)
     assert linked(server)
     out.publish(text("served"))
     heard(there, 1)

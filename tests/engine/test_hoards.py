@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from tests.support.bridge import carries, eventually, heard, linked, route, said, settled
+from tests.support.bridge import carries, eventually, happened, heard, linked, route, settled
 from tests.support.domain import text
 from tests.support.rogue import Rogue
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.token_bucket import TokenBucket
@@ -61,7 +62,7 @@ def test_on_streams(how: str, bridge: Bridge, server: Engine, rogue: Rogue, robo
         else:
             rogue.begin_chunks(stream, writer)
         assert link.unfinished.held <= UNFINISHED_LIMIT
-    eventually(lambda: said(server, WORDS))
+    eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, WORDS))
     assert linked(server)
     rogue.close()
     eventually(lambda: not linked(server) and link.unfinished.held == 0)
@@ -92,7 +93,7 @@ def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue) -> None:
     with contextlib.suppress(OSError):
         for number in range(1_000_000):
             rogue.say(Ping(n=number, sent=number))
-    eventually(lambda: said(server, "the peer asks for more than it takes"))
+    eventually(lambda: happened(server, EventCode.LINK_LOST))
     assert not linked(server)
 
 

@@ -7,10 +7,11 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import balance, carries, eventually, heard, linked, route, said, settled
+from tests.support.bridge import balance, carries, eventually, happened, heard, linked, route, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
         for there, count in zip(theres, before, strict=True):
             heard(there, count + 50)
         relay.cut()
-        eventually(lambda: said(client, "link lost") and not linked(client))
+        eventually(lambda: happened(client, EventCode.LINK_LOST) and not linked(client))
         eventually(lambda: linked(client) and linked(server))
     carries(outs, server, names)
     for name, there, out in zip(names, theres, outs, strict=True):
@@ -145,7 +146,7 @@ def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, r
         return "queue full" in route(client, "/count").ledger.dropped
 
     eventually(overflows)
-    eventually(lambda: said(client, "the peer is silent"))
+    eventually(lambda: happened(client, EventCode.LINK_LOST, "the peer is silent"))
     eventually(lambda: linked(client), 15)
     carries([out], server, ["/count"])
     publish(out, range(10))

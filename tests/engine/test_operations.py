@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from std_msgs.msg import String
-from tests.support.bridge import carries, eventually, find, heard, linked, route, said
+from tests.support.bridge import carries, eventually, find, happened, heard, linked, route
 from tests.support.domain import LATCHED, text
 from tests.support.waiting import holds
 
@@ -68,7 +68,7 @@ def test_a_topic_that_one_side_opened_the_other_may_remove(bridge: Bridge, robot
     server.remove_topic(route(server, "/chat").key).result(5)
     eventually(lambda: not client.snapshot().routes)
     assert client.session.topics == ()
-    assert said(client, "/chat: removed by the other side: removed by an operator")
+    assert happened(client, EventCode.ROUTE_REMOVED, "/chat: removed by the other side")
 
 
 def test_both_sides_add_the_same_topic_while_apart(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -232,8 +232,8 @@ def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain
     eventually(lambda: client.waits_for_operator)
     eventually(lambda: not linked(server) and not linked(client))
     engine = client if side == "client" else server
-    assert said(engine, '"shutdown" on /shutdown in domain')
-    assert said(server, "link closed" if side == "server" else "the client left")
+    assert happened(engine, EventCode.ENGINE_SHUTDOWN)
+    assert happened(server, EventCode.LINK_CLOSED if side == "server" else EventCode.LINK_CLOSED_BY_PEER)
     holds(lambda: not linked(server) and client.waits_for_operator, 1.5)
     client.retry().result(5)
     eventually(lambda: linked(client) and linked(server))
@@ -246,7 +246,7 @@ def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain
 def test_a_shutdown_while_calling(bridge: Bridge) -> None:
     """A client that is told to stay down does not call again, though it was between two attempts."""
     client = bridge.client()
-    eventually(lambda: said(client, "trying again"))
+    eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE))
     client.shut_down().result(5)
     bridge.server()
     eventually(lambda: client.waits_for_operator)

@@ -9,10 +9,11 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, link, linked, said
+from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, happened, link, linked
 from tests.support.domain import text
 from tests.support.resources import resources
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 
@@ -37,11 +38,11 @@ def stops(engine: Engine) -> None:
 def test_the_peer_is_told(bridge: Bridge) -> None:
     server, client = bridge.both()
     stops(client)
-    eventually(lambda: said(server, "the client left: the client stops"))
+    eventually(lambda: happened(server, EventCode.LINK_CLOSED_BY_PEER))
     again = bridge.client()
     eventually(lambda: linked(again))
     stops(server)
-    eventually(lambda: said(again, "the server closed the link: the server stops"))
+    eventually(lambda: happened(again, EventCode.LINK_CLOSED_BY_PEER))
 
 
 def test_what_was_measured_ends_with_the_link(bridge: Bridge) -> None:
@@ -106,7 +107,7 @@ def test_while_calling(bridge: Bridge) -> None:
             filler.setblocking(False)
             filler.connect_ex(("127.0.0.1", bridge.port))
         other = bridge.client()
-        eventually(lambda: said(other, "connecting to"))
+        eventually(lambda: happened(other, EventCode.LINK_CONNECTING))
         stops(other)
         for filler in fillers:
             filler.close()

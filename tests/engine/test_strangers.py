@@ -11,10 +11,11 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, eventually, heard, link, linked, route, said, settled
+from tests.support.bridge import carries, eventually, happened, heard, link, linked, route, said, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 
 if TYPE_CHECKING:
@@ -60,36 +61,51 @@ def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, 
 
 
 @pytest.mark.parametrize(
-    ("changes", "words", "remedies"),
+    ("changes", "code", "words", "remedies"),
     [
-        ({"name": "robot2"}, "the two sides' keys for 'robot2' differ; this side's key has the fingerprint", ("", "")),
+        (
+            {"name": "robot2"},
+            EventCode.LINK_WRONG_KEY,
+            "the two sides' keys for 'robot2' differ; this side's key has the fingerprint",
+            ("", ""),
+        ),
         (
             {"name": "robot3"},
+            EventCode.LINK_UNKNOWN_NAME,
             "the server knows no client of the name 'robot3': ",
             (
                 "set name in this side's session file to one that the server lets in, or list 'robot3' under clients",
                 "list it under clients in this side's session file, or set name in the client's to one listed",
             ),
         ),
-        ({"name": "robot2", "use_encryption": False}, "the server requires encryption for 'robot2'", ("", "")),
+        (
+            {"name": "robot2", "use_encryption": False},
+            EventCode.LINK_REJECTED,
+            "the server requires encryption for 'robot2'",
+            ("", ""),
+        ),
     ],
     ids=["wrong key", "unknown name", "no key against a key"],
 )
 def test_those_who_must_not_come_in(
-    changes: dict[str, Any], words: str, remedies: tuple[str, str], friend: Any, bridge: Bridge
+    changes: dict[str, Any], code: EventCode, words: str, remedies: tuple[str, str], friend: Any, bridge: Bridge
 ) -> None:
     """Both sides say what to do: which key of which side's file."""
     server, _, out, there = friend
     stranger = bridge.client(Topic("/beat", "transmit"), **changes)
-    eventually(lambda: said(stranger, words + remedies[0]) and link(stranger, changes["name"]).attempts)
-    assert said(server, words + remedies[1])
+    eventually(
+        lambda: (
+            happened(stranger, EventCode.LINK_REFUSED, words + remedies[0]) and link(stranger, changes["name"]).attempts
+        )
+    )
+    assert happened(server, code, words + remedies[1])
     for engine in (stranger, server):
         assert bridge.secret() not in "".join(event.text for event in engine.events())
     served(server, out, there, 0.5)
     assert not linked(stranger, changes["name"])
     if "fingerprint" in words:
-        assert said(stranger, link(stranger, "robot2").fingerprint)
-        assert said(server, link(server, "robot2").fingerprint)
+        assert happened(stranger, EventCode.LINK_REFUSED, link(stranger, "robot2").fingerprint)
+        assert happened(server, code, link(server, "robot2").fingerprint)
 
 
 def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
@@ -97,15 +113,17 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
     server = bridge.server(name="pc")
     stranger = bridge.client()
     words = "the server knows no client of the name 'robot1'"
-    eventually(lambda: said(stranger, f"{words}: set name in this side's session file to one that the server lets in"))
-    assert said(server, f"{words}: this side's session file lists no clients: set name in the client's to 'pc'")
+    remedy = "set name in this side's session file to one that the server lets in"
+    eventually(lambda: happened(stranger, EventCode.LINK_REFUSED, f"{words}: {remedy}"))
+    remedy = "this side's session file lists no clients: set name in the client's to 'pc'"
+    assert happened(server, EventCode.LINK_UNKNOWN_NAME, f"{words}: {remedy}")
 
 
 def test_a_key_against_none(bridge: Bridge) -> None:
     server = bridge.server(use_encryption=False)
     stranger = bridge.client()
     words = "the client encrypts and the server has no key for 'robot1'"
-    eventually(lambda: said(stranger, words) and said(server, words))
+    eventually(lambda: happened(stranger, EventCode.LINK_REFUSED) and happened(server, EventCode.LINK_REJECTED, words))
     plain = bridge.client(use_encryption=False)
     eventually(lambda: linked(plain))
 
@@ -116,10 +134,10 @@ def test_a_server_that_is_none(bridge: Bridge) -> None:
         client = bridge.client()
         connection, _ = other.accept()
         connection.sendall(b"SSH-2.0-OpenSSH_9.2p1\r\n")
-        eventually(lambda: said(client, "the other side is not an rsb-console"))
+        eventually(lambda: happened(client, EventCode.LINK_REFUSED, "the other side is not an rsb-console"))
         connection.close()
         silent, _ = other.accept()
-        eventually(lambda: said(client, f"127.0.0.1:{bridge.port}: timed out; trying again"))
+        eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE))
         silent.close()
     server = bridge.server()
     client.retry().result(5)
@@ -153,7 +171,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
         answer = talk(("127.0.0.1", bridge.port), sent, source=f"127.0.1.{number}")
         assert answer[4:9] == b"rsb\x01\x04"
         assert words.encode() in answer
-        event = said(server, words)
+        event = happened(server, EventCode.LINK_REJECTED, words) or happened(server, EventCode.LINK_WRONG_KEY, words)
         assert event
         assert event.text.startswith(f"turned 127.0.1.{number}:")
 
@@ -178,12 +196,12 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
         ]
         for stranger in strangers:
             stranger.sendall(frame(b"rsb\x01\x01")[:5])
-        eventually(lambda: said(server, "too many connections that have not shown who they are"))
+        eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
         served(server, out, there, 0.5)
         assert b"no handshake within 5 s" in strangers[-1].recv(4096)
-    assert said(server, "no handshake within 5 s")
+    assert happened(server, EventCode.LINK_REJECTED, "no handshake within 5 s")
 
 
 def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
@@ -224,7 +242,7 @@ def test_forged_and_replayed_datagrams(bridge: Bridge, relay: Relay, robot: Doma
     relay.to_server = relay.to_client = lambda datagram: [datagram]
     recorded = [datagram for datagram in relay.datagrams if message_number(datagram)]
     relay.cut()
-    eventually(lambda: said(client, "link lost") and linked(client))
+    eventually(lambda: happened(client, EventCode.LINK_LOST) and linked(client))
     carries([out], server, ["/beat"])
     with socket.socket(type=socket.SOCK_DGRAM) as replayer:
         for datagram in recorded:
@@ -247,7 +265,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     control, data = (bytes(connection.sent) for connection in relay.connections[:2])
     for recording, words in ((control, "damaged or forged"), (data, "no such route waits for a stream")):
         talk((relay.SERVER, bridge.port), recording)
-        assert said(server, words)
+        assert happened(server, EventCode.LINK_REJECTED, words)
     assert (link(server).peer, linked(server)) == (peer, True)
     out.publish(text("twice"))
     assert heard(there, 2) == [text("once"), text("twice")]
@@ -258,7 +276,7 @@ def test_a_newer_connection_of_the_same_name(friend: Any, bridge: Bridge) -> Non
     server, client, out, _ = friend
     newer = bridge.client()
     eventually(lambda: linked(newer))
-    eventually(lambda: said(client, "replaced by a newer connection of robot1"))
+    eventually(lambda: happened(client, EventCode.LINK_CLOSED_BY_PEER) and happened(server, EventCode.LINK_REPLACED))
     eventually(lambda: (link(client).retry_in or 0) > 3)
     assert linked(server)
     newer.stop()
@@ -287,4 +305,4 @@ def test_noise_on_every_port_at_full_speed(friend: Any, bridge: Bridge) -> None:
     finally:
         over.set()
         shouter.join()
-    assert len([event for event in server.events() if "turned" in event.text]) <= 300
+    assert len([event for event in server.events() if event.code == EventCode.LINK_REJECTED]) <= 300

@@ -18,6 +18,7 @@ from tests.support.bridge import balance
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger
 
 if TYPE_CHECKING:
@@ -62,19 +63,17 @@ class Program:
         assert all(line.startswith("{") for line in lines), "\n".join(lines)
         return [json.loads(line) for line in lines]
 
-    def said(self, words: str, since: float = 0.0) -> dict[str, Any] | None:
-        """The first event since a moment (s since the epoch) with these words in it."""
-        return next(
-            (each for each in self.log if words in each.get("text", "") and each["time"] >= since),
-            None,
-        )
+    def happened(self, code: EventCode, about: str = "", since: float = 0.0) -> dict[str, Any] | None:
+        """The first event of a kind since a moment (s since the epoch); with `about`, the first with these words."""
+        events = (each for each in self.log if each.get("code") == code and each["time"] >= since)
+        return next((each for each in events if about in each["text"]), None)
 
-    def says(self, words: str, within: float = 10.0, since: float = 0.0) -> float:
-        """Wait until it says so. Returns when it did, in s since the epoch."""
+    def happens(self, code: EventCode, about: str = "", *, within: float = 10.0, since: float = 0.0) -> float:
+        """Wait until it happens. Returns when it did, in s since the epoch."""
         try:
-            when: float = eventually(lambda: self.said(words, since), within)["time"]
+            when: float = eventually(lambda: self.happened(code, about, since), within)["time"]
         except AssertionError:
-            raise AssertionError(f"not said within {within:g} s: {words!r}, but:\n{self._words()}") from None
+            raise AssertionError(f"no {code} {about!r} within {within:g} s, but:\n{self._words()}") from None
         return when
 
     def status(self) -> dict[str, Any]:
@@ -116,7 +115,7 @@ class Program:
         assert self._memory() < _MEMORY
         self._process.send_signal(signal.SIGTERM)
         assert self._process.wait(_STOPS_WITHIN) == 0, self._words()
-        assert not self.said("internal error"), self._words()
+        assert not self.happened(EventCode.ENGINE_ERROR), self._words()
 
     def _memory(self) -> int:
         return int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1]) * resource.getpagesize()

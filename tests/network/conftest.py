@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.network.hosts import Cable, Host, NoHostError
 
+from rsb_bridge.model.codes import EventCode
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
@@ -43,7 +45,7 @@ class Network:
 
         bridge = Sessions(self._folder, address, *topics, domains=_DOMAINS).run(robot, pc)
         self._bridges.append(bridge)
-        bridge.client.says("linked with", 20)
+        bridge.client.happens(EventCode.LINK_UP, within=20)
         return bridge
 
     def close(self) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from tests.network.bridging import EACH_WAY
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.codes import EventCode
+
 if TYPE_CHECKING:
     from tests.network.conftest import Network
     from tests.network.hosts import Cable, Host
@@ -28,13 +30,13 @@ def test_a_short_cut_is_survived_and_a_long_one_comes_back(
     bridge.all_flow(_BACK_WITHIN)
     for side, topic in ((bridge.client, "/scan"), (bridge.server, "/cmd")):  # what is lost is known by a report
         eventually(lambda: side.ledger(topic).dropped.get("lost on the way"), what=f"{topic} lost some")  # noqa: B023
-    assert not bridge.client.said("link lost")
+    assert not bridge.client.happened(EventCode.LINK_LOST)
 
     began = time.time()
     cable.cut()
     for side in (bridge.client, bridge.server):
-        assert 4.5 < side.says("link lost: the peer is silent") - began < 6.5
-    bridge.client.says("timed out; trying again")
+        assert 4.5 < side.happens(EventCode.LINK_LOST, "the peer is silent") - began < 6.5
+    bridge.client.happens(EventCode.LINK_UNREACHABLE)
     cable.mend()
     bridge.all_flow(_BACK_WITHIN)
 
@@ -60,17 +62,19 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
         f"add rule inet wall in iif eth0 tcp sport {own_end.rpartition(':')[2]} drop;"
         "add rule inet wall in iif eth0 meta l4proto udp drop"
     )
-    bridge.client.says("/odom: data connection: ")
-    bridge.client.says("no answer from UDP port 49152 of 10.99.1.1: does a firewall drop it?")
-    bridge.server.says("nothing more from UDP port")
+    bridge.client.happens(EventCode.ROUTE_CHANNEL_LOST, "/odom")
+    bridge.client.happens(
+        EventCode.LINK_UDP_BLOCKED, "no answer from UDP port 49152 of 10.99.1.1: does a firewall drop it?"
+    )
+    bridge.server.happens(EventCode.LINK_UDP_BLOCKED, "nothing more from UDP port")
     eventually(lambda: bridge.client.route("/scan")["state"] == "down", what="/scan is shown as down")
     bridge.pc.hears("/odom", _BACK_WITHIN)  # on another connection
     assert bridge.client.ledger("/scan").dropped["lost on the way"] > 0
 
     pc.nft("delete table inet wall")
-    bridge.client.says("UDP gets through again")
+    bridge.client.happens(EventCode.LINK_UDP_RESTORED)
     bridge.all_flow(_BACK_WITHIN)
-    assert not bridge.client.said("link lost")
-    assert not bridge.server.said("no longer asks for it")
+    assert not bridge.client.happened(EventCode.LINK_LOST)
+    assert not bridge.server.happened(EventCode.ROUTE_ABANDONED)
     bridge.robot.hush()
     bridge.settled("/scan", "/odom")

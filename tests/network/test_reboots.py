@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from tests.network.bridging import EACH_WAY
 
+from rsb_bridge.model.codes import EventCode
+
 if TYPE_CHECKING:
     from tests.network.conftest import Network
     from tests.network.hosts import Cable, Host
@@ -25,21 +27,21 @@ def test_either_side_loses_power_and_comes_back(network: Network, robot: Host, p
     bridge.all_talk()
 
     bridge.server.kill()
-    bridge.client.says("link lost: ")
-    bridge.client.says("is the server running there?; trying again")
+    bridge.client.happens(EventCode.LINK_LOST)
+    bridge.client.happens(EventCode.LINK_UNREACHABLE)
     bridge.server = bridge.server.again()
-    up = bridge.server.says("listening on")
-    assert bridge.client.says("linked with", since=up) - up < _BACK_WITHIN
+    up = bridge.server.happens(EventCode.ENGINE_LISTENING)
+    assert bridge.client.happens(EventCode.LINK_UP, since=up) - up < _BACK_WITHIN
     bridge.all_flow(_DDS_WITHIN)
 
     cable.cut()
     bridge.client.kill()
     off = time.time()
-    assert bridge.server.says("link lost: the peer is silent", since=off) - off < 6.5
+    assert bridge.server.happens(EventCode.LINK_LOST, "the peer is silent", since=off) - off < 6.5
     cable.mend()
     bridge.client = bridge.client.again()
-    up = bridge.client.says("connecting to")
-    assert bridge.client.says("linked with") - up < _BACK_WITHIN
+    up = bridge.client.happens(EventCode.LINK_CONNECTING)
+    assert bridge.client.happens(EventCode.LINK_UP) - up < _BACK_WITHIN
     bridge.all_flow(_DDS_WITHIN)
     bridge.robot.hush()
     bridge.settled("/scan", "/odom", since=off)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from tests.network.bridging import EACH_WAY
 from tests.network.hosts import Cable
 
+from rsb_bridge.model.codes import EventCode
+
 if TYPE_CHECKING:
     from tests.network.conftest import Network
     from tests.network.hosts import Host
@@ -37,11 +39,11 @@ def test_address_translation_changes_its_mind(network: Network, robot: Host, pc:
     time.sleep(2.5)  # so the mapping expires
     router.nft("delete table ip wall")
     bridge.all_flow(_BACK_WITHIN)
-    assert not bridge.client.said("link lost")
+    assert not bridge.client.happened(EventCode.LINK_LOST)
 
     router.run("ip", "address", "delete", "10.99.2.2/24", "dev", "eth1")
     router.address("eth1", "10.99.2.3/24")
-    bridge.server.says("linked with 10.99.2.3")
+    bridge.server.happens(EventCode.LINK_UP, "10.99.2.3")
     bridge.all_flow(_BACK_WITHIN)
     bridge.robot.hush()
     bridge.settled("/scan", "/odom")
@@ -63,8 +65,10 @@ def test_a_robot_goes_from_one_network_to_another(network: Network, robot: Host,
     wired.mtu(1280)
     left = time.time()
     robot.run("ip", "link", "set", "eth0", "down")
-    bridge.client.says("this machine's address towards 10.99.2.1 changed: 10.99.1.2 to 10.99.3.2")
-    assert bridge.server.says("linked with 10.99.3.2", since=left) - left < _BACK_WITHIN
+    bridge.client.happens(
+        EventCode.LINK_LOST, "this machine's address towards 10.99.2.1 changed: 10.99.1.2 to 10.99.3.2"
+    )
+    assert bridge.server.happens(EventCode.LINK_UP, "10.99.3.2", since=left) - left < _BACK_WITHIN
     bridge.all_flow(_BACK_WITHIN)
 
     bridge.listen(pc=("/camera",))

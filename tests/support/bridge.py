@@ -12,6 +12,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.route.incoming import IncomingRoute
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
-    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.api import RosInterface
 
@@ -114,7 +114,9 @@ class Bridge:
             engine.stop()
             assert time.monotonic() - began < STOPS_WITHIN
         assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
-        assert [event.text for engine in engines for event in engine.events() if "internal" in event.text] == []
+        assert [
+            event.text for engine in engines for event in engine.events() if event.code == EventCode.ENGINE_ERROR
+        ] == []
 
 
 def free_port(host: str = "127.0.0.1") -> int:

@@ -11,6 +11,7 @@ from tests.support.bridge import eventually, linked
 from tests.support.domain import Domain, text
 from tests.support.resources import resources
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
 
 def openings(engine: Engine) -> int:
     """How often its topic was opened, to the last step that is the bridge's own."""
-    return sum("connected (std_msgs/msg/String)" in event.text for event in engine.events())
+    return sum(event.code == EventCode.ROUTE_CONNECTED for event in engine.events())
 
 
 def say(publishers: list[Publisher]) -> None:

@@ -154,7 +154,7 @@ class ClientLink(Link):
         self._stays_down = message.retry_after is None
         self._retry_after = min(message.retry_after or 0.0, _LONGEST_RETRY_AFTER)
         if self.control is not None:
-            self.control.abort(f"the server closed the link: {message.reason}")
+            self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
     def refusal_message(self, code: RefusalCode, words: str) -> str:
         """What the operator of this side is told."""

@@ -52,8 +52,9 @@ class ControlChannel(StreamHandler):
         self.stream.close(reason)
         self._over(reason)
 
-    def abort(self, reason: str) -> None:
+    def abort(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
         """End it without a word."""
+        self._code = code
         self.stream.abort(reason)
         self._over(reason)
 

@@ -144,7 +144,8 @@ class Link(Side):
             udp_channel.close()
         self.udp_channels.clear()
         self.negotiation.end()
-        level, how = (Level.WARNING, "lost") if code is EventCode.LINK_LOST else (Level.INFO, "closed")
+        level = Level.INFO if code in (EventCode.LINK_CLOSED, EventCode.LINK_REPLACED) else Level.WARNING
+        how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link {how}: {reason}", link_status=True)
 
     def destroy(self) -> None:

@@ -74,7 +74,7 @@ class ServerLink(Link):
 
     def on_shutdown(self, message: Shutdown) -> None:
         if self.control is not None:
-            self.control.abort(f"the client left: {message.reason}")
+            self.control.abort(f"the client left: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
     def authorize(self, proposal: Propose) -> Propose:
         """Check `allow` and `deny`, and put the client's name before the topic's on this side where that is wanted."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -23,8 +23,8 @@ _TOLD_EVERY = 10.0
 class RateLimitedEventLog:
     """Adds links' events to the log, and in place of those that are too many one that says how many they were.
 
-    What is said of the link itself, up or down, has a share of its own, so that no flood of other lines displaces it;
-    of a link that itself goes up and down too often the newest line is told, late.
+    Events about the link itself, up or down, have a share of their own, so that no flood of others displaces them. When
+    even those are too many, the newest one is added late.
 
     Args:
         events: the log.
@@ -51,7 +51,7 @@ class RateLimitedEventLog:
         share = self._shares.get((link, link_status))
         if share is None:
             share = self._shares[link, link_status] = _Quota(now)
-        if not share.passes(text, now):
+        if not share.passes(_Line(level, code, text, topic), now):
             return
         if link_status:  # in their order: first what was left out before it
             self._tell(link, link_status=False)
@@ -69,10 +69,21 @@ class RateLimitedEventLog:
         share = self._shares.get((link, link_status))
         if share is None or not share.left_out:
             return
-        newest = f"; the last one: {share.newest}" if link_status else ""
-        words = f"{share.left_out:,} more line{'s' if share.left_out > 1 else ''} left out{newest}"
-        share.left_out = 0
-        self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, words, link=link)
+        newest = share.newest if link_status else None
+        left_out = share.left_out - (newest is not None)
+        share.left_out, share.newest = 0, None
+        if left_out:
+            text = f"{left_out:,} more line{'s' if left_out > 1 else ''} left out"
+            self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, text, link=link)
+        if newest is not None:
+            self._events.add(newest.level, newest.code, newest.text, link=link, topic=newest.topic)
+
+
+class _Line(NamedTuple):
+    level: Level
+    code: EventCode
+    text: str
+    topic: str
 
 
 class _Quota:
@@ -85,17 +96,17 @@ class _Quota:
 
     def __init__(self, now: float) -> None:
         self.left_out = 0
-        self.newest = ""
+        self.newest: _Line | None = None
         self._lines = TokenBucket(AT_ONCE, A_SECOND, now)
         self._since = now
 
-    def passes(self, text: str, now: float) -> bool:
+    def passes(self, line: _Line, now: float) -> bool:
         if self._lines.take(1, now):
             return True
         if not self.left_out:
             self._since = now
         self.left_out += 1
-        self.newest = text
+        self.newest = line
         return False
 
     def due(self, now: float) -> bool:

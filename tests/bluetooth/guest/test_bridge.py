@@ -18,6 +18,7 @@ from msgspec import structs
 from rsb_bridge.bluetooth.scan import Scan, Use, held_channels, scan
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import State
@@ -180,7 +181,7 @@ def test_a_wrong_key_is_refused_in_words(addresses: tuple[str, str], base: Path)
         running(session("client", addresses[0], key="other.key"), base, StandIn()) as client,
     ):
         wait_until(lambda: "fingerprint" in link(client).reason, "the client says why")
-        assert any("turned" in event.text and addresses[1] in event.text for event in server.events())
+        assert any(event.code == EventCode.LINK_WRONG_KEY and addresses[1] in event.text for event in server.events())
         assert not linked(server)
 
 
@@ -279,7 +280,9 @@ def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], ba
         _all_cross(client_side, server_side)
         before = link(client).since
         subprocess.run(_DISCONNECT[0].format(server=addresses[0]).split(), check=True)
-        wait_until(lambda: any("data connection" in event.text for event in client.events()), "it is noticed")
+        wait_until(
+            lambda: any(event.code == EventCode.ROUTE_CHANNEL_LOST for event in client.events()), "it is noticed"
+        )
         _all_flow(client_side, server_side)
         _all_cross(client_side, server_side)
         assert link(client).since == before
