@@ -36,6 +36,7 @@ class Received:
         self.payloads: list[bytes] = []
         self.batches: list[int] = []
         self.stamps: list[int] = []
+        self.gids: list[bytes] = []
         self.blocked = threading.Event()
         self.hold = threading.Event()
         self.hold.set()
@@ -43,6 +44,7 @@ class Received:
     def __call__(self, batch: Any) -> None:
         self.payloads += [taken.payload for taken in batch]
         self.stamps += [taken.stamp for taken in batch]
+        self.gids += [taken.gid for taken in batch]
         self.batches.append(len(batch))
         if not self.hold.is_set():
             self.blocked.set()
@@ -75,11 +77,12 @@ def test_graph_shows_others_and_not_ourselves(
     publisher = ours.advertise("/shared", STRING, "", qos, "link")
     rclpy_node.create_publisher(String, "/shared", 1)
     other = open_node(name="other")
-    other.advertise("/theirs", STRING, "", qos, "link")
+    advertised = other.advertise("/theirs", STRING, "", qos, "link")
     [theirs] = eventually(lambda: ours.publishers("/theirs"))
     assert theirs.qos == Qos("best_effort", "transient_local", depth=0, deadline=0.5, lifespan=2.0)
     assert theirs.type_name == STRING
     assert theirs.type_hash == ours.installed_hash(STRING)
+    assert theirs.gid == advertised.gid
     [stock] = eventually(lambda: [each for each in ours.publishers("/shared") if each.node])
     assert (stock.node, stock.qos) == ("/stock", Qos(depth=0))
     assert ours.subscriptions("/shared") == []
@@ -162,6 +165,7 @@ def test_our_own_latched_message_does_not_come_back_to_a_later_subscription(
     theirs = Received()
     other.subscribe("/map", STRING, "", PROFILES["latched"], theirs, "link")
     eventually(lambda: theirs.payloads)
+    assert theirs.gids == [each.gid for each in other.publishers("/map")]
     received = Received()
     node.subscribe("/map", STRING, "", PROFILES["latched"], received, "link")
     other.advertise("/map", STRING, "", PROFILES["latched"], "link").publish(payload("theirs"))

@@ -22,10 +22,12 @@ class RawMessage(NamedTuple):
     Attributes:
         payload: the serialized message (CDR with its 4-byte encapsulation header).
         stamp: ns since the epoch on this machine's clock, when DDS received it.
+        gid: its publisher's.
     """
 
     payload: bytes
     stamp: int
+    gid: bytes = b""
 
 
 class Endpoint(NamedTuple):
@@ -36,12 +38,14 @@ class Endpoint(NamedTuple):
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``, or empty where the middleware did not say.
         qos: its policies; the depth is not known to others and stands as 0.
+        gid: its id in the middleware, the same for everybody in the domain.
     """
 
     node: str
     type_name: str
     type_hash: str
     qos: Qos
+    gid: bytes = b""
 
 
 class Subscription(Protocol):
@@ -58,7 +62,13 @@ class Subscription(Protocol):
 
 
 class Publisher(Protocol):
-    """A raw publisher. May be used from the engine's I/O thread."""
+    """A raw publisher. May be used from the engine's I/O thread.
+
+    Attributes:
+        gid: its id in the middleware, which `Endpoint` and `RawMessage` give, too.
+    """
+
+    gid: bytes
 
     def publish(self, payload: bytes) -> None:
         """Publish one serialized message.
@@ -87,9 +97,11 @@ class RosInterface(Protocol):
 
     Attributes:
         instance_id: random, new each time: our node's name ends with it.
+        node_name: our node's, without the ``/`` before it.
     """
 
     instance_id: str
+    node_name: str
 
     def start(self) -> None:
         """Join the domain and start the thread that drains subscriptions.

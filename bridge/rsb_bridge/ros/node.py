@@ -43,7 +43,7 @@ class RosNode:
     def __init__(self, domain_id: int, name: str) -> None:
         self.instance_id = secrets.token_hex(4)
         self._domain_id = domain_id
-        self._node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
+        self.node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self._lock = threading.Lock()
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
@@ -69,7 +69,7 @@ class RosNode:
             ) from error
         if self._thread is not None:
             raise RosError("a ROS node is started once")
-        participant = self._participant = Participant(self._domain_id, self._node_name)
+        participant = self._participant = Participant(self._domain_id, self.node_name)
         self._thread = threading.Thread(target=self._run, args=(participant,), name="ros", daemon=True)
         self._thread.start()
 
@@ -233,6 +233,7 @@ class _Publisher:
         self.writer = writer
         self.topic = writer.topic
         self.publish = writer.publish
+        self.gid = writer.gid
         self._qos = qos
         self._node = node
 

@@ -237,7 +237,7 @@ class Reader:
             elif number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp))
+            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp, gid))
         return taken
 
     def close(self) -> None:
@@ -327,6 +327,7 @@ def _endpoint(info: dict[str, Any]) -> Endpoint:
             deadline=_seconds(profile["deadline"]),
             lifespan=_seconds(profile["lifespan"]),
         ),
+        gid=bytes(info["endpoint_gid"]),
     )
 
 

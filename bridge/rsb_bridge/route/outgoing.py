@@ -184,7 +184,7 @@ class OutgoingRoute(Route):
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from the ROS side, oldest first."""
         self._ledger.offered += len(batch)
-        messages: list[Message] = [(payload, stamp, 0) for payload, stamp in batch]
+        messages: list[Message] = [(payload, stamp, 0) for payload, stamp, _ in batch]
         if self._interval:
             messages = self._throttle(messages)
         if self._compressor is not None:

@@ -45,6 +45,7 @@ class StandIn:
 
     def __init__(self, **offered: Qos) -> None:
         self.instance_id = secrets.token_hex(4)
+        self.node_name = f"rsb_{self.instance_id}"
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
         self._sinks: dict[str, Sink] = {}
@@ -121,6 +122,7 @@ class _Subscription:
 
 class _Publisher:
     subscriber_count = 1
+    gid = b""
 
     def __init__(self, arrived: list[Arrival]) -> None:
         self._arrived = arrived
