@@ -13,7 +13,7 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,6 +37,12 @@ class Process:
             text=True,
             env=environment,
         )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
 
     def ask(self, line: str) -> dict[str, float]:
         assert self._child.stdin is not None
@@ -137,7 +143,7 @@ def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> I
         folder = Path(name)
         (folder / "bench.key").write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
         (folder / "bench.key").chmod(0o600)
-        port = _free_port()
+        port = free_port()
         common = f"name: bench\nserver_ip: 127.0.0.1\nserver_port: {port}\nkey_file: bench.key\n"
         (folder / "server.yaml").write_text(f"role: server\ndomain_id: {FAR}\n{common}")
         (folder / "client.yaml").write_text(
@@ -162,7 +168,7 @@ def headless(session: Path) -> Process:
 def thesis() -> Iterator[Bed]:
     """The thesis's pipeline between them."""
     with _ends(NEAR, FAR) as bed:
-        port, key = str(_free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
+        port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
         for part, domain in (("receive", FAR), ("send", NEAR)):
             bed.between.append(Process(str(HERE / "thesis.py"), part, str(domain), TOPIC, port, key))
             bed.between[-1].line()
@@ -197,7 +203,7 @@ def _ready(bed: Bed) -> Bed:
     return bed
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))
         return int(tcp.getsockname()[1])

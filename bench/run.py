@@ -11,6 +11,7 @@ import platform
 import time
 
 import bed
+import opening
 
 SIZES = (2_500, 5_000, 10_000)
 CPU_RATES = (1_000, 10_000, 30_000)
@@ -42,6 +43,7 @@ def main() -> None:
     _print_rates(rates)
     _print_cpu(rates, cpu)
     _print_latency()
+    opening.report(opening.TOPICS)
 
 
 def _print_rates(rates: dict[tuple[str, int], bed.Run]) -> None:

@@ -81,7 +81,7 @@ def test_lines_at_line_speed(
     """Of three thousand lines a third are written, and how many were not; none about the link itself is lost."""
     flood(rogue)
     rogue.say(Ping(n=1, sent=1))
-    rogue._wait(Pong)  # so it has read everything before
+    rogue.wait_for(Pong)  # so it has read everything before
     rogue.close()
     lost = eventually(lambda: happened(server, EventCode.LINK_LOST))
     written = of_link(server, "robot1")

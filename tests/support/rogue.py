@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import socket
 import struct
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self, TypeVar
 
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage
     from rsb_bridge.wire.sealing import SessionKeys
 
+T = TypeVar("T")
 BLOB = ("made_up_msgs/msg/Blob", "RIHS01_" + "5a" * 32)
 """A type that nobody has, and its hash."""
 
@@ -42,33 +43,34 @@ class Rogue:
         self.streams: list[socket.socket] = []
         self.udp = socket.socket(type=socket.SOCK_DGRAM)
         self.udp.connect(self._address)
-        established = self._wait(Established)
-        assert isinstance(established, Established)
-        self.keys: SessionKeys = established.keys
+        self.keys: SessionKeys = self.wait_for(Established).keys
         self._probes = DatagramWriter(self.keys.route_sealer(PROBE_ROUTE, "client"), self.keys.link_id, PROBE_ROUTE)
 
-    def _wait(self, kind: type[object]) -> Event | ControlMessage:
+    def wait_for(self, *kinds: type[T]) -> T:
+        """The next event or control message of one of these kinds; all before it are dropped."""
         while True:
             for index, event in enumerate(self._events):
                 said = event.message if isinstance(event, Received) else event
-                if isinstance(said, kind):
+                if isinstance(said, kinds):
                     del self._events[: index + 1]
                     return said
-            self._events = self._connection.receive_data(self._control.recv(CONTROL_LIMIT))
+            data = self._control.recv(CONTROL_LIMIT)
+            assert data, f"the server closed the connection before it said any of {kinds}"
+            self._events = self._connection.receive_data(data)
             self._control.sendall(self._connection.data_to_send())
 
-    def say(self, message: ControlMessage) -> None:
-        """Send a control message."""
-        self._control.sendall(self._connection.send(message))
+    def say(self, *messages: ControlMessage) -> None:
+        """Send control messages, all at once."""
+        self._control.sendall(b"".join(self._connection.send(message) for message in messages))
 
     def route(self, topic: str, transport: str, qos: Qos) -> int:
         """Have the server open a route for what this side says that it sends; its id."""
         number = self._next_route
         self._next_route += 2
         self.say(Propose(route=number, topic=topic, remote_topic=topic, from_client=True, transport=transport))  # type: ignore[arg-type]
-        assert isinstance(self._wait((Accept, Refuse)), Accept)  # type: ignore[arg-type]
+        assert isinstance(self.wait_for(Accept, Refuse), Accept)
         self.say(Describe(route=number, type=BLOB[0], type_hash=BLOB[1], qos=qos))
-        assert isinstance(self._wait((Ready, Refuse)), Ready)  # type: ignore[arg-type]
+        assert isinstance(self.wait_for(Ready, Refuse), Ready)
         return number
 
     def stream(self, route: int) -> tuple[socket.socket, DataWriter]:
@@ -107,6 +109,12 @@ class Rogue:
     def datagrams(self, route: int) -> DatagramWriter:
         """What writes a route's datagrams."""
         return DatagramWriter(self.keys.route_sealer(route, "client"), self.keys.link_id, route)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Go without a word."""

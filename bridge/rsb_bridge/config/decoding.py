@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import cache
 from types import UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
-from msgspec.structs import fields
+from msgspec.structs import FieldInfo, fields
 
 from rsb_bridge.config.keys import conceal, is_key
 from rsb_bridge.model.session import Problem
@@ -41,7 +42,7 @@ def read(data: object, model: type[T], problems: list[Problem], place: str = "")
     Returns:
         The struct. A value with a problem is its default in there, a required one something harmless.
     """
-    known = {field.name: field for field in fields(model)}
+    known = {field.name: field for field in _fields(model)}
     values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
         shown = f"{show(data)} is" if place else "is"  # a whole file that is none of ours may be anything
@@ -61,6 +62,12 @@ def read(data: object, model: type[T], problems: list[Problem], place: str = "")
         elif field.required:
             problems.append(Problem(join(place, name), f"missing: give {_expected(field.type)}"))
     return model(**values)
+
+
+@cache
+def _fields(model: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
+    """As `msgspec.structs.fields`, which evaluates the model's annotations each time: that takes 0.2 ms."""
+    return fields(model)
 
 
 def join(place: str, key: str | int) -> str:

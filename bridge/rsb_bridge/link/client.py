@@ -39,6 +39,9 @@ _LONGEST_DELAY = 10.0
 """s, where the server is there and said no: it won't change its mind soon."""
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
+_STREAMS_AT_ONCE = 128
+"""Routes' streams being opened at a time: few enough for any listen backlog, enough for 500 in 1 s at 100 ms a round
+trip."""
 
 
 class ClientLink(Link):
@@ -59,6 +62,7 @@ class ClientLink(Link):
         self._refused = False
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random)
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
+        self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
         self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
 
     @property
@@ -98,7 +102,8 @@ class ClientLink(Link):
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.address}", link_status=True)
         secret = self._key.secret if self._key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
-        failure = await self._open(self.transport, self.port, _ControlOpening(self, connection))
+        host = self.transport.host(self.context.session)
+        failure = await self._open(self.transport, host, self.port, _ControlOpening(self, connection))
         if failure is not None:
             self._failed(failure)
             return
@@ -108,9 +113,8 @@ class ClientLink(Link):
             self.control.shut_down("shut down", retry_after=None)
         await self._ended.wait()
 
-    async def _open(self, transport: StreamTransport, port: int, opening: _Opening) -> _Failure | None:
+    async def _open(self, transport: StreamTransport, host: str, port: int, opening: _Opening) -> _Failure | None:
         """Connect, and wait for the server's answer; None: the stream is let in."""
-        host = transport.host(self.context.session)
         try:
             await transport.connect(host, port, opening)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
@@ -208,7 +212,8 @@ class ClientLink(Link):
 
     async def _open_stream(self, route: Route, route_id: int, transport: StreamTransport) -> None:
         try:
-            failure = await self._attach(route, route_id, transport)
+            async with self._may_open:
+                failure = await self._attach(route, route_id, transport) if route.id == route_id else None
             if failure is not None and route.id == route_id:
                 route.channel_lost(failure.reason)
         finally:
@@ -216,8 +221,11 @@ class ClientLink(Link):
 
     async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> _Failure | None:
         assert self.keys is not None
+        assert self.control is not None
         opening = _StreamOpening(self, DataConnection(self.keys, route_id), route, multiplexed=transport.multiplexed)
-        return await self._open(transport, route.proposal.port or self.port, opening)
+        # Where the control connection got through, not wherever the server's name leads to by now.
+        host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
+        return await self._open(transport, host, route.proposal.port or self.port, opening)
 
     def _share_stream(self, route: Route, transport: StreamTransport) -> None:
         """Join the stream of the route's channel, or open it if nobody has begun to."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.multiplexer import Multiplexer
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
 _MOST_WAITING = 8 * CONTROL_LIMIT
 """Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
+_AT_ONCE = 8
+"""Events acted on before the I/O loop turns to other work: each may create a DDS endpoint, which takes 0.5 ms."""
 
 
 class ControlChannel(StreamHandler):
@@ -37,6 +41,7 @@ class ControlChannel(StreamHandler):
         self._connection = connection
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
+        self._events: deque[Event] = deque()
         stream.handler = self
 
     def send(self, message: ControlMessage) -> None:
@@ -63,19 +68,40 @@ class ControlChannel(StreamHandler):
         self.take(self._connection.receive_data(data))
 
     def take(self, events: list[Event]) -> None:
-        """Act on what the connection made of them."""
-        for event in events:
-            if self.link.control is not self:
-                return  # an earlier event ended it
-            match event:
-                case Received(message):
-                    self.link.negotiation.handle(message)
-                case DataFrame(route_id, frame):
-                    self._take_data(route_id, frame)
-                case Failed(reason):
-                    self.abort(f"the peer broke the format: {reason}")
-                case Refused(_, words, _):
-                    self.abort(words)
+        """Act on what the connection made of them, a few at a time; until that is done nothing more is read."""
+        waits = bool(self._events)
+        self._events.extend(events)
+        if not waits:
+            self._act()
+
+    def _act(self) -> None:
+        for _ in range(_AT_ONCE):
+            if not self._events:
+                return
+            self._act_on(self._events.popleft())
+            if self.link.control is not self:  # the event ended it
+                self._events.clear()
+                return
+        if self._events:
+            self.stream.pause_reading()
+            asyncio.get_running_loop().call_soon(self._go_on)
+
+    def _go_on(self) -> None:
+        if self.link.control is self:
+            self._act()
+            if not self._events:
+                self.stream.resume_reading()
+
+    def _act_on(self, event: Event) -> None:
+        match event:
+            case Received(message):
+                self.link.negotiation.handle(message)
+            case DataFrame(route_id, frame):
+                self._take_data(route_id, frame)
+            case Failed(reason):
+                self.abort(f"the peer broke the format: {reason}")
+            case Refused(_, words, _):
+                self.abort(words)
 
     def _take_data(self, route_id: int, frame: memoryview) -> None:
         path = self.shared.paths.get(route_id)

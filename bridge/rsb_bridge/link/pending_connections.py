@@ -1,8 +1,8 @@
-"""Streams that came in and have not shown yet who they are: bounded in number, in time and in what they cost."""
+"""Unauthenticated inbound connections, limited in number, in time and in what they cost."""
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.codes import EventCode
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _MOST = 256
 _MOST_OF_ONE_HOST = 64
+"""Beyond these, as many as linked clients have routes that wait for a stream: in all, or at that host."""
 _HANDSHAKE_WITHIN = 5.0
 _FAILURES = 5
 _FAILURES_WITHIN = 30.0
@@ -27,14 +28,16 @@ _HOSTS_REMEMBERED = 1024
 _SAID_EVERY = 10.0
 _SAID_MOST = 256
 _CODES = {RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY, RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME}
+_TOO_MANY = "too many connections that have not shown who they are"
 
 
 class PendingConnections:
-    """All streams that are still strangers, and which hosts have failed lately."""
+    """All streams that have not authenticated yet, and which hosts have failed to lately."""
 
     def __init__(self, server: Server) -> None:
         self.server = server
-        self.present: dict[_PendingConnection, None] = {}  # the longest waiting first
+        self._present: dict[_PendingConnection, None] = {}  # the longest waiting first
+        self._of_host: Counter[str] = Counter()
         self._failures: dict[str, deque[float]] = {}
         self._said: dict[tuple[str, str], float] = {}
 
@@ -42,23 +45,35 @@ class PendingConnections:
         """The handler of a new stream."""
         return _PendingConnection(self)
 
-    def make_room(self, host: str) -> None:
-        """Turn those away that have waited longest, so that those who only wait can't keep others out.
+    def add(self, pending: _PendingConnection) -> None:
+        """Count a new connection; if there are too many, reject the one that has waited longest.
 
-        A host that has too many strangers here loses one of its own.
+        A host that has too many loses one of its own, so that connections that only wait cannot keep others out.
         """
-        of_host = [guest for guest in self.present if guest.host == host]
-        if len(of_host) >= _MOST_OF_ONE_HOST:
-            of_host[0].reject("too many connections that have not shown who they are")
-        elif len(self.present) >= _MOST:
-            next(iter(self.present)).reject("too many connections that have not shown who they are")
+        if self._full(self._of_host[pending.host], _MOST_OF_ONE_HOST, pending.host):
+            next(each for each in self._present if each.host == pending.host).reject(_TOO_MANY)
+        elif self._full(len(self._present), _MOST):
+            next(iter(self._present)).reject(_TOO_MANY)
+        self._present[pending] = None
+        self._of_host[pending.host] += 1
+
+    def _full(self, count: int, limit: int, host: str = "") -> bool:
+        return count >= limit and count >= limit + self.server.streams_awaited(host)
+
+    def remove(self, pending: _PendingConnection) -> None:
+        """A connection has authenticated or is gone."""
+        if pending in self._present:
+            del self._present[pending]
+            self._of_host[pending.host] -= 1
+            if not self._of_host[pending.host]:
+                del self._of_host[pending.host]
 
     def penalty(self, host: str) -> float:
         """How long (s) a host's handshake waits: failures cost time, but lock nobody out (many share an address)."""
         return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
 
     def failed(self, stream: Stream, code: EventCode, words: str) -> None:
-        """A stream was turned away that did not do as a friend would."""
+        """Record a failed authentication."""
         now = self.server.context.now()
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
@@ -66,7 +81,7 @@ class PendingConnections:
         self.say(stream, code, words)
 
     def say(self, stream: Stream, code: EventCode, words: str) -> None:
-        """Tell the operator of a stream that was turned away; not more often than every 10 s."""
+        """Log that a stream was turned away, at most once in 10 s for a host and a reason."""
         if (stream.host, words) not in self._said and len(self._said) < _SAID_MOST:
             self._said[stream.host, words] = self.server.context.now()
             self.server.context.log(Level.WARNING, code, f"turned {stream.peer} away: {words}")
@@ -82,19 +97,19 @@ class PendingConnections:
         self._said = {key: time for key, time in self._said.items() if now - time < _SAID_EVERY}
 
     def close(self) -> None:
-        """Turn all away."""
-        for guest in tuple(self.present):
-            guest.reject("the server stops")
+        """Reject all."""
+        for pending in tuple(self._present):
+            pending.reject("the server stops")
 
 
 class _PendingConnection(StreamHandler):
     """One stream until it is a link's control connection, a route's stream, or gone."""
 
-    def __init__(self, guests: PendingConnections) -> None:
+    def __init__(self, pending: PendingConnections) -> None:
         self.host = ""
-        self._pending = guests
-        self._server = guests.server
-        self._connection: ServerConnection = guests.server.connection(self._identify)
+        self._pending = pending
+        self._server = pending.server
+        self._connection: ServerConnection = pending.server.connection(self._identify)
         self._stream: Stream | None = None
         self._name = ""
         self._deadline: asyncio.TimerHandle | None = None
@@ -102,9 +117,8 @@ class _PendingConnection(StreamHandler):
         self._penalty: asyncio.TimerHandle | None = None
 
     def connected(self, stream: Stream) -> None:
-        self._pending.make_room(stream.host)
         self._stream, self.host = stream, stream.host
-        self._pending.present[self] = None
+        self._pending.add(self)
         loop = self._server.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
         if penalty := self._pending.penalty(self.host):
@@ -122,7 +136,7 @@ class _PendingConnection(StreamHandler):
         self._leave()
 
     def reject(self, words: str) -> None:
-        """Say no and close."""
+        """Refuse the stream and close it."""
         stream = self._stream
         if stream is None:
             return
@@ -168,7 +182,7 @@ class _PendingConnection(StreamHandler):
     def _attach(self, stream: Stream, event: Attach) -> None:
         try:
             self._server.attach(stream, self._connection, event)
-        except Refusal as refusal:  # costs its host nothing: a friend's route may have been closed meanwhile
+        except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
             self._pending.say(stream, EventCode.LINK_REJECTED, refusal.words)
             stream.write(self._connection.refuse(refusal.code, refusal.words))
             stream.close(refusal.words)
@@ -187,7 +201,7 @@ class _PendingConnection(StreamHandler):
         return words
 
     def _leave(self) -> None:
-        self._pending.present.pop(self, None)
+        self._pending.remove(self)
         for timer in (self._deadline, self._penalty):
             if timer is not None:
                 timer.cancel()

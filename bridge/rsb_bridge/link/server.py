@@ -94,16 +94,16 @@ class ServerLink(Link):
     def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """The client opens it."""
 
+    @property
+    def streams_awaited(self) -> int:
+        """How many routes wait for the client to open their stream."""
+        return sum(1 for route in self.routes.values() if _stream_awaited(route))
+
     def waiting_route(self, opening: Attach | DataOpening) -> tuple[Route, StreamTransport]:
         """The route that a stream is asked for, and its transport; raises Refusal where none waits for a stream."""
         route = self.open_route(opening.route)
-        transport = route.transport if route is not None else None
-        if (
-            self.keys is None
-            or route is None
-            or route.channel is not None
-            or not isinstance(transport, StreamTransport)
-        ):
+        transport = _stream_awaited(route) if route is not None else None
+        if self.keys is None or route is None or transport is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
         try:
             self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
@@ -203,6 +203,14 @@ class Server:
 
     # --- who comes
 
+    def streams_awaited(self, host: str = "") -> int:
+        """How many routes' streams linked clients have yet to open; with `host`: those at that host."""
+        return sum(
+            link.streams_awaited
+            for link in self.links.values()
+            if link.control is not None and host in ("", link.control.stream.host)
+        )
+
     def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
         """The state machine for a stream that comes in."""
         return ServerConnection(identify, self._welcome, self._aes, multiplexed=self._transport.multiplexed)
@@ -267,3 +275,10 @@ class Server:
             link = self._link_of(link_id)
             if link is not None:
                 link.arrived(socket, its)
+
+
+def _stream_awaited(route: Route) -> StreamTransport | None:
+    """The transport of the stream that a route waits for; None: it waits for none."""
+    if not route.id or route.channel is not None or not isinstance(route.transport, StreamTransport):
+        return None
+    return route.transport

@@ -1,4 +1,4 @@
-"""Names to addresses, each looked up in a thread that nobody waits for.
+"""Names to addresses, each looked up in a thread that nobody waits for. What is an address already needs none.
 
 The event loop's own lookup runs in a pool that is joined when the process ends, and that other work waits for: a name
 server that does not answer would hold up both.
@@ -27,6 +27,8 @@ async def look_up(host: str, port: int, within: float) -> Found:
     Raises:
         OSError: the name is not known, or nobody answers.
     """
+    with contextlib.suppress(socket.gaierror):
+        return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[Found] = loop.create_future()
 

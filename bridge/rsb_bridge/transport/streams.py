@@ -83,6 +83,16 @@ class Stream(asyncio.Protocol):
             self._reason = self._reason or reason
             self._transport.abort()
 
+    def pause_reading(self) -> None:
+        """Leave what the peer sends in the kernel, until `resume_reading`."""
+        if self._transport is not None:
+            self._transport.pause_reading()
+
+    def resume_reading(self) -> None:
+        """Take in again what the peer sends."""
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.resume_reading()
+
     @property
     def waiting_bytes(self) -> int:
         """What was written and the kernel has not taken yet."""
@@ -113,8 +123,10 @@ class Stream(asyncio.Protocol):
 
     @property
     def host(self) -> str:
-        """The other end's host or adapter, without port or channel."""
-        return str(self.address[0])
+        """The other end's host or adapter in numbers, without port or channel; a link-local one has its interface."""
+        host = str(self.address[0])
+        scope = self.address[3] if len(self.address) == 4 else 0
+        return f"{host}%{scope}" if scope and "%" not in host else host
 
     def data_received(self, data: bytes) -> None:
         self.received_bytes += len(data)

@@ -14,7 +14,8 @@ from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 CONNECT_TIMEOUT = 3.0
 """s"""
-_BACKLOG = 128
+_BACKLOG = 1024
+"""Connections that the kernel holds until they are accepted; a client whose connection finds no room waits 1 s."""
 _NOT_SENT_LOW_WATER = 32 * 1024
 _TCP_NOTSENT_LOWAT = getattr(socket, "TCP_NOTSENT_LOWAT", 25)
 _IDLE, _KEEPALIVE_EVERY = 20, 5

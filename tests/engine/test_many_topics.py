@@ -1,0 +1,134 @@
+"""Hundreds of topics on one link: their streams are let in at once, and nothing else waits for them meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import eventually, linked, said
+from tests.support.rogue import Rogue
+
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.link import client as link_client
+from rsb_bridge.link.roles import ServerRole
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport import names, tcp
+from rsb_bridge.wire.messages import Accept, Ping, Pong, Propose
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.wire.messages import ControlMessage
+
+TOPICS = 200
+TOO_MANY = "too many connections"
+
+
+def troubles(engine: Engine) -> list[str]:
+    return [event.text for event in engine.events() if event.level in (Level.WARNING, Level.ERROR)]
+
+
+def opened(engine: Engine) -> int:
+    return sum(" connected (" in event.text for event in engine.events())
+
+
+def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than a host may have unauthenticated connections, even if the client opens them all at once."""
+    monkeypatch.setattr(link_client, "_STREAMS_AT_ONCE", TOPICS)
+    names = [f"/topic{number}" for number in range(TOPICS)]
+    server = bridge.server()
+    client = bridge.client(*(Topic(name, "transmit", type="std_msgs/msg/String", qos=1) for name in names))
+    eventually(lambda: opened(client) == TOPICS, 60, "all topics open")
+    assert troubles(server) == troubles(client) == []
+    routes = next(iter(client._end.links())).routes.values() if client._end else ()
+    assert [route.key for route in routes if not route.connected] == []
+
+
+def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server's name is looked up once for a link, not for each stream."""
+    asked: list[str] = []
+    look_up = tcp.look_up
+
+    async def counted(host: str, port: int, within: float) -> names.Found:
+        asked.append(host)
+        return await look_up(host, port, within)
+
+    monkeypatch.setattr(tcp, "look_up", counted)
+    bridge.server()
+    topics = (Topic(f"/topic{number}", "transmit", type="std_msgs/msg/String", qos=1) for number in range(3))
+    client = bridge.client(*topics, server_ip="localhost")
+    eventually(lambda: opened(client) == 3, what="all topics open")
+    assert asked == ["localhost", *["127.0.0.1"] * 3]
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", "::1", "fe80::1%1"])
+def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(names.threading, "Thread", None)
+    ((*_, found),) = asyncio.run(names.look_up(address, 49152, 1.0))
+    assert found[:2] == (address.partition("%")[0], 49152)
+
+
+def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) -> None:
+    """As many as the client's routes wait for may come from its address, and no more than ever from another."""
+    server = bridge.server()
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue, contextlib.ExitStack() as crowd:
+        rogue.say(*(propose(2 * number + 1, f"/topic{number}") for number in range(TOPICS)))
+        for _ in range(TOPICS):
+            rogue.wait_for(Accept)
+
+        def come(count: int, host: str) -> None:
+            for _ in range(count):
+                crowd.enter_context(
+                    socket.create_connection(("127.0.0.1", bridge.port), timeout=8, source_address=(host, 0))
+                )
+
+        come(TOPICS + 60, "127.0.0.1")
+        come(60, "127.0.0.2")
+        come(10, "127.0.0.3")
+        eventually(lambda: pending(server) == TOPICS + 130 or said(server, "no handshake within 5 s"))
+        assert not said(server, TOO_MANY)
+        come(5, "127.0.0.2")
+        assert eventually(lambda: said(server, TOO_MANY)).text.startswith("turned 127.0.0.2:")
+        come(5, "127.0.0.1")
+        eventually(lambda: (event := said(server, TOO_MANY)) and event.text.startswith("turned 127.0.0.1:"))
+
+
+def propose(number: int, topic: str) -> Propose:
+    return Propose(route=number, topic=topic, remote_topic=topic, from_client=True, transport="tcp")
+
+
+def pending(server: Engine) -> int:
+    """How many unauthenticated connections a server has."""
+    assert isinstance(server._end, ServerRole)
+    return len(server._end._server._pending._present)
+
+
+def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
+    """A few are acted on at a time, in their order; each may make a DDS endpoint."""
+    server = bridge.server()
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
+        eventually(lambda: linked(server))
+        assert server._end is not None
+        assert server._context is not None
+        (link,) = server._end.links()
+        loop, handle = server._context.loop, link.negotiation.handle
+        together = [0]
+
+        def counted(message: ControlMessage) -> None:
+            together[-1] += isinstance(message, Ping)
+            handle(message)
+
+        def turn() -> None:
+            together.append(0)
+            loop.call_soon(turn)
+
+        link.negotiation.handle = counted  # type: ignore[method-assign]
+        server._context.call(turn)
+        rogue.say(*(Ping(n=n, sent=n) for n in range(1, 1001)))
+        assert [rogue.wait_for(Pong).n for _ in range(1000)] == list(range(1, 1001))
+        assert max(together) <= 8
