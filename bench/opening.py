@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import bed
 
 from rsb_bridge.engine import Engine
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
@@ -131,11 +132,11 @@ def _opened(engine: Engine, topics: int) -> Mapping[str, float]:
     deadline = time.monotonic() + _OPEN_WITHIN
     while True:
         events = engine.events()
-        opened = [event.time for event in events if " connected (" in event.text]
+        opened = [event.time for event in events if event.code is EventCode.ROUTE_CONNECTED]
         if len(opened) >= topics or time.monotonic() > deadline:
             break
         time.sleep(0.05)
-    linked = [event.time for event in events if event.text.startswith("linked with")]
+    linked = [event.time for event in events if event.code is EventCode.LINK_UP]
     since = [event for event in events if event.time >= min(linked, default=0.0)]
     return {
         "linked": min(linked, default=0.0),
@@ -147,14 +148,14 @@ def _opened(engine: Engine, topics: int) -> Mapping[str, float]:
 
 def _lateness(engine: Engine) -> list[float]:
     """The longest time that a timer of the engine's loop was late by, s; the list's one entry goes on changing."""
-    assert engine._context is not None
-    loop, late = engine._context.loop, [0.0]
+    assert engine._bridge is not None
+    loop, late = engine._bridge.context.loop, [0.0]
 
     def tick(due: float) -> None:
         late[0] = max(late[0], loop.time() - due)
         loop.call_at(loop.time() + _TICK, tick, loop.time() + _TICK)
 
-    engine._context.call(lambda: tick(loop.time()))
+    engine._bridge.context.call(lambda: tick(loop.time()))
     return late
 
 

@@ -14,6 +14,7 @@ from tests.support.rogue import Rogue
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link import client as link_client
 from rsb_bridge.link.roles import ServerRole
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport import names, tcp
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.link.link import Link
     from rsb_bridge.wire.messages import ControlMessage
 
 TOPICS = 200
@@ -33,8 +35,14 @@ def troubles(engine: Engine) -> list[str]:
     return [event.text for event in engine.events() if event.level in (Level.WARNING, Level.ERROR)]
 
 
+def link_of(engine: Engine) -> Link:
+    assert engine._bridge is not None
+    (link,) = engine._bridge.links()
+    return link
+
+
 def opened(engine: Engine) -> int:
-    return sum(" connected (" in event.text for event in engine.events())
+    return sum(event.code is EventCode.ROUTE_CONNECTED for event in engine.events())
 
 
 def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,8 +53,7 @@ def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch)
     client = bridge.client(*(Topic(name, "transmit", type="std_msgs/msg/String", qos=1) for name in names))
     eventually(lambda: opened(client) == TOPICS, 60, "all topics open")
     assert troubles(server) == troubles(client) == []
-    routes = next(iter(client._end.links())).routes.values() if client._end else ()
-    assert [route.key for route in routes if not route.connected] == []
+    assert [route.key for route in link_of(client).routes.values() if not route.connected] == []
 
 
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,8 +111,9 @@ def propose(number: int, topic: str) -> Propose:
 
 def pending(server: Engine) -> int:
     """How many unauthenticated connections a server has."""
-    assert isinstance(server._end, ServerRole)
-    return len(server._end._server._pending._present)
+    assert server._bridge is not None
+    assert isinstance(server._bridge._role, ServerRole)
+    return len(server._bridge._role._server._pending._present)
 
 
 def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
@@ -113,10 +121,8 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
     server = bridge.server()
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         eventually(lambda: linked(server))
-        assert server._end is not None
-        assert server._context is not None
-        (link,) = server._end.links()
-        loop, handle = server._context.loop, link.negotiation.handle
+        link = link_of(server)
+        loop, handle = link.context.loop, link.negotiation.handle
         together = [0]
 
         def counted(message: ControlMessage) -> None:
@@ -128,7 +134,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
             loop.call_soon(turn)
 
         link.negotiation.handle = counted  # type: ignore[method-assign]
-        server._context.call(turn)
+        link.context.call(turn)
         rogue.say(*(Ping(n=n, sent=n) for n in range(1, 1001)))
         assert [rogue.wait_for(Pong).n for _ in range(1000)] == list(range(1, 1001))
         assert max(together) <= 8
