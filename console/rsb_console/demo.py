@@ -21,6 +21,8 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.middleware import check_middleware
 from rsb_console.headless import Signals, bridge_until_told
 from rsb_console.shell import FAILURE, INTERRUPTED, OK, complain, keep_output_clean, say
 
@@ -204,6 +206,10 @@ def _need_ros() -> None:
             f"the demo needs {', '.join(missing)}: source your ROS 2 (source /opt/ros/jazzy/setup.bash), or on x86-64 "
             "Linux `pip install 'rsb-console[ros]'`"
         )
+    try:
+        check_middleware(os.environ)
+    except RosError as error:
+        raise EngineError(str(error)) from None
 
 
 def _free_port() -> int:
