@@ -16,7 +16,7 @@ from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, TopicInfo
-from rsb_bridge.ros.api import RosError, Subscription
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.telemetry.snapshots import SnapshotPublisher, in_slices
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
 
 _ERROR_SAID_EVERY = 10.0
@@ -54,7 +55,7 @@ class Bridge:
         self._snapshots = snapshots
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
         self._stopping = asyncio.Event()
-        self._shutdown_watch: Subscription | None = None
+        self._shutdown_watch: LastingSubscription | None = None
         self._errors_said: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -119,7 +120,7 @@ class Bridge:
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
 
-    def _watch_shutdown(self) -> Subscription | None:
+    def _watch_shutdown(self) -> LastingSubscription | None:
         context, topic = self.context, self.context.session.shutdown_topic
         if topic is None:
             return None
@@ -129,7 +130,10 @@ class Bridge:
             context.events.add(Level.WARNING, EventCode.ENGINE_SHUTDOWN, f"{words}: closing the sockets on both sides")
             self._role.shut_down(words)
 
-        return watch_shutdown_topic(context.ros, topic, lambda: context.call(act))
+        def failed(reason: str) -> None:
+            context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, f"the shutdown topic is not heard now: {reason}")
+
+        return watch_shutdown_topic(context.ros, context.loop, topic, lambda: context.call(act), failed)
 
     async def _tick(self, link: Link) -> None:
         def each(route: Route) -> None:

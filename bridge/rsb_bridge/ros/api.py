@@ -91,6 +91,9 @@ class Publisher(Protocol):
 Sink = Callable[[Sequence[RawMessage]], None]
 """Called on the ROS thread with one or more messages, oldest first. It may block briefly: DDS keeps the newest."""
 
+OnFailure = Callable[[RosError], None]
+"""Called on the ROS thread, at most once, when a subscription failed and has closed itself."""
+
 
 class RosInterface(Protocol):
     """One domain's ROS graph, and our node in it. Every method may be called from any thread.
@@ -132,12 +135,20 @@ class RosInterface(Protocol):
         ...
 
     def subscribe(
-        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
     ) -> Subscription:
         """Subscribe raw, to a type installed here or known by name and hash only.
 
         A message that a publisher of the same `origin` on this node published is never yielded: that keeps a topic
-        bridged both ways over one link from looping.
+        bridged both ways over one link from looping. A subscription that fails later closes itself and calls
+        `on_failure`; it is never called for one that was closed.
 
         Raises:
             RosError: no such type and no hash, an rmw that cannot do without the type, a bad name.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import re
 import secrets
@@ -19,10 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint, Publisher, Sink, Subscription
+    from rsb_bridge.ros.api import Endpoint, OnFailure, Publisher, Sink, Subscription
     from rsb_bridge.ros.rcl import Participant, Reader, Writer
-
-_log = logging.getLogger(__name__)
 
 _BATCH = 64
 """Messages taken from one subscription before the next has its turn."""
@@ -112,14 +109,21 @@ class RosNode:
         return None if installed is None else hash_of(installed)
 
     def subscribe(
-        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
     ) -> Subscription:
         """Subscribe raw; see `rsb_bridge.ros.api.RosInterface.subscribe`."""
         with self._lock:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
             own = self._own[reader.topic, origin]
-            subscription = _Subscription(reader, qos, sink, own, self._retire)
+            subscription = _Subscription(reader, qos, sink, on_failure, own, self._retire)
             self._subscriptions = {**self._subscriptions, reader.address: subscription}
             participant.wake()
         return subscription
@@ -191,12 +195,19 @@ class _Subscription:
     """A reader, and the sink that its messages go to."""
 
     def __init__(
-        self, reader: Reader, qos: Qos, sink: Sink, own: set[bytes], retire: Callable[[_Subscription], None]
+        self,
+        reader: Reader,
+        qos: Qos,
+        sink: Sink,
+        on_failure: OnFailure | None,
+        own: set[bytes],
+        retire: Callable[[_Subscription], None],
     ) -> None:
         self.reader = reader
         self.topic = reader.topic
         self.qos = qos
         self._sink = sink
+        self._on_failure = on_failure
         self._own = own
         self._retire = retire
         self._delivering = threading.RLock()  # a sink may close its own subscription
@@ -214,8 +225,9 @@ class _Subscription:
             try:
                 batch = self.reader.take(_BATCH, self._own)
             except RosError as error:
-                _log.error("%s: it is subscribed no longer", error)
                 self.close()
+                if self._on_failure is not None:
+                    self._on_failure(error)
                 return
             if batch:
                 self._sink(batch)

@@ -6,19 +6,34 @@ import struct
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.lasting_subscription import LastingSubscription
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Sequence
 
-    from rsb_bridge.ros.api import RawMessage, RosInterface, Subscription
+    from rsb_bridge.ros.api import OnFailure, RawMessage, RosInterface, Subscription
 
 _TYPE = "std_msgs/msg/String"
 _HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 _WORD = "shutdown"
 
 
-def watch_shutdown_topic(ros: RosInterface, topic: str, act: Callable[[], None]) -> Subscription:
-    """Call `act` on the ROS thread whenever somebody publishes the word.
+def watch_shutdown_topic(
+    ros: RosInterface,
+    loop: asyncio.AbstractEventLoop,
+    topic: str,
+    act: Callable[[], None],
+    failed: Callable[[str], None],
+) -> LastingSubscription:
+    """Wait for somebody to publish the word.
+
+    Args:
+        ros: where.
+        loop: the I/O loop.
+        topic: its name.
+        act: called on the ROS thread each time.
+        failed: called on the loop with the reason when the subscription fails; it is opened anew.
 
     Raises:
         RosError: the topic can't be subscribed to.
@@ -28,7 +43,16 @@ def watch_shutdown_topic(ros: RosInterface, topic: str, act: Callable[[], None])
         if any(string_of(taken.payload) == _WORD for taken in batch):
             act()
 
-    return ros.subscribe(topic, _TYPE, ros.installed_hash(_TYPE) or _HASH, Qos(), sink, origin=None)
+    def subscribe(on_failure: OnFailure) -> Subscription:
+        type_hash = ros.installed_hash(_TYPE) or _HASH
+        return ros.subscribe(topic, _TYPE, type_hash, Qos(), sink, None, on_failure)
+
+    def changed() -> None:
+        if watch.failure:
+            failed(watch.failure)
+
+    watch = LastingSubscription(loop, subscribe, changed)
+    return watch
 
 
 def string_of(payload: bytes) -> str | None:

@@ -212,8 +212,12 @@ class IncomingRoute(Route):
 
     def reported(self, report: SentReport) -> None:
         """The sender's ledger, which counts for both sides."""
+        failed_before = self._failure()
         self._report = report
         self.problem = report.problem
+        failure = self._failure()
+        if failure and failure != failed_before:
+            self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
 
     def ledger(self) -> Ledger:
         """As the sender last said."""
@@ -250,6 +254,11 @@ class IncomingRoute(Route):
             jitter=self.latency.jitter,
         )
 
+    def _failure(self) -> str:
+        report = self._report
+        failed = report is not None and report.publishers and not report.subscribed and self._publisher is not None
+        return self.problem if failed else ""
+
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos
 
@@ -266,7 +275,11 @@ class IncomingRoute(Route):
             ),
             Stage("type known", known or None, self.type_name if known else self.problem),
             Stage("QoS compatible", not self._clash if known else None, self._clash),
-            Stage("subscribed", (report is not None and report.subscribed) or None, self.problem),
+            Stage(
+                "subscribed",
+                False if self._failure() else (report is not None and report.subscribed) or None,
+                self.problem,
+            ),
             self.link_stage(),
             Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
             Stage("sent", (report is not None and report.offered > 0) or None),

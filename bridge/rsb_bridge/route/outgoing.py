@@ -11,7 +11,8 @@ import zstandard
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError, Subscription
+from rsb_bridge.ros.api import Endpoint, OnFailure, RawMessage, RosError, Subscription
+from rsb_bridge.ros.lasting_subscription import LastingSubscription
 from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.route import Peer, Route
@@ -48,7 +49,7 @@ class OutgoingRoute(Route):
 
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._subscription: Subscription | None = None
+        self._subscription: LastingSubscription | None = None
         self._queue: deque[Message] = deque()
         self._queue_bytes = 0
         self._interval = int(1e9 / proposal.max_rate) if proposal.max_rate else 0
@@ -142,20 +143,35 @@ class OutgoingRoute(Route):
         described = self._described
         if described is None:
             return
-        try:
-            self._subscription = self.context.ros.subscribe(
+
+        def subscribe(on_failure: OnFailure) -> Subscription:
+            return self.context.ros.subscribe(
                 self.topic,
                 described.type,
                 described.type_hash,
                 described.qos,
                 lambda batch: self.context.ros_queue.put(self, batch),
-                origin=self.peer.name,
+                self.peer.name,
+                on_failure,
             )
+
+        try:
+            self._subscription = LastingSubscription(self.context.loop, subscribe, self._subscription_changed)
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error))
             return
         self.stale.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({described.type})")
+
+    def _subscription_changed(self) -> None:
+        if failure := self._failure():
+            self.last_error = failure
+            self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, failure)
+        elif self._described is not None:
+            self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"subscribed again ({self._described.type})")
+
+    def _failure(self) -> str:
+        return self._subscription.failure if self._subscription is not None else ""
 
     def _unsubscribe(self) -> None:
         if self._subscription is not None:
@@ -288,9 +304,13 @@ class OutgoingRoute(Route):
             lost_in_dds=ledger.lost_in_dds,
             publishers=len(self._publishers),
             publisher_qos=self._publisher_qos,
-            subscribed=self._subscription is not None,
-            problem=plain(self.problem),
+            subscribed=self._subscribed,
+            problem=plain(self._failure() or self.problem),
         )
+
+    @property
+    def _subscribed(self) -> bool:
+        return self._subscription is not None and not self._subscription.failure
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         report = self._ledger.report
@@ -303,12 +323,12 @@ class OutgoingRoute(Route):
         publishers = len(self._publishers)
         failed = self._unresolved.stage if self._unresolved else ""
         why = self._unresolved.why if self._unresolved else ""
-        clash = self._qos_clash()
+        clash, failure = self._qos_clash(), self._failure()
         return (
             Stage("publisher seen", publishers > 0, f"{publishers}" if publishers else self._no_publisher()),
             Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),
             Stage("QoS compatible", not clash if known else None, clash),
-            Stage("subscribed", self._subscription is not None or None),
+            Stage("subscribed", False if failure else self._subscribed or None, failure),
             self.link_stage(),
             Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
             Stage("sent", self._ledger.sent_now > 0 or None),

@@ -167,6 +167,10 @@ class Route:
     def _stages(self) -> tuple[Stage, ...]:
         raise NotImplementedError
 
+    def _failure(self) -> str:
+        """Why the sending side's subscription failed, until it is there again; empty: it has not failed."""
+        raise NotImplementedError
+
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
         raise NotImplementedError
@@ -304,8 +308,8 @@ class Route:
             return State.DOWN, self.refusal
         if self.paused:
             return State.PAUSED, "paused by an operator"
-        if trouble := self._trouble():
-            return State.DOWN, trouble
+        if reason := self._trouble() or self._failure():
+            return State.DOWN, reason
         flowing = self.flowing
         stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
         came = self.meter.last is not None and self.meter.last >= self.opened_at

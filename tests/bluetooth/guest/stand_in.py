@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.ros.api import Endpoint, RawMessage, Sink
+from rsb_bridge.ros.api import Endpoint, OnFailure, RawMessage, Sink
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
@@ -100,7 +100,14 @@ class StandIn:
         return HASH if type_name == TYPE else None
 
     def subscribe(
-        self, topic: str, type_name: str, type_hash: str, qos: Qos, sink: Sink, origin: Hashable
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
     ) -> _Subscription:
         self._sinks[topic] = sink
         return _Subscription(self._sinks, topic)

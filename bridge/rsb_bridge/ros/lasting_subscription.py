@@ -1,0 +1,100 @@
+"""A subscription that outlives its own failures."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.ros.api import RosError
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable
+
+    from rsb_bridge.ros.api import OnFailure, Subscription
+
+_FIRST_DELAY, _LONGEST_DELAY = 0.5, 30.0  # s
+_HEALED_AFTER = 60.0  # s
+
+
+class LastingSubscription:
+    """Subscribes anew, after a delay that doubles, whenever the subscription fails. It belongs to the I/O loop.
+
+    Attributes:
+        failure: why it takes no messages now, as an operator reads it; empty: it does.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        subscribe: Callable[[OnFailure], Subscription],
+        changed: Callable[[], None],
+    ) -> None:
+        """Subscribe.
+
+        Args:
+            loop: the I/O loop.
+            subscribe: makes one subscription.
+            changed: called on the loop when `failure` has changed.
+
+        Raises:
+            RosError: the first attempt failed; it is not repeated.
+        """
+        self.failure = ""
+        self._loop = loop
+        self._subscribe = subscribe
+        self._changed = changed
+        self._lost_before = 0
+        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY)
+        self._opened_at = loop.time()
+        self._retry: asyncio.TimerHandle | None = None
+        self._subscription: Subscription | None = self._open()
+
+    @property
+    def lost(self) -> int:
+        """Messages that DDS lost before they could be taken, over all attempts."""
+        return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
+
+    def close(self) -> None:
+        """Take no more messages. May be called twice."""
+        self._drop()
+        if self._retry is not None:
+            self._retry.cancel()
+
+    def _open(self) -> Subscription:
+        def failed(error: RosError) -> None:  # on the ROS thread
+            with contextlib.suppress(RuntimeError):  # the loop is closed: the engine has stopped
+                self._loop.call_soon_threadsafe(self._failed, subscription, str(error))
+
+        subscription = self._subscribe(failed)
+        self._opened_at = self._loop.time()
+        return subscription
+
+    def _failed(self, subscription: Subscription, reason: str) -> None:
+        if subscription is self._subscription:
+            self._drop()
+            if self._loop.time() - self._opened_at >= _HEALED_AFTER:
+                self._backoff.reset()
+            self._try_later(reason)
+
+    def _drop(self) -> None:
+        if self._subscription is not None:
+            self._lost_before += self._subscription.lost
+            self._subscription.close()
+            self._subscription = None
+
+    def _try_later(self, reason: str) -> None:
+        self.failure = reason
+        self._retry = self._loop.call_later(self._backoff.next(), self._try_again)
+        self._changed()
+
+    def _try_again(self) -> None:
+        self._retry = None
+        try:
+            self._subscription = self._open()
+        except RosError as error:
+            self._try_later(str(error))
+        else:
+            self.failure = ""
+            self._changed()
