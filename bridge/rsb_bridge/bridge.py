@@ -131,7 +131,8 @@ class Bridge:
             self._role.shut_down(words)
 
         def failed(reason: str) -> None:
-            context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, f"the shutdown topic is not heard now: {reason}")
+            text = f"{reason}: the shutdown topic is not heard now; the subscription is opened again"
+            context.events.add(Level.ERROR, EventCode.ENGINE_SUBSCRIBE_FAILED, text)
 
         return watch_shutdown_topic(context.ros, context.loop, topic, lambda: context.call(act), failed)
 

@@ -63,7 +63,7 @@ def test_the_shutdown_topic_is_heard_again(bridge: Bridge, robot: Domain) -> Non
     eventually(lambda: out.get_subscription_count() == 1)
     break_subscription(client, "/shutdown")
     out.publish(text("shutdown"))
-    eventually(lambda: happened(client, EventCode.ENGINE_ERROR, FAILURE))
+    eventually(lambda: happened(client, EventCode.ENGINE_SUBSCRIBE_FAILED, FAILURE))
 
     def shut_down() -> bool:
         out.publish(text("shutdown"))

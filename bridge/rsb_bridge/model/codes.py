@@ -13,6 +13,8 @@ class EventCode(StrEnum):
     ENGINE_SHUTDOWN = "engine.shutdown"
     ENGINE_STOPPED = "engine.stopped"
     ENGINE_ERROR = "engine.error"
+    ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
+    """A subscription of the engine's own failed; it is opened again."""
 
     KEY_UNENCRYPTED = "key.unencrypted"
     KEY_WARNING = "key.warning"
