@@ -158,6 +158,30 @@ def test_a_link_that_stalls_until_it_is_given_up(bridge: Bridge, relay: Relay, r
     assert balance(ledger) + ledger.lost_in_dds == published + 10
 
 
+def test_a_client_that_starts_again_around_a_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """What the server counted for the first process is not taken for the second's, though their route ids are equal."""
+    pc.listener("/count")
+    out = robot.publisher("/count")
+    server, first = lossy(bridge, relay, out, "/count")
+    publish(out, range(100))
+    settled(first, "/count", 100)
+    first.stop()
+    relay.to_server = lambda datagram: [] if message_number(datagram) else [datagram]
+    second = bridge.client(Topic("/count", "transmit", protocol="udp", qos={"depth": 1000}))
+    carries([out], server, ["/count"])
+    publish(out, range(5))
+    eventually(lambda: route(second, "/count").ledger.offered == 5)
+    relay.cut()
+    eventually(lambda: happened(second, EventCode.LINK_LOST) and not linked(second))
+    relay.to_server = lambda datagram: [datagram]
+    eventually(lambda: linked(second) and linked(server))
+    carries([out], server, ["/count"])
+    publish(out, range(10))
+    ledger = settled(second, "/count", 15, within=15)
+    assert (ledger.delivered, ledger.dropped) == (10, {"link lost": 5})
+    eventually(lambda: route(server, "/count").ledger == ledger)
+
+
 def test_pausing_under_traffic(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """From either side; what was taken before is delivered, what is published meanwhile is nobody's."""
     there, out = pc.listener("/count"), robot.publisher("/count")

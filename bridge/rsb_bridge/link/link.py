@@ -105,6 +105,11 @@ class Link(Side):
         return self.peer is not None and node.endswith(f"_{self.peer.instance}")
 
     @property
+    def instance(self) -> str:
+        """The peer's process, present or last; empty: there has been none."""
+        return self.peer.instance if self.peer is not None else ""
+
+    @property
     def clock_offset(self) -> float | None:
         """s, the peer's clock minus ours."""
         return self.keepalive.clock.offset

@@ -69,5 +69,7 @@ class EventCode(StrEnum):
     ROUTE_TOO_LARGE = "route.too_large"
     ROUTE_INCOMPLETE = "route.incomplete"
     """Every message loses a part on the way."""
+    ROUTE_IMPLAUSIBLE_REPORT = "route.implausible_report"
+    """The other side reports counts that cannot be right."""
     ROUTE_LATCHED_FULL = "route.latched_full"
     ROUTE_EXPANDS_TOO_MUCH = "route.expands_too_much"

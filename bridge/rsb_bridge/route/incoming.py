@@ -14,6 +14,7 @@ from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.latched import LATCHED_LIMIT, Latched
+from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
@@ -52,8 +53,10 @@ class IncomingRoute(Route):
         self._received = 0
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
-        self._before: ReceivedReport | None = None
+        self._instance = ""  # of the peer's process that the present opening is with
+        self._before: tuple[str, ReceivedReport] | None = None
         self._report: SentReport | None = None
+        self._sender_ledger = Ledger()
         self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
@@ -63,10 +66,15 @@ class IncomingRoute(Route):
 
     # --- setting up
 
+    def open(self, route_id: int) -> None:
+        """Begin a new opening."""
+        super().open(route_id)
+        self._instance = self.peer.instance
+
     def close(self, reason: str) -> None:
         """End the opening. The next one is counted anew, as the sender does, who is told then what came of this one."""
         if self._received:
-            self._before = self.received_report()
+            self._before = self._instance, self.received_report()
             self._received = self._delivered = 0
             self._dropped.clear()
         super().close(reason)
@@ -94,8 +102,14 @@ class IncomingRoute(Route):
                 self._latched = Latched(self.peer.latched, qos.depth)
             self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
-        self.peer.send(Ready(route=self.id, before=self._before))
+        self.peer.send(Ready(route=self.id, before=self._counted_before()))
         self.advance()
+
+    def _counted_before(self) -> ReceivedReport | None:
+        """What was counted in the last opening in which anything came, if that was with this same process."""
+        if self._before is None or self._before[0] != self.peer.instance:
+            return None  # another one has openings of the same ids
+        return self._before[1]
 
     def _current(self) -> tuple[object, ...]:
         return (self.type_name, self.type_hash, self.qos)
@@ -218,21 +232,15 @@ class IncomingRoute(Route):
         failure = self._failure()
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
+        ledger = reported_ledger(report)
+        if ledger is None:
+            self.doubt("the last that could be are shown")
+        else:
+            self._sender_ledger = ledger
 
     def ledger(self) -> Ledger:
         """As the sender last said."""
-        report = self._report
-        if report is None:
-            return Ledger()
-        return Ledger(
-            offered=report.offered,
-            delivered=report.delivered,
-            throttled=report.throttled,
-            expired=report.expired,
-            in_flight=report.in_flight,
-            dropped=report.dropped,
-            lost_in_dds=report.lost_in_dds,
-        )
+        return self._sender_ledger
 
     def received_report(self) -> ReceivedReport:
         """What the sender is told of the present opening."""

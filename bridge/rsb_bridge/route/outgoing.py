@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _QUEUE_BYTES = 32 * 1024 * 1024
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
+_LIMITED = "they are limited to what was sent"
+_LARGEST_FIGURE = 1e9  # s
 _ZSTD_LEVEL = 3
 
 
@@ -57,6 +59,7 @@ class OutgoingRoute(Route):
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._largest = self.transport.largest_message
         self._ledger = RouteLedger()
+        self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
         self._ready = False
         self._publishers: list[Endpoint] = []
@@ -68,7 +71,8 @@ class OutgoingRoute(Route):
 
     def peer_ready(self, before: ReceivedReport | None) -> None:
         """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
-        self._ledger.settle(before)
+        if not self._ledger.settle(before, self.peer.instance):
+            self.doubt(_LIMITED)
         self._ready = True
         self.advance()
 
@@ -182,7 +186,7 @@ class OutgoingRoute(Route):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
-        self._ledger.opened(route_id)
+        self._ledger.opened(route_id, self.peer.instance)
 
     def close(self, reason: str) -> None:
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
@@ -191,6 +195,7 @@ class OutgoingRoute(Route):
         self._ready = False
         self._ledger.drop("link lost", len(self._queue))
         self._ledger.closed()
+        self._report = None
         self._queue.clear()
         self._queue_bytes = 0
         super().close(reason)
@@ -275,20 +280,17 @@ class OutgoingRoute(Route):
 
     def reported(self, report: ReceivedReport) -> None:
         """The peer said what arrived in the present opening."""
-        self._ledger.reported(report, self.context.now())
+        self._report = report
+        if not self._ledger.reported(report, self.context.now()):
+            self.doubt(_LIMITED)
         self._hint = (report.type, report.type_hash)
-        self.latency.p50, self.latency.p99, self.latency.jitter = report.latency_p50, report.latency_p99, report.jitter
+        self.latency.p50, self.latency.p99 = _figure(report.latency_p50), _figure(report.latency_p99)
+        self.latency.jitter = _figure(report.jitter)
 
     def ledger(self) -> Ledger:
         """Where the messages went, by the peer's last report."""
-        return self._ledger.ledger(self._subscription.lost if self._subscription else 0, self._passed())
-
-    def _passed(self) -> int:
-        """Datagrams' messages that the peer has seen newer ones of, or that should long have arrived; 0 on streams."""
-        report = self._ledger.report
-        if report is None or not isinstance(self.transport, DatagramTransport):
-            return 0
-        return max(report.newest, self._ledger.overdue)
+        lost_in_dds = self._subscription.lost if self._subscription else 0
+        return self._ledger.ledger(lost_in_dds, numbered=isinstance(self.transport, DatagramTransport))
 
     def sent_report(self) -> SentReport:
         """What the peer is told."""
@@ -313,12 +315,12 @@ class OutgoingRoute(Route):
         return self._subscription is not None and not self._subscription.failure
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
-        report = self._ledger.report
+        report = self._report
         return self._publisher_qos, report.subscriber_qos if report else None
 
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""
-        report = self._ledger.report
+        report = self._report
         known = self._described is not None
         publishers = len(self._publishers)
         failed = self._unresolved.stage if self._unresolved else ""
@@ -332,8 +334,8 @@ class OutgoingRoute(Route):
             self.link_stage(),
             Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
             Stage("sent", self._ledger.sent_now > 0 or None),
-            Stage("received", (report is not None and report.received > 0) or None),
-            Stage("published", (report is not None and report.delivered > 0) or None),
+            Stage("received", self._ledger.received_now > 0 or None),
+            Stage("published", self._ledger.delivered_now > 0 or None),
             Stage(
                 "subscriber seen",
                 (report is not None and report.subscribers > 0) or None,
@@ -345,3 +347,8 @@ class OutgoingRoute(Route):
         if self.qos is None:
             return ""
         return next((clash for e in self._publishers if (clash := incompatible(e.qos, self.qos))), "")
+
+
+def _figure(seconds: float | None) -> float | None:
+    """A figure of the peer's, if it could be one."""
+    return seconds if seconds is not None and abs(seconds) <= _LARGEST_FIGURE else None

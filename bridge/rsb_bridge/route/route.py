@@ -48,6 +48,11 @@ class Peer(Protocol):
         ...
 
     @property
+    def instance(self) -> str:
+        """The peer's process, present or last: random, new with each start; empty: there has been none."""
+        ...
+
+    @property
     def clock_offset(self) -> float | None:
         """s, the peer's clock minus ours."""
         ...
@@ -120,6 +125,7 @@ class Route:
         self.retry_at = 0.0
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self._told = ""
+        self._doubted = ""
         self.paused = proposal.paused
         self.channel: DataChannel | None = None
         self.type_name = ""
@@ -248,6 +254,13 @@ class Route:
             code = EventCode.ROUTE_PAUSED if paused else EventCode.ROUTE_RESUMED
             self.log(Level.INFO, code, "paused" if paused else "resumed")
         self.advance()
+
+    def doubt(self, remedy: str) -> None:
+        """Say, once for each of the peer's processes, that its counts cannot be right, and what is done about it."""
+        if self._doubted != self.peer.instance:
+            self._doubted = self.peer.instance
+            text = f"the other side reports counts that cannot be right; {remedy}"
+            self.log(Level.WARNING, EventCode.ROUTE_IMPLAUSIBLE_REPORT, text)
 
     # --- time
 

@@ -28,10 +28,8 @@ Port: TypeAlias = Annotated[int, Meta(ge=0, le=65535)]
 Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 LOWEST_RATE, HIGHEST_RATE = 0.001, 1e6  # Hz
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=HIGHEST_RATE)]
-Causes: TypeAlias = Annotated[dict[Name, Count], Meta(max_length=32)]
+Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
 Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
-Figure: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9)]
-"""s; a latency may be negative within the clock offset's uncertainty."""
 
 DEEPEST = 100_000
 """Messages; what a receiver keeps for late joiners is bounded further (`rsb_bridge.route.incoming`)."""

@@ -160,7 +160,8 @@ class Ready(_Message, frozen=True):
 
     Attributes:
         route: which.
-        before: what was counted in the last opening in which anything came; its route id names that opening.
+        before: what was counted in the last opening in which anything came from this process of the peer; its route id
+            names that opening.
     """
 
     route: RouteId

@@ -1,11 +1,15 @@
-"""The maps inside control messages, typed (PROTOCOL.md, 3)."""
+"""The maps inside control messages, typed (PROTOCOL.md, 3).
+
+The counts and figures in reports have no range here: one that cannot be right must not end a link, so whoever takes it
+limits it (`rsb_bridge.route.ledger`).
+"""
 
 from __future__ import annotations
 
 import msgspec
 
 from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
-from rsb_bridge.wire.fields import DEEPEST, Causes, Count, Figure, Name, RouteId, Words
+from rsb_bridge.wire.fields import DEEPEST, Causes, Count, Name, RouteId, Words
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -27,14 +31,14 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """
 
     route: RouteId
-    offered: Count = 0
-    delivered: Count = 0
-    throttled: Count = 0
-    expired: Count = 0
-    in_flight: Count = 0
+    offered: int = 0
+    delivered: int = 0
+    throttled: int = 0
+    expired: int = 0
+    in_flight: int = 0
     dropped: Causes = {}
-    lost_in_dds: Count = 0
-    publishers: Count = 0
+    lost_in_dds: int = 0
+    publishers: int = 0
     publisher_qos: Qos | None = None
     subscribed: bool = False
     problem: Words = ""
@@ -64,19 +68,19 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     """
 
     route: RouteId
-    received: Count = 0
-    delivered: Count = 0
-    expired: Count = 0
-    incomplete: Count = 0
-    newest: Count = 0
+    received: int = 0
+    delivered: int = 0
+    expired: int = 0
+    incomplete: int = 0
+    newest: int = 0
     dropped: Causes = {}
-    subscribers: Count = 0
+    subscribers: int = 0
     subscriber_qos: Qos | None = None
     type: Name = ""
     type_hash: Name = ""
-    latency_p50: Figure | None = None
-    latency_p99: Figure | None = None
-    jitter: Figure | None = None
+    latency_p50: float | None = None
+    latency_p99: float | None = None
+    jitter: float | None = None
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)

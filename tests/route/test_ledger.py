@@ -1,0 +1,182 @@
+"""The sender's ledger against whatever a peer may report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.support.offline import FakePeer
+
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.wire.messages import Report, decode, encode
+from rsb_bridge.wire.records import ReceivedReport, SentReport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import Ledger
+
+# What a peer can put into a msgpack integer, most often near what could be right.
+counts = st.one_of(st.integers(-3, 12), st.integers(-(2**63), 2**64 - 1))
+causes = st.dictionaries(st.text("abc", max_size=4), counts, max_size=32)
+reports = st.builds(
+    ReceivedReport,
+    route=st.integers(1, 4),
+    received=counts,
+    delivered=counts,
+    expired=counts,
+    incomplete=counts,
+    newest=counts,
+    dropped=causes,
+)
+instances = st.sampled_from(["first", "second"])
+steps = st.one_of(
+    st.tuples(st.just("send"), st.integers(0, 5)),
+    st.tuples(st.just("drop"), st.integers(0, 5)),
+    st.tuples(st.just("throttle"), st.integers(0, 5)),
+    st.tuples(st.just("open"), st.integers(1, 4), instances),
+    st.tuples(st.just("close")),
+    st.tuples(st.just("report"), reports),
+    st.tuples(st.just("settle"), st.none() | reports, instances),
+)
+
+
+def check(ledger: Ledger) -> None:
+    parts = (ledger.delivered, ledger.throttled, ledger.expired, ledger.in_flight, *ledger.dropped.values())
+    assert sum(parts) == ledger.offered
+    assert min(parts) >= 0
+    assert len(ledger.dropped) <= 32
+
+
+@given(st.lists(steps, max_size=40), st.booleans())
+@settings(max_examples=500, deadline=None)
+def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple], numbered: bool) -> None:
+    ledger = RouteLedger()
+    for now, (what, *details) in enumerate(taken):
+        match what:
+            case "send":
+                ledger.offered += details[0]
+                ledger.sent(details[0])
+            case "drop":
+                ledger.offered += details[0]
+                ledger.drop("queue full", details[0])
+            case "throttle":
+                ledger.offered += details[0]
+                ledger.throttled += details[0]
+            case "open":
+                ledger.opened(*details)
+            case "close":
+                ledger.closed()
+            case "report":
+                ledger.reported(*details, now)
+            case "settle":
+                ledger.settle(*details)
+        check(ledger.ledger(0, numbered=numbered))
+
+
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=10), st.lists(st.integers(0, 4), max_size=10))
+def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) -> None:
+    """Openings of one process, each with some messages lost: the ledger says what the receiver counted."""
+    ledger, delivered = RouteLedger(), 0
+    before: ReceivedReport | None = None
+    for number, count in enumerate(sent):
+        route_id = 2 * number + 1
+        ledger.opened(route_id, "first")
+        assert ledger.settle(before, "first")
+        ledger.offered += count
+        ledger.sent(count)
+        arrived = max(0, count - (lost[number] if number < len(lost) else 0))
+        delivered += arrived
+        if arrived:
+            before = ReceivedReport(route=route_id, received=arrived, delivered=arrived, newest=count)
+        ledger.closed()
+    ledger.settle(before, "first")
+    final = ledger.ledger(0, numbered=True)
+    assert final.delivered == delivered
+    assert final.dropped.get("link lost", 0) == sum(sent) - delivered
+
+
+def test_an_opening_is_not_settled_with_another_process_s_counts() -> None:
+    """Ids begin at 1 in each process, so the id alone does not say whose count it is."""
+    ledger = RouteLedger()
+    ledger.opened(1, "first")
+    ledger.offered += 5
+    ledger.sent(5)
+    ledger.closed()
+    ledger.opened(1, "second")
+    assert ledger.settle(ReceivedReport(route=1, received=131, delivered=131, newest=131), "second")
+    assert ledger.ledger(0, numbered=True).dropped == {"link lost": 5}
+
+
+@pytest.fixture
+def topic() -> Topic:
+    return Topic("/scan", "transmit")
+
+
+def test_a_receiver_tells_what_it_counted_only_to_the_process_that_sent_it(
+    make_context: Callable[..., Context], topic: Topic
+) -> None:
+    context, peer = make_context(role="server"), FakePeer()
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = IncomingRoute(context, peer, topic, proposal, proposed_here=False)
+    route.open(1)
+    route._received = route._delivered = 131
+    route.close("the link was lost")
+    route.open(3)
+    before = route._counted_before()
+    assert before is not None
+    assert (before.route, before.delivered) == (1, 131)
+    route.close("the link was lost")
+    peer.instance = "second"
+    route.open(1)
+    assert route._counted_before() is None
+
+
+def test_an_impossible_report_is_said_once_and_ends_nothing(make_context: Callable[..., Context], topic: Topic) -> None:
+    context, peer = make_context(), FakePeer()
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    route.open(1)
+    for delivered in (131, -1, 2**63):
+        route.reported(ReceivedReport(route=1, delivered=delivered, latency_p50=float("nan"), jitter=1e300))
+    assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]
+    assert (route.latency.p50, route.latency.jitter) == (None, None)
+    check(route.ledger())
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"offered": 10, "delivered": 11, "in_flight": -1},
+        {"offered": 10, "delivered": 3},
+        {"offered": 2**63, "delivered": 2**63},
+        {"offered": 10, "delivered": 10, "lost_in_dds": -1},
+        {"offered": 10, "delivered": 15, "dropped": {"link lost": -5}},
+    ],
+)
+def test_a_sender_s_impossible_ledger_is_not_shown(
+    make_context: Callable[..., Context], topic: Topic, wrong: dict[str, int]
+) -> None:
+    context, peer = make_context(role="server"), FakePeer()
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = IncomingRoute(context, peer, topic, proposal, proposed_here=False)
+    route.open(1)
+    route.reported(SentReport(route=1, offered=5, delivered=4, in_flight=1))
+    route.reported(SentReport(route=1, problem="still told", **wrong))
+    assert (route.ledger().offered, route.ledger().delivered) == (5, 4)
+    assert route.problem == "still told"
+    assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]
+
+
+@given(st.lists(reports, max_size=3))
+def test_a_report_with_any_counts_can_be_read(received: list[ReceivedReport]) -> None:
+    report = Report(sent=(SentReport(route=1, in_flight=-131),), received=tuple(received))
+    assert decode(encode(report)) == report
