@@ -17,6 +17,7 @@ import msgspec
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.bridge import Bridge
 from rsb_bridge.config.keys import KeyFileError, key_path, read_key
+from rsb_bridge.config.validation import domain_of
 from rsb_bridge.context import Context
 from rsb_bridge.link.roles import Keys, clients_of
 from rsb_bridge.model.clock import Clock
@@ -91,7 +92,10 @@ class Engine(EngineApi):
         return self._bridge is not None and any(link.shut_down for link in self._bridge.links())
 
     def start(self) -> None:
-        domain = _domain_of(self._session)
+        try:
+            domain = domain_of(self._session, os.environ.get("ROS_DOMAIN_ID"))
+        except ValueError as error:
+            raise EngineError(str(error)) from None
         self._snapshots.latest = dataclasses.replace(self._snapshots.latest, domain_id=domain)
         keys = self._load_keys()
         ros = self._ros or _ros_node(domain, self._session.name)
@@ -231,15 +235,6 @@ class Engine(EngineApi):
             for warning in keys[name].warnings:
                 self._events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
         return keys
-
-
-def _domain_of(session: Session) -> int:
-    if session.domain_id is not None:
-        return session.domain_id
-    text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not text.isdecimal() or int(text) > 232:
-        raise EngineError(f"ROS_DOMAIN_ID is {text!r}: it is a number from 0 to 232")
-    return int(text)
 
 
 def _ros_node(domain: int, name: str) -> RosInterface:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
+from rsb_bridge.model.limits import SAFE_DOMAIN
 from rsb_console.shell import FAILURE, OK, USAGE, complain, say
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session, Topic
 
 _IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_port": "--port N"}  # by what they give
-LAST_SAFE_DOMAIN = 101  # above it, DDS's ports lie in Linux's ephemeral range: docs.ros.org, "The ROS_DOMAIN_ID"
 
 
 def run(arguments: Namespace) -> int:
@@ -134,9 +134,9 @@ def import_thesis(arguments: Namespace) -> int:
             save(session, output)
     except SessionError as error:
         complain(f"not imported\n{error}")
-        missing = {each.place for each in error.problems if not each.line} & _IMPORT_OPTIONS.keys()
-        for place in sorted(missing):  # those in the file have its line
-            complain(f"{place} is given with {_IMPORT_OPTIONS[place]}")
+        missing = {each.location for each in error.problems if not each.line} & _IMPORT_OPTIONS.keys()
+        for location in sorted(missing):  # those in the file have its line
+            complain(f"{location} is given with {_IMPORT_OPTIONS[location]}")
         return USAGE
     if output is None:
         say(dump(session).removesuffix("\n"))
@@ -154,8 +154,8 @@ def _warnings(session: Session, keys: Iterable[Key | KeyFileError]) -> Iterator[
             yield f"{key}; without it the bridge does not start"
         else:
             yield from key.warnings
-    if session.domain_id is not None and session.domain_id > LAST_SAFE_DOMAIN:
-        yield f"domain {session.domain_id} can collide with other programs' ports; 0 to {LAST_SAFE_DOMAIN} cannot"
+    if session.domain_id is not None and session.domain_id not in SAFE_DOMAIN:
+        yield f"domain {session.domain_id} can collide with other programs' ports; {SAFE_DOMAIN} cannot"
     if any(topic.topic == session.shutdown_topic for topic in session.topics):
         yield f"{session.shutdown_topic} is bridged, and closes the bridge too: it is the shutdown_topic"
 

@@ -11,6 +11,7 @@ import msgspec
 from rich.cells import cell_len
 
 from rsb_bridge.config.session_file import SessionError, read_yaml, validate, validate_topic
+from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.glyphs import IN, OUT
@@ -47,10 +48,7 @@ class Ends:
 
     def client_topic(self, topic: str, *, on_server: bool) -> str | None:
         """A topic's name on the client; None: a topic of the server's that this client's names cannot mean."""
-        prefix = f"/{self.client}"
-        if not (on_server and self.use_name):
-            return topic
-        return topic.removeprefix(prefix) if topic.startswith(f"{prefix}/") else None
+        return client_topic(topic, self.client) if on_server and self.use_name else topic
 
 
 def plain(key: str, text: str) -> Any:
@@ -115,13 +113,13 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         here = f"topics[{len(others)}]"
         problems = validate(msgspec.structs.replace(session, topics=(*others, topic)))
         found = [
-            replace(problem, place=problem.place.removeprefix(here).lstrip("."))
+            replace(problem, location=problem.location.removeprefix(here).lstrip("."))
             for problem in problems
-            if problem.place.startswith(here)
+            if problem.location.startswith(here)
         ]
     words: dict[str, str] = {}
     for problem in found:
-        words.setdefault(problem.place.partition(".")[0] or "topic", problem.words)
+        words.setdefault(problem.location.partition(".")[0] or "topic", problem.message)
     return words
 
 

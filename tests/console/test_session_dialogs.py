@@ -186,7 +186,7 @@ def test_a_key_that_is_there_is_taken_and_known_by_its_fingerprint(folder: Path)
 MISTAKES = [
     ("name", "", "missing: give one"),
     ("server_ip", "10.0.0", "is not an IPv4"),
-    ("server_ip", "0.0.0.0", "a client needs one"),
+    ("server_ip", "0.0.0.0", "a client cannot connect to 0.0.0.0"),
     ("server_port", "x", "'x' is not"),
     ("server_port", "0", "0 is not a port"),
     ("domain_id", "233", "0 to 232"),
@@ -254,7 +254,7 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
         await until(pilot, lambda: app.screen.form.fields["name"].control.has_focus, "the next field")
         await fill(pilot, name="robot1", path="robot1.yaml", domain_id="x")
         await pilot.press("enter")
-        await shown(pilot, "'x' is not a ROS domain")
+        await shown(pilot, "'x' is not a whole number")
         await fill(pilot, domain_id="7")
         await pilot.press("enter")
         await shown(pilot, "Imported. Run robot1.yaml?")

@@ -56,15 +56,15 @@ def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered() -> None
 MISTAKES = [
     ("type", "LaserScam", "did you mean sensor_msgs/msg/LaserScan"),
     ("qos", "sensor_date", "did you mean sensor_data?"),
-    ("qos", "{depth: 0}", "depth: at least 1, not 0"),
+    ("qos", "{depth: 0}", "depth: 0 is out of range"),
     ("qos", "{depth", "is not one of auto"),
     ("port", "70000", "70000 is not a port"),
     ("port", "49152", "is the server_port"),
     ("port", "x", "'x' is not"),
     ("remote_topic", "scan", "did you mean /scan?"),
-    ("max_rate", "-1", "is not a rate"),
+    ("max_rate", "-1", "-1.0 is out of range"),
     ("expected_rate", "fast", "'fast' is not a number"),
-    ("stale_after", "inf", "is not a time"),
+    ("stale_after", "inf", "inf is out of range"),
     ("topic", "/1scan", "did you mean /_1scan?"),
 ]
 
@@ -121,9 +121,9 @@ def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
         await shown(pilot, "Add a topic")
         await fill(pilot, topic="/scan")
         await pilot.press("enter", "enter")
-        await shown(pilot, "as transmit: one can go")
+        await shown(pilot, "(transmit) is there already")
         await choose(pilot, "direction", "receive")
-        await gone(pilot, "one can go")
+        await gone(pilot, "is there already")
 
     drive(app, steps)
 
@@ -142,7 +142,7 @@ def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetoot
         await fill(pilot, topic="/scan")
         await choose(pilot, "protocol", "bluetooth")
         await pilot.press("enter")
-        await shown(pilot, "names a channel")
+        await shown(pilot, "needs a channel")
         await fill(pilot, port="31")
         await shown(pilot, "31 is not an RFCOMM channel")
         await fill(pilot, port="5")

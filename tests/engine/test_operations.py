@@ -141,6 +141,27 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     assert find(one, "/more") is None
 
 
+def test_a_prefix_that_makes_a_name_too_long_is_refused_in_words_and_the_link_stays(
+    bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    """Whoever adds the topic, and whichever side's file says `use_name`."""
+    long = "/" + "a" * 245
+    server, client = bridge.server(use_name=True), bridge.client(Topic(long, "transmit"), Topic("/b", "transmit"))
+    eventually(lambda: linked(client) and linked(server), what="linked")
+    eventually(lambda: "has 253 characters, and ROS allows at most 247" in route(client, long).reason)
+    eventually(lambda: happened(server, EventCode.ROUTE_REFUSED, "has 253 characters"))
+    with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
+        server.add_topic(Topic("/" + "c" * 246, "receive")).result(5)
+    assert not happened(client, EventCode.LINK_LOST)
+    assert route(client, "/b").stages[5].done, "accepted"
+    bridge.close()
+    bridge.move()
+    _, client = bridge.both(Topic("/b", "transmit"), use_name=True)
+    with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
+        client.add_topic(Topic("/" + "c" * 246, "transmit")).result(5)
+    assert linked(client)
+
+
 def test_a_topic_both_ways_does_not_loop(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """On either transport, also where the server hands one robot's words to another."""
     names = ("/tcp", "/udp")

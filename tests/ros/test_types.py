@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from rsb_bridge.ros.types import SHORT_NAMES, expand_type_name, split_type_name
+from rsb_bridge.model.type_names import SHORT_NAMES, expand_type_name, split_type_name
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
 COMMON_INTERFACES = [
@@ -86,7 +86,5 @@ def test_split_type_name() -> None:
 
 
 def test_nothing_but_a_started_node_imports_rclpy() -> None:
-    program = (
-        "import sys, rsb_bridge.ros.api, rsb_bridge.ros.types, rsb_bridge.ros.node; sys.exit('rclpy' in sys.modules)"
-    )
+    program = "import sys, rsb_bridge.ros.api, rsb_bridge.ros.node; sys.exit('rclpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False, timeout=30).returncode == 0

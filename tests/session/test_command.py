@@ -231,8 +231,8 @@ def test_a_thesis_file_in_place_of_a_session_leads_to_the_import(command: tuple[
     run = rsb_console(*command, "bringup.yaml")
     assert run.returncode == 2
     assert run.stderr == (
-        "rsb-console: bringup.yaml: is of ros2_socket_bridge, no session yet: "
-        "`rsb-console import bringup.yaml --name NAME` makes one\n"
+        "rsb-console: bringup.yaml: this is a configuration of ros2_socket_bridge: "
+        "convert it with `rsb-console import bringup.yaml --name NAME`\n"
     )
 
 

@@ -80,7 +80,7 @@ def test_the_other_side_of_a_clients_file(bringup: Path) -> None:
     session, notes = import_bringup(bringup, name="robot1", role="server", key_file="key.txt", use_name=True)
     assert (session.role, session.server_ip, session.server_port) == ("server", "192.168.10.250", 3000)
     assert session.topics == ()
-    assert notes == ["the topics are left out: on a server they come from its clients"]
+    assert notes == ["the topics are left out: a server gets them from its clients"]
 
 
 def test_a_server(bringup: Path) -> None:
@@ -99,37 +99,37 @@ def test_bluetooth_leaves_out_what_rfcomm_or_the_session_does_itself(bringup: Pa
     assert session.is_bluetooth
     assert [(topic.topic, topic.port) for topic in session.topics] == [("/scan", None), ("/goal_pose", 14)]
     assert notes == [
-        "/scan: 12001 is not an RFCOMM channel; it shares the link's",
-        "/shutdown is not bridged as a topic: the session's shutdown_topic closes both sides",
+        "/scan: 12001 is not an RFCOMM channel; the topic shares the link's",
+        "/shutdown is left out: the session's shutdown_topic does what it did",
     ]
 
 
 def test_what_changed_is_said(bringup: Path) -> None:
     bringup.write_text(CLIENT + "    use_sim_time: true\n")
     _, notes = import_bringup(bringup, name="robot1", key_file="key.txt", use_name=True)
-    assert notes[0] == "use_sim_time: not of the bridge, left out"
-    assert "under /robot1/ on the server" in notes[1]
+    assert notes[0] == "use_sim_time: not a parameter of the bridge, left out"
+    assert "named /robot1/... on the server" in notes[1]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         ("'TCP', 'UDP', 'TCP'", "'TCP', 'TPC', 'TCP'", "15: client_node.ros__parameters.transmit_protocols[1]: 'tpc'"),
-        ("[12002, 12012]", "[12002]", "8: client_node.ros__parameters.receive_ports: 1 for 2 receive_topics"),
+        ("[12002, 12012]", "[12002]", "8: client_node.ros__parameters.receive_ports: 1 entries for 2 receive_topics"),
         ("[12002, 12012]", "12002", "8: client_node.ros__parameters.receive_ports: 12002 is not a list"),
         ("'10'", "'qos_sensor'", "10: client_node.ros__parameters.receive_qos[1]: 'qos_sensor' is not one of"),
         ("'Odometry'", "'Odometri'", "13: client_node.ros__parameters.transmit_msg_types[1]: 'Odometri'"),
         ("'goal_pose'", "'goal-pose'", "6: client_node.ros__parameters.receive_topics[1]: '/goal-pose'"),
-        ("12006", "12004", "14: client_node.ros__parameters.transmit_ports[2]: tcp 12004 is taken by"),
+        ("12006", "12004", "14: client_node.ros__parameters.transmit_ports[2]: tcp port 12004 is taken by"),
         ("'192.168.10.250'", "'192.168.10'", "3: client_node.ros__parameters.server_ip: '192.168.10' is not"),
         ("ros__parameters", "parameters", " not a bringup.yaml of ros2_socket_bridge"),
         (
             CLIENT,
             "client_node:\n  ros__parameters:\n    server_ip: '10.0.0.1'\n    server_port: 3000\n    topics: [scan]\n",
-            "2: client_node.ros__parameters: no topics: a client's are in the lists transmit_topics and receive_topics",
+            "2: client_node.ros__parameters: no topics: a client has the lists transmit_topics and receive_topics",
         ),
         (CLIENT, "- a list\n", " not a bringup.yaml of ros2_socket_bridge"),
-        (CLIENT, CLIENT + SERVER, " 2 nodes have a server_ip, client_node, server_node"),
+        (CLIENT, CLIENT + SERVER, " 2 nodes have a server_ip: client_node, server_node"),
     ],
 )
 def test_mistakes_are_placed_in_the_thesis_file(bringup: Path, old: str, new: str, words: str) -> None:
@@ -143,7 +143,7 @@ def test_mistakes_are_placed_in_the_thesis_file(bringup: Path, old: str, new: st
 def test_mistakes_of_the_arguments_have_no_line(bringup: Path) -> None:
     with pytest.raises(SessionError) as caught:
         import_bringup(bringup, name="robot1", server_port=0)
-    assert {(problem.place, problem.line) for problem in caught.value.problems} == {
+    assert {(problem.location, problem.line) for problem in caught.value.problems} == {
         ("client_node.ros__parameters.server_port", 4),
         ("key_file", None),
     }

@@ -235,7 +235,7 @@ def test_data_before_the_confirmation_have_no_place():
 
 def test_a_name_too_long_is_refused_with_the_remedy():
     client = ClientConnection(Hello("0.1.0", "ü" * 128, "abc", 0), KEY, Suite.AESGCM)
-    with pytest.raises(ValueError, match="256 bytes long in UTF-8; 255 are the most: choose a shorter one"):
+    with pytest.raises(ValueError, match="256 bytes in UTF-8, and at most 255 are allowed: choose a shorter one"):
         client.start()
 
 

@@ -177,7 +177,10 @@ def test_a_field_out_of_its_range_gives_words(fields):
         {"qos": {"depth": -1}},
         {"qos": {"depth": 2**31}},
         {"qos": {"deadline": math.nan}},
-        {"qos": {"lifespan": 1e9}},
+        {"qos": {"lifespan": 1.1e9}},
+        {"qos": {"depth": 0}},
+        {"stale_after": 0.01},
+        {"stale_after": 2e6},
         {"qos": {"surprise": 1}},
     ],
 )

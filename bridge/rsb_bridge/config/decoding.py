@@ -1,4 +1,4 @@
-"""Plain data into a session: which keys there are, and what kind of value each takes."""
+"""Make a session of plain data: which keys there are, and what kind of value each takes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from rsb_bridge.model.session import Problem
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-_NOTHING = "nothing is given: give a value, or take the key out"
+_NOTHING = "has no value: give one, or leave the key out"
 _NOUNS = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
 
-# What a rule sees of a required value that is missing or of the wrong kind. Its own place is reported already.
+# Stands in for a required value that is missing or of the wrong kind, which is reported, so that all rules can run.
 _STAND_INS = {
     "name": "unnamed",
     "role": "client",
@@ -30,37 +30,37 @@ _STAND_INS = {
 }
 
 
-def read(data: object, model: type[T], problems: list[Problem], place: str = "") -> T:
-    """Build a struct of plain data, and report every value that doesn't fit instead of stopping at the first.
+def read(data: object, model: type[T], problems: list[Problem], location: str = "") -> T:
+    """Make a struct of plain data, and report every value that does not fit.
 
     Args:
         data: mappings, lists and scalars, as YAML has them.
         model: `rsb_bridge.model.session.Session`, `Topic` or `Client`.
-        problems: what is found wrong is added here.
-        place: of `data`, for the problems.
+        problems: the problems found are added here.
+        location: of `data`, for the problems.
 
     Returns:
-        The struct. A value with a problem is its default in there, a required one something harmless.
+        The struct. In it, a value with a problem is the default; a required one is something harmless.
     """
     known = {field.name: field for field in _fields(model)}
     values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
-        shown = f"{show(data)} is" if place else "is"  # a whole file that is none of ours may be anything
-        problems.append(Problem(place, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
+        shown = f"{show(data)} is" if location else "is"  # a whole file that is none of ours may be anything
+        problems.append(Problem(location, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
         return model(**values)
-    if data and not place and known.keys().isdisjoint(data):
-        problems.append(Problem(place, f"has no key of a {model.__name__.lower()}: {', '.join(known)}"))
+    if data and not location and known.keys().isdisjoint(data):
+        problems.append(Problem(location, f"has no key of a {model.__name__.lower()}: {', '.join(known)}"))
         return model(**values)
     problems.extend(
-        Problem(join(place, str(key)), f"no such key{_key_hint(str(key), list(known))}")
+        Problem(join(location, str(key)), f"unknown key{_key_hint(str(key), list(known))}")
         for key in data
         if key not in known
     )
     for name, field in known.items():
         if name in data:
-            values.update(_value(name, data[name], field.type, problems, join(place, name)))
+            values.update(_value(name, data[name], field.type, problems, join(location, name)))
         elif field.required:
-            problems.append(Problem(join(place, name), f"missing: give {_expected(field.type)}"))
+            problems.append(Problem(join(location, name), f"missing: give {_expected(field.type)}"))
     return model(**values)
 
 
@@ -70,48 +70,50 @@ def _fields(model: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
     return fields(model)
 
 
-def join(place: str, key: str | int) -> str:
-    """The place of a mapping's value, or of a list's entry."""
+def join(location: str, key: str | int) -> str:
+    """The location of a mapping's value or of a list's entry."""
     if isinstance(key, int):
-        return f"{place}[{key}]"
-    return f"{place}.{key}" if place else key
+        return f"{location}[{key}]"
+    return f"{location}.{key}" if location else key
 
 
 def show(value: object) -> str:
-    """A value as a message quotes it: on one line, not too long, and without a key that was put there by mistake."""
+    """Quote a value in a message: on one line, shortened, and without any encryption key in it."""
     text = conceal(repr(value))
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def did_you_mean(word: str, options: list[str]) -> str:
-    """A hint at the option that a mistyped word is closest to; empty where none is close."""
+    """A hint at the option closest to a mistyped word; empty where none is close."""
     match = get_close_matches(word.lower(), options, n=1)
     return f" (did you mean {match[0]}?)" if match else ""
 
 
-def _value(name: str, value: object, kind: Any, problems: list[Problem], place: str) -> dict[str, Any]:
+def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
     """The keyword for the struct; none where the value has a problem."""
     if get_origin(kind) is tuple:
         if not isinstance(value, list | tuple):
-            problems.append(Problem(place, f"{show(value)} is not a list" if value is not None else _NOTHING))
+            problems.append(Problem(location, f"{show(value)} is not a list" if value is not None else _NOTHING))
             return {}
-        entries = [_entry(entry, get_args(kind)[0], problems, join(place, at)) for at, entry in enumerate(value)]
+        entries = [_entry(entry, get_args(kind)[0], problems, join(location, at)) for at, entry in enumerate(value)]
         return {name: tuple(entry for entry in entries if entry is not msgspec.UNSET)}
-    entry = _entry(value, kind, problems, place)
+    entry = _entry(value, kind, problems, location)
     return {} if entry is msgspec.UNSET else {name: entry}
 
 
-def _entry(value: object, kind: Any, problems: list[Problem], place: str) -> Any:
+def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        return read(value, kind, problems, place)
+        return read(value, kind, problems, location)
     if isinstance(value, str) and is_key(value.rpartition("/")[2]):
         # Not quoted: messages end up in logs.
-        problems.append(Problem(place, "is a key itself: put it in a file, mode 0600, and name that file as key_file"))
+        problems.append(
+            Problem(location, "is a key itself: put it in a file, mode 0600, and name that file as key_file")
+        )
         return msgspec.UNSET
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError:
-        problems.append(Problem(place, _misfit(value, kind)))
+        problems.append(Problem(location, _misfit(value, kind)))
         return msgspec.UNSET
 
 
@@ -149,5 +151,5 @@ def _options(kind: Any) -> list[str]:
 
 def _key_hint(key: str, known: list[str]) -> str:
     if "key_file" in known and key in ("key", "encryption_key"):
-        return ": the key itself never stands in a session file, key_file names the file it is in"
-    return did_you_mean(key, known) or f", only {', '.join(known)}"
+        return ": a session file never holds the key itself; give the key file's name as key_file"
+    return did_you_mean(key, known) or f": the keys here are {', '.join(known)}"

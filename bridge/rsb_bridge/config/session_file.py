@@ -1,4 +1,4 @@
-"""Session files: YAML in, with the line of every mistake; YAML out, atomically."""
+"""Read session files, with the line of every mistake, and write them atomically."""
 
 from __future__ import annotations
 
@@ -72,8 +72,10 @@ def parse(text: str, path: Path) -> Session:
     """
     document = read_yaml(text, path)
     if bridge_nodes(document.data):
-        words = f"is of ros2_socket_bridge, no session yet: `rsb-console import {path} --name NAME` makes one"
-        raise SessionError(path, [Problem("", words)])
+        message = (
+            f"this is a configuration of ros2_socket_bridge: convert it with `rsb-console import {path} --name NAME`"
+        )
+        raise SessionError(path, [Problem("", message)])
     session, problems = build(document.data)
     if document.problems or problems:
         raise SessionError(path, document.problems + [document.locate(problem) for problem in problems])
@@ -81,7 +83,7 @@ def parse(text: str, path: Path) -> Session:
 
 
 def dump(session: Session) -> str:
-    """A session as the text of its file. What is at its default is left out."""
+    """The text of a new session file, without the values that are at their defaults."""
     return yaml.dump(
         msgspec.to_builtins(session), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=MAX_FILE,
         default_flow_style=None,
@@ -99,7 +101,7 @@ def save(session: Session, path: Path) -> None:
         raise SessionError(path, problems)
     text = dump(session)
     if parse(text, path) != session:
-        raise SessionError(path, [Problem("", "would not load again as it is: not saved")])
+        raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
     try:
         replace_file(path, text.encode())
     except OSError as error:
@@ -134,7 +136,7 @@ class Document(NamedTuple):
 
     Attributes:
         data: mappings, lists and scalars.
-        lines: where each place is, from 1.
+        lines: the line of each location, from 1.
         problems: what YAML allows and a session file does not.
     """
 
@@ -143,11 +145,11 @@ class Document(NamedTuple):
     problems: list[Problem]
 
     def locate(self, problem: Problem) -> Problem:
-        """The problem with its line: its place's, or that of what should have held it."""
-        place = problem.place
-        while place and place not in self.lines:
-            place = place[: max(place.rfind("."), place.rfind("["), 0)]
-        return replace(problem, line=self.lines.get(place))
+        """Give a problem the line of its location, or of the closest mapping or list around it."""
+        location = problem.location
+        while location and location not in self.lines:
+            location = location[: max(location.rfind("."), location.rfind("["), 0)]
+        return replace(problem, line=self.lines.get(location))
 
 
 def read_yaml(text: str, path: Path) -> Document:
@@ -164,18 +166,18 @@ def read_yaml(text: str, path: Path) -> Document:
         node = loader.get_single_node()
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise SessionError(path, [Problem("", f"character U+{error.character:04X} has no place here", line)]) from None
+        raise SessionError(path, [Problem("", f"character U+{error.character:04X} is not allowed", line)]) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        words = conceal(", ".join(part for part in (error.context, error.problem) if part))
+        message = conceal(", ".join(part for part in (error.context, error.problem) if part))
         if mark is not None and _begins_with_tab(text, mark.line):
-            words = "begins with a tab: use spaces"
-        raise SessionError(path, [Problem("", words, mark.line + 1 if mark else None)]) from None
+            message = "begins with a tab: use spaces"
+        raise SessionError(path, [Problem("", message, mark.line + 1 if mark else None)]) from None
     finally:
         if loader is not None:
             loader.dispose()
     if node is None:
-        raise SessionError(path, [Problem("", "is empty")])
+        raise SessionError(path, [Problem("", "the file is empty")])
     document = Document(None, {"": node.start_mark.line + 1}, [])
     return document._replace(data=_plain(node, "", document))
 
@@ -186,30 +188,30 @@ def _begins_with_tab(text: str, line: int) -> bool:
     return any("\t" in each[: len(each) - len(each.lstrip())] for each in indented)
 
 
-def _plain(node: yaml.Node, place: str, document: Document) -> Any:
+def _plain(node: yaml.Node, location: str, document: Document) -> Any:
     """What a node says, with its lines and problems noted in the document."""
     if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
         document.problems.append(
-            Problem(place, f"tag {conceal(node.tag)} is not for session files", node.start_mark.line + 1)
+            Problem(location, f"the tag {conceal(node.tag)} is not allowed", node.start_mark.line + 1)
         )
     if isinstance(node, yaml.MappingNode):
-        return _mapping(node, place, document)
+        return _mapping(node, location, document)
     if isinstance(node, yaml.SequenceNode):
-        places = [join(place, at) for at in range(len(node.value))]
-        document.lines.update((at, each.start_mark.line + 1) for at, each in zip(places, node.value, strict=True))
-        return [_plain(each, at, document) for at, each in zip(places, node.value, strict=True)]
+        locations = [join(location, at) for at in range(len(node.value))]
+        document.lines.update((at, each.start_mark.line + 1) for at, each in zip(locations, node.value, strict=True))
+        return [_plain(each, at, document) for at, each in zip(locations, node.value, strict=True)]
     pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
     return convert(node.value) if pattern.fullmatch(node.value) else node.value
 
 
-def _mapping(node: yaml.MappingNode, place: str, document: Document) -> dict[str, Any]:
+def _mapping(node: yaml.MappingNode, location: str, document: Document) -> dict[str, Any]:
     data: dict[str, Any] = {}
     for key_node, value_node in node.value:
         key = conceal(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "?"
-        here = join(place, key)
+        here = join(location, key)
         line = key_node.start_mark.line + 1
         if key in data:
-            document.problems.append(Problem(here, f"stands twice, first on line {document.lines[here]}", line))
+            document.problems.append(Problem(here, f"duplicate key, first on line {document.lines[here]}", line))
             continue
         document.lines[here] = line
         data[key] = _plain(value_node, here, document)
@@ -225,7 +227,8 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()  # type: ignore[no-untyped-call]
         if isinstance(event, yaml.AliasEvent):
-            raise yaml.MarkedYAMLError(problem="aliases (*) are not read: write it out", problem_mark=event.start_mark)  # type: ignore[arg-type]
+            message = "aliases (*) are not allowed: write the value out"
+            raise yaml.MarkedYAMLError(problem=message, problem_mark=event.start_mark)  # type: ignore[arg-type]
         if self._depth >= MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=event.start_mark)
         self._depth += 1

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.config.bringup import bridge_nodes
 from rsb_bridge.config.decoding import join, show
 from rsb_bridge.config.session_file import SessionError, read_text, read_yaml
-from rsb_bridge.config.validation import MAX_CHANNEL, build
+from rsb_bridge.config.validation import build
+from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
-from rsb_bridge.ros.types import SHORT_NAMES
+from rsb_bridge.model.type_names import SHORT_NAMES
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,11 +41,11 @@ def import_bringup(
     *,
     name: str,
     role: Role | None = None,
-    server_port: int | None = None,
+    server_port: int | str | None = None,
     key_file: str | None = None,
     use_name: bool = False,
     use_encryption: bool = True,
-    domain_id: int | None = None,
+    domain_id: int | str | None = None,
 ) -> tuple[Session, list[str]]:
     """Make a session of a thesis ``bringup.yaml``.
 
@@ -52,7 +53,7 @@ def import_bringup(
         path: the file, a client's or a server's. A client's makes a server's session too, then without the topics.
         name: as on the other side.
         role: None is told from the node's name, ``client_node`` or ``server_node``.
-        server_port: None is the file's own.
+        server_port: None is the file's own. Text from a form may be no number: that is a problem, too.
         key_file: where the key is now, relative to the session's file to be.
         use_name: prefix the client's topics on the server.
         use_encryption: as it says.
@@ -62,7 +63,7 @@ def import_bringup(
         The session, and notes on what is different now; each one line.
 
     Raises:
-        SessionError: it is no such file, or what it says makes no session; places and lines are the file's.
+        SessionError: it is no such file, or it makes no valid session; locations and lines are the file's.
     """
     document = read_yaml(read_text(path), path)
     node, parameters = _bridge_node(document.data, path)
@@ -70,15 +71,15 @@ def import_bringup(
     bringup = _Bringup(join(node, "ros__parameters"), parameters)
     if role == "client":
         if not any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
-            words = f"no topics: a client's are in the lists {' and '.join(f'{each}_topics' for each in _DIRECTIONS)}"
-            bringup.problems.append(Problem(bringup.place, words))
+            message = f"no topics: a client has the lists {' and '.join(f'{each}_topics' for each in _DIRECTIONS)}"
+            bringup.problems.append(Problem(bringup.location, message))
         bringup.add_topics()
     elif any(parameters.get(f"{direction}_topics") for direction in _DIRECTIONS):
-        bringup.notes.append("the topics are left out: on a server they come from its clients")
+        bringup.notes.append("the topics are left out: a server gets them from its clients")
     if use_name and any(topic["direction"] == "receive" for topic in bringup.topics):
         bringup.notes.append(
-            f"use_name: what the client receives is looked for under /{name}/ on the server; the thesis looked there "
-            "without the prefix, and put it on the client's side"
+            f"use_name: topics that the client receives are named /{name}/... on the server; the thesis's bridge had "
+            "that prefix on the client instead"
         )
     data: dict[str, Any] = {key: parameters[key] for key in ("server_ip", "server_port") if key in parameters}
     given = {"server_port": server_port, "key_file": key_file, "domain_id": domain_id}
@@ -87,7 +88,9 @@ def import_bringup(
     session, problems = build(data | {"topics": bringup.topics})
     problems = document.problems + bringup.problems + [bringup.translate(problem) for problem in problems]
     if problems:
-        raise SessionError(path, [document.locate(each) if each.place.startswith(node) else each for each in problems])
+        raise SessionError(
+            path, [document.locate(each) if each.location.startswith(node) else each for each in problems]
+        )
     return session, bringup.notes
 
 
@@ -95,11 +98,13 @@ def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
     """The name and parameters of the one node in the file that is the bridge's."""
     nodes = bridge_nodes(data)
     if not nodes:
-        words = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
-        raise SessionError(path, [Problem("", words)])
+        message = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
+        raise SessionError(path, [Problem("", message)])
     if len(nodes) > 1:
-        words = f"{len(nodes)} nodes have a server_ip, {', '.join(nodes)}: leave one in, and import them one by one"
-        raise SessionError(path, [Problem("", words)])
+        message = (
+            f"{len(nodes)} nodes have a server_ip: {', '.join(nodes)}. Keep one in the file, and import one at a time"
+        )
+        raise SessionError(path, [Problem("", message)])
     return nodes.popitem()
 
 
@@ -108,23 +113,23 @@ class _Bringup:
 
     Attributes:
         topics: as a session file has them.
-        notes: what became different, in an operator's words.
-        problems: found on the way; places are the thesis file's.
-        place: of the node's parameters in that file.
+        notes: what is different now; a line each.
+        problems: found on the way; locations are the thesis file's.
+        location: of the node's parameters in that file.
     """
 
-    def __init__(self, place: str, parameters: dict[str, Any]) -> None:
+    def __init__(self, location: str, parameters: dict[str, Any]) -> None:
         self.topics: list[dict[str, Any]] = []
         self.notes: list[str] = []
         self.problems: list[Problem] = []
-        self.place = place
+        self.location = location
         self._parameters = parameters
         self._origins: dict[str, str] = {
-            key: join(place, key) for key in ("server_ip", "server_port") if key in parameters
+            key: join(location, key) for key in ("server_ip", "server_port") if key in parameters
         }
         known = {"server_ip", "server_port"}
         known |= {f"{direction}_{suffix}" for direction in _DIRECTIONS for suffix in _LISTS.values()}
-        self.notes += [f"{key}: not of the bridge, left out" for key in parameters if key not in known]
+        self.notes += [f"{key}: not a parameter of the bridge, left out" for key in parameters if key not in known]
 
     def add_topics(self) -> None:
         """Read the lists of both directions."""
@@ -136,7 +141,7 @@ class _Bringup:
 
     def translate(self, problem: Problem) -> Problem:
         """A problem of the session as one of the thesis's file, where it comes from there."""
-        return Problem(self._origins.get(problem.place, problem.place), problem.words)
+        return Problem(self._origins.get(problem.location, problem.location), problem.message)
 
     def _columns(self, direction: Direction) -> dict[str, list[Any]]:
         """One direction's lists by a topic's keys; all empty where they don't belong together."""
@@ -147,29 +152,29 @@ class _Bringup:
             if not isinstance(column, list):
                 faults[key] = f"{show(column)} is not a list"
             elif column and isinstance(topics, list) and len(column) != len(topics):
-                faults[key] = f"{len(column)} for {len(topics)} {direction}_topics: one each"
+                faults[key] = f"{len(column)} entries for {len(topics)} {direction}_topics: give one for each"
         self.problems += [
-            Problem(join(self.place, f"{direction}_{_LISTS[key]}"), words) for key, words in faults.items()
+            Problem(join(self.location, f"{direction}_{_LISTS[key]}"), message) for key, message in faults.items()
         ]
         return columns if not faults else {key: [] for key in _LISTS}
 
     def _add(self, topic: dict[str, Any], at: int) -> None:
         name, port = topic["topic"], topic.get("port")
         if name == "/shutdown":
-            self.notes.append("/shutdown is not bridged as a topic: the session's shutdown_topic closes both sides")
+            self.notes.append("/shutdown is left out: the session's shutdown_topic does what it did")
             return
-        if isinstance(port, int) and port > MAX_CHANNEL and is_mac(str(self._parameters["server_ip"])):
+        if isinstance(port, int) and port > CHANNEL.high and is_mac(str(self._parameters["server_ip"])):
             del topic["port"]
-            self.notes.append(f"{name}: {port} is not an RFCOMM channel; it shares the link's")
+            self.notes.append(f"{name}: {port} is not an RFCOMM channel; the topic shares the link's")
         here = join("topics", len(self.topics))
-        lists = {key: join(self.place, f"{topic['direction']}_{suffix}") for key, suffix in _LISTS.items()}
-        self._origins |= {join(here, key): join(place, at) for key, place in lists.items()}
+        lists = {key: join(self.location, f"{topic['direction']}_{suffix}") for key, suffix in _LISTS.items()}
+        self._origins |= {join(here, key): join(location, at) for key, location in lists.items()}
         self._origins[here] = join(lists["topic"], at)
         self.topics.append(topic)
 
 
 def _modern(key: str, value: Any) -> Any:
-    """A list's entry in today's words. What isn't understood stays as it is, and the session's rules refuse it."""
+    """A list's entry as session files write it. The validation refuses what is not understood."""
     if not isinstance(value, str):
         return value
     if key == "topic" and not value.startswith(("/", "~")):

@@ -13,6 +13,7 @@ from rsb_bridge.channel.stream import StreamChannel, stream_codec
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.link.negotiation import LinkError, Negotiation
+from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.side import Side
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
@@ -180,14 +181,30 @@ class Link(Side):
         """What carries a topic's messages; the link's own transport unless the topic names another."""
         return self.context.transports[topic.protocol] if topic.protocol else self.transport
 
+    def add_topic(self, topic: Topic) -> Route:
+        """Bridge one more topic, which this side proposes.
+
+        Raises:
+            LinkError: the topic has a mistake, or there is such a route.
+        """
+        session = self.context.session
+        use_name = session.use_name if self.is_client else self.use_name
+        for problem in validate_topic(topic, session, client=self.name if use_name else None):
+            raise LinkError(str(problem))
+        proposal = proposal_of(topic, self.transport_of(topic), client_name=self.name, use_name=use_name)
+        return self.add(topic, proposal, proposed_here=True)
+
     def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
         """Make a route's half here; with `proposed_here` the peer is asked for its half at once.
 
+        Args:
+            spec: the topic, validated.
+            proposal: of it, with this side's names.
+            proposed_here: whether this side proposes it.
+
         Raises:
-            LinkError: there is such a route, or the topic has a mistake.
+            LinkError: there is such a route.
         """
-        for problem in validate_topic(spec, self.context.session):
-            raise LinkError(str(problem))
         key = route_key(self.name, proposal)
         if key in self.routes:
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.proposals import same_route, topic_of
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import ROUTES_PER_LINK, TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Route, route_key
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.fields import NAME_LIMIT, RefuseCode, plain
+from rsb_bridge.wire.fields import RefuseCode, plain
 from rsb_bridge.wire.messages import (
     Accept,
     Close,
@@ -37,8 +38,6 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
 
-MOST_ROUTES = 1000
-"""On one link: what a peer may make this side keep is bounded."""
 _ANSWER_WITHIN = 5.0
 _MOST_TOPICS = 2000
 """In one list: a control frame holds about three times as many of usual names (PROTOCOL.md section 1)."""
@@ -116,14 +115,16 @@ class Negotiation:
     def _taken_up(self, proposal: Propose) -> Route:
         """This side's half of what the peer proposes; LinkError where it may not be."""
         link = self._link
-        for problem in validate_topic(topic_of(proposal)):  # before a prefix could make a name of what is none
+        for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
             raise LinkError(str(problem))
         admitted = link.authorize(proposal)
+        for problem in validate_topic(topic_of(admitted), link.context.session):
+            raise LinkError(str(problem))
         incoming = admitted.from_client != link.is_client
         if incoming and admitted.remote_topic == link.context.session.shutdown_topic:
             raise LinkError(f"{admitted.remote_topic} shuts this side down: only its own programs may say so")
-        if len(link.routes) >= MOST_ROUTES:
-            raise LinkError(f"this link has {MOST_ROUTES} topics already, and no more are let in")
+        if len(link.routes) >= ROUTES_PER_LINK:
+            raise LinkError(f"this link has {ROUTES_PER_LINK} topics already, and no more are let in")
         known = link.routes.get(route_key(link.name, admitted))
         if known is not None and known.proposed_here and link.is_client:
             raise LinkError(f"{admitted.topic} is bridged in that direction already")
@@ -152,7 +153,7 @@ class Negotiation:
 
     def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
         if self._refused.get(proposal.topic) != reason:  # the other side goes on trying; once is enough
-            if len(self._refused) >= MOST_ROUTES:
+            if len(self._refused) >= ROUTES_PER_LINK:
                 self._refused.clear()
             self._refused[proposal.topic] = reason
             text = f"refused {proposal.topic}: {reason}"
@@ -195,7 +196,7 @@ class Negotiation:
         entries = tuple(
             TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions)
             for t in topics[:_MOST_TOPICS]
-            if max(len(t.topic), len(t.type_name)) <= NAME_LIMIT
+            if max(len(t.topic), len(t.type_name)) <= TEXT_LENGTH
         )
         self._link.send(TopicList(request=request, topics=entries))
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.messages import Propose
 
@@ -17,15 +18,12 @@ def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_nam
     """What to ask the peer for.
 
     Args:
-        topic: as the client sees it.
+        topic: as the client sees it; validated.
         transport: what will carry it.
         client_name: the client's name: the prefix.
         use_name: whether the server's name of the topic has the prefix.
-
-    Raises:
-        ValueError: its QoS is none.
     """
-    on_server = topic.remote_topic or (f"/{client_name}{topic.topic}" if use_name else topic.topic)
+    on_server = topic.remote_topic or (server_topic(topic.topic, client_name) if use_name else topic.topic)
     from_client = topic.direction == "transmit"
     return Propose(
         route=1,  # its id is given when it is sent

@@ -11,7 +11,6 @@ from rsb_bridge.config.keys import Key
 from rsb_bridge.link.cipher_preference import preferred_suite
 from rsb_bridge.link.client import ClientLink
 from rsb_bridge.link.negotiation import LinkError
-from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.server import Entry, Server, ServerLink
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.session import Client, Session, Topic
@@ -103,10 +102,7 @@ class ClientRole:
         """There is nothing but the link."""
 
     def add(self, topic: Topic, link: str) -> Route:
-        session = self._context.session
-        transport = self._link.transport_of(topic)
-        proposal = proposal_of(topic, transport, client_name=session.name, use_name=session.use_name)
-        return self._link.add(topic, proposal, proposed_here=True)
+        return self._link.add_topic(topic)
 
     def retry(self, link: str) -> None:
         self._link.retry()
@@ -161,10 +157,7 @@ class ServerRole:
         self._server.tick()
 
     def add(self, topic: Topic, link: str) -> Route:
-        robot = self._chosen(link)
-        transport = robot.transport_of(topic)
-        proposal = proposal_of(topic, transport, client_name=robot.name, use_name=robot.use_name)
-        return robot.add(topic, proposal, proposed_here=True)
+        return self._chosen(link).add_topic(topic)
 
     def _chosen(self, name: str) -> ServerLink:
         links = self._server.links

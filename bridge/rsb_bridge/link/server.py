@@ -16,6 +16,8 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.pending_connections import PendingConnections
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import PORTS_PER_CLIENT
+from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach, Established
 
-_MOST_PORTS = 64
 _NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
 _REPLACED_PAUSE = 10.0
 """s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
@@ -80,10 +81,9 @@ class ServerLink(Link):
         """Check `allow` and `deny`, and put the client's name before the topic's on this side where that is wanted."""
         client = self.entry.client
         ours = proposal.remote_topic if proposal.from_client else proposal.topic
-        prefix = f"/{client.name}"
-        if self.use_name and not ours.startswith(prefix + "/"):
-            ours = prefix + ours
-        names = (ours, ours.removeprefix(prefix))
+        if self.use_name and client_topic(ours, client.name) is None:
+            ours = server_topic(ours, client.name)
+        names = (ours, client_topic(ours, client.name) or ours)
         if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
             raise LinkError(f"the server denies {ours} to {client.name}")
         if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
@@ -130,12 +130,11 @@ class ServerLink(Link):
         same_numbers = transport.port_kind == self.transport.port_kind  # channel 5 is not port 5
         if not port or (same_numbers and port == self.shared_port()):
             return
-        kind, first = transport.port_kind, transport.topic_ports.start
-        if port < first:
-            raise ListenError(f"{kind} {port}: topics may have {kind}s from {first} up")
-        if sum(other.release_port is not None for other in self.routes.values()) >= _MOST_PORTS:
+        if port not in transport.topic_ports:
+            raise ListenError(f"{transport.port_kind} {port}: topics may have {transport.topic_ports}")
+        if sum(other.release_port is not None for other in self.routes.values()) >= PORTS_PER_CLIENT:
             raise ListenError(
-                f"{self.name} has {_MOST_PORTS} ports of its topics' own already: let more share the link's"
+                f"{self.name} has {PORTS_PER_CLIENT} ports of its topics' own already: let more share the link's"
             )
         release = await self._ports.open(transport.name, port)
         if route.id == route_id and route.release_port is None:

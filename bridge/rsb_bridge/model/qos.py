@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
+from rsb_bridge.model.limits import DEPTH, QOS_TIME
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -24,9 +26,9 @@ class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults
         reliability: whether lost samples are sent again.
         durability: ``transient_local`` keeps the last ``depth`` messages for subscriptions that join late.
         history: ``keep_last`` keeps ``depth`` messages, ``keep_all`` as many as the middleware can.
-        depth: messages; at least 1.
-        deadline: s; 0 is no deadline.
-        lifespan: s; 0 is no expiry.
+        depth: messages (`rsb_bridge.model.limits.DEPTH`).
+        deadline: s (`rsb_bridge.model.limits.QOS_TIME`); 0 is no deadline.
+        lifespan: s, as the deadline; 0 is no expiry.
     """
 
     reliability: Reliability = "reliable"
@@ -54,8 +56,8 @@ def parse_qos(value: object) -> Qos | None:
     """The QoS that a session file means: a profile's name, a depth, or a mapping of policies.
 
     Args:
-        value: ``auto``, a name out of `PROFILES`, an integer depth >= 1, or a mapping of `Qos` fields, which may
-            start from a profile (``{profile: sensor_data, depth: 20}``).
+        value: ``auto``, a name out of `PROFILES`, a depth, or a mapping of `Qos` fields, which may start from a
+            profile (``{profile: sensor_data, depth: 20}``).
 
     Returns:
         The QoS, or None for ``auto``: to be matched to the topic's publishers.
@@ -65,18 +67,21 @@ def parse_qos(value: object) -> Qos | None:
     """
     if value is None or value == AUTO:
         return None
+    qos = _qos_of(value)
+    if problem := qos_problem(qos):
+        raise ValueError(problem)
+    return qos
+
+
+def _qos_of(value: object) -> Qos:
     if isinstance(value, Qos):
         return value
-    if isinstance(value, bool):
-        raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")  # noqa: TRY004  one error for all mistakes
-    if isinstance(value, int):
-        if value < 1:
-            raise ValueError(f"a depth is at least 1, not {value}")
+    if isinstance(value, int) and not isinstance(value, bool):
         return Qos(depth=value)
     if isinstance(value, str):
         if value in PROFILES:
             return PROFILES[value]
-        raise ValueError(f"{value!r} is not one of auto, {', '.join(PROFILES)}")
+        raise ValueError(f"{value!r} is not one of {AUTO}, {', '.join(PROFILES)}")
     if isinstance(value, dict):
         return _from_mapping(value)
     raise ValueError(f"{value!r} is not a QoS: give a profile's name, a depth, or a mapping")
@@ -88,14 +93,24 @@ def _from_mapping(value: dict[str, Any]) -> Qos:
     if profile not in PROFILES:
         raise ValueError(f"profile: {profile!r} is not one of {', '.join(PROFILES)}")
     try:
-        qos = msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)
+        return msgspec.convert(msgspec.to_builtins(PROFILES[profile]) | policies, Qos)
     except msgspec.ValidationError as error:
         raise ValueError(str(error)) from None
-    if qos.depth < 1:
-        raise ValueError(f"depth: at least 1, not {qos.depth}")
-    if qos.deadline < 0 or qos.lifespan < 0:
-        raise ValueError("deadline and lifespan are seconds, 0 or more")
-    return qos
+
+
+def qos_problem(qos: Qos, *, depth_known: bool = True) -> str:
+    """What is out of range in a QoS; empty where nothing is.
+
+    Args:
+        qos: to look at.
+        depth_known: False allows 0, which stands for the depth of somebody else's endpoint: ROS does not tell it.
+    """
+    if qos.depth not in DEPTH and (depth_known or qos.depth):
+        return f"depth: {qos.depth} is out of range: {DEPTH}"
+    for policy, seconds in (("deadline", qos.deadline), ("lifespan", qos.lifespan)):
+        if seconds and seconds not in QOS_TIME:
+            return f"{policy}: {seconds:g} s is out of range: {QOS_TIME} s, or 0 for none"
+    return ""
 
 
 def match_publishers(offered: Sequence[Qos]) -> Qos:

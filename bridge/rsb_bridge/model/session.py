@@ -1,7 +1,7 @@
-"""A session: what one bridge process is told to do. The model only.
+"""A session: what one bridge process is told to do.
 
-`session_shape` builds it from plain data, `session_rules` says what is wrong with it, `session_file` reads and writes
-it.
+In `rsb_bridge.config`, `decoding` makes it of plain data, `validation` finds its mistakes, and `session_file` reads and
+writes its file.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class Problem:
     """One mistake in a session.
 
     Attributes:
-        place: where it is: ``topics[2].protocol``; empty is the session as a whole.
-        words: what is wrong, and what would be right.
+        location: where it is: ``topics[2].protocol``; empty is the session as a whole.
+        message: what is wrong, and what would be right.
         line: of the session file, from 1; None where there is no file.
     """
 
-    place: str
-    words: str
+    location: str
+    message: str
     line: int | None = None
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.words}" if self.place else self.words
+        return f"{self.location}: {self.message}" if self.location else self.message
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -17,8 +17,8 @@ from typing import TypeVar
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from rsb_bridge.model.type_names import split_type_name
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.types import split_type_name
 from rsb_bridge.ros.typesupport import (
     FIND,
     GET_HASH,

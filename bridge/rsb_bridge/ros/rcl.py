@@ -16,6 +16,7 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from rsb_bridge.model.limits import DOMAIN
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.anytype import message_class
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
@@ -29,7 +30,6 @@ _ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "-
 
 _INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
 _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
-_LAST_DOMAIN = 232  # past it Fast DDS, which has no ports left, ends the process
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
 _MOST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
@@ -90,8 +90,8 @@ class Participant:
         Raises:
             RosError: the domain cannot be joined.
         """
-        if not 0 <= domain_id <= _LAST_DOMAIN:
-            raise RosError(f"ROS domain {domain_id} cannot be joined: domains are 0 to {_LAST_DOMAIN}")
+        if domain_id not in DOMAIN:
+            raise RosError(f"ROS domain {domain_id} cannot be joined: domains are {DOMAIN}")
         self._context = Context()
         try:
             self._context.init(_ARGUMENTS, domain_id=domain_id)

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rsb_bridge.ros.types import split_type_name
+from rsb_bridge.model.type_names import split_type_name
 
 HASH_PREFIX = "RIHS01_"
 

@@ -11,9 +11,9 @@ import zstandard
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.ros.api import Endpoint, OnFailure, RawMessage, RosError, Subscription
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
-from rsb_bridge.ros.types import expand_type_name
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.transport.transport import DatagramTransport

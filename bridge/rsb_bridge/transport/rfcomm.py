@@ -14,6 +14,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth import hci
+from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.session import is_mac
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message
 from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
@@ -54,7 +55,7 @@ class Rfcomm(StreamTransport):
 
     name = "bluetooth"
     port_kind = "channel"
-    topic_ports = range(1, 31)
+    topic_ports = CHANNEL
     slow = True
     compression = "zstd"
     multiplexed = True

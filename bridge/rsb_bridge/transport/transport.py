@@ -19,6 +19,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
+from rsb_bridge.model.limits import TOPIC_PORT, Range
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ class _Transport(ABC):
 
     name: ClassVar[TransportName]
     port_kind: ClassVar[str] = "port"
-    topic_ports: ClassVar[range] = range(1024, 65536)
+    topic_ports: ClassVar[Range] = TOPIC_PORT
     slow: ClassVar[bool] = False
     compression: ClassVar[Compression] = "none"
     largest_message: ClassVar[int]

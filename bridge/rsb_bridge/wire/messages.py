@@ -6,9 +6,9 @@ from typing import TypeAlias, TypeVar
 
 import msgspec
 
+from rsb_bridge.model.limits import RATE, STALE_AFTER
 from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
-from rsb_bridge.wire.fields import (
-    LOWEST_RATE,
+from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annotations at run time
     Compression,
     Count,
     Features,
@@ -20,6 +20,7 @@ from rsb_bridge.wire.fields import (
     RefuseCode,
     RouteId,
     Seconds,
+    StaleAfter,
     Transport,
     Words,
 )
@@ -101,13 +102,15 @@ class Propose(_Message, frozen=True, kw_only=True):
     compression: Compression = "none"
     max_rate: Hertz = 0.0
     expected_rate: Hertz = 0.0
-    stale_after: Seconds | None = None
+    stale_after: StaleAfter | None = None
     paused: bool = False
 
     def __post_init__(self) -> None:
-        check_qos(self.qos)
-        if any(0 < rate < LOWEST_RATE for rate in (self.max_rate, self.expected_rate)):
-            raise ValueError(f"a rate is 0 or at least {LOWEST_RATE} Hz")
+        check_qos(self.qos, depth_known=True)
+        if any(rate and rate not in RATE for rate in (self.max_rate, self.expected_rate)):
+            raise ValueError(f"a rate is 0 or {RATE} Hz")
+        if self.stale_after and self.stale_after not in STALE_AFTER:
+            raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
 
 
 class Accept(_Message, frozen=True):

@@ -6,12 +6,12 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.wire.framing import LENGTH, OPENING_LIMIT, ProtocolError
 from rsb_bridge.wire.sealing import Suite
 
 VERSION = 1
 """Of the wire format; peers of another are refused."""
-NAME_LIMIT = 255
 WORDS_LIMIT = 512
 LINK_ID_LENGTH = 8
 
@@ -123,9 +123,9 @@ def control_header(suite: Suite, name: str) -> bytes:
         ValueError: the name is too long.
     """
     encoded = name.encode()
-    if len(encoded) > NAME_LIMIT:
+    if len(encoded) > NAME_BYTES:
         raise ValueError(
-            f"the name is {len(encoded)} bytes long in UTF-8; {NAME_LIMIT} are the most: choose a shorter one"
+            f"the name has {len(encoded)} bytes in UTF-8, and at most {NAME_BYTES} are allowed: choose a shorter one"
         )
     return opening(Kind.CONTROL, bytes((suite, len(encoded))) + encoded)
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import msgspec
 
-from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
-from rsb_bridge.wire.fields import DEEPEST, Causes, Count, Name, RouteId, Words
+from rsb_bridge.model.qos import Qos, qos_problem
+
+# msgspec resolves the annotations at run time
+from rsb_bridge.wire.fields import Causes, Count, Name, RouteId, Words  # noqa: TC001
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -109,16 +111,15 @@ class TopicEntry(msgspec.Struct, frozen=True):
         check_qos(self.qos)
 
 
-def check_qos(qos: Qos | None) -> None:
-    """That a peer's QoS, which nothing else has looked at, is in its range; an unknown depth is 0.
+def check_qos(qos: Qos | None, *, depth_known: bool = False) -> None:
+    """Check the QoS in a message.
+
+    Args:
+        qos: to check.
+        depth_known: whether a depth of 0, which stands for an unknown one, is out of range too.
 
     Raises:
-        ValueError: it is not.
+        ValueError: it is out of range.
     """
-    if qos is not None and not (0 <= qos.depth <= DEEPEST and _sensible(qos.deadline) and _sensible(qos.lifespan)):
-        raise ValueError("qos: depth, deadline or lifespan is out of range")
-
-
-def _sensible(seconds: float) -> bool:
-    """None at all, or a time that costs no timer storm."""
-    return seconds == 0 or 0.001 <= seconds < 1e9
+    if qos is not None and (problem := qos_problem(qos, depth_known=depth_known)):
+        raise ValueError(f"qos: {problem}")

@@ -10,10 +10,11 @@ from textual import on, work
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.session_file import SessionError
 from rsb_bridge.config.thesis import import_bringup
+from rsb_bridge.model.limits import SAFE_DOMAIN
 from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
-from rsb_console.screens.new_session import YES_NO
+from rsb_console.screens.new_session import YES_NO, number
 from rsb_console.screens.session_files import Opened, is_file, is_path, no_offer, offers, yaml_files
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
@@ -32,7 +33,7 @@ FIELDS = (
     Spec("role", "Role", "Of the session to be; a client's file makes a server's session too.",
          options=(("", "as the file's node"), ("client", "client"), ("server", "server"))),
     Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
-    Spec("domain_id", "Domain", "ROS domain of this side, 0 to 101. Empty: $ROS_DOMAIN_ID, else 0.",
+    Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
     Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt",
          edited=True),
@@ -80,13 +81,9 @@ class ImportScreen(FormScreen[Opened]):
             words["name"] = "missing: give one"
         if problem := path_problem(values["path"]):
             words["path"] = problem
-        if values["server_port"] and not values["server_port"].isdecimal():
-            words["server_port"] = f"{values['server_port']!r} is not a port: 1 to 65535"
-        if values["domain_id"] and not values["domain_id"].isdecimal():
-            words["domain_id"] = f"{values['domain_id']!r} is not a ROS domain: 0 to 101"
         if not values["bringup"]:
             words["bringup"] = "missing: name the file"
-        if not words.keys() & {"bringup", "name", "server_port", "domain_id"}:
+        if not words.keys() & {"bringup", "name"}:
             words |= self._import(values)
         return words
 
@@ -98,18 +95,18 @@ class ImportScreen(FormScreen[Opened]):
                 typed_path(values["bringup"]),
                 name=values["name"],
                 role=ROLES[values["role"]],
-                server_port=int(values["server_port"]) if values["server_port"] else None,
+                server_port=number(values["server_port"]) if values["server_port"] else None,
                 key_file=values["key_file"] or None if encrypted else None,
                 use_name=values["use_name"] == "yes",
                 use_encryption=encrypted,
-                domain_id=int(values["domain_id"]) if values["domain_id"] else None,
+                domain_id=number(values["domain_id"]) if values["domain_id"] else None,
             )
         except SessionError as error:
             words: dict[str, list[str]] = {}
             for problem in error.problems:
-                key = problem.place if problem.place in values else "bringup"
+                key = problem.location if problem.location in values else "bringup"
                 line = f"line {problem.line}: " if problem.line else ""
-                words.setdefault(key, []).append(problem.words if key == problem.place else f"{line}{problem}")
+                words.setdefault(key, []).append(problem.message if key == problem.location else f"{line}{problem}")
             return {key: _few(lines) for key, lines in words.items()}
         return {}
 

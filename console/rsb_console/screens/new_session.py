@@ -10,6 +10,7 @@ from textual.widgets import Button, Input
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import validate
+from rsb_bridge.model.limits import CHANNEL, SAFE_DOMAIN
 from rsb_bridge.model.session import Session
 from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.form import FormScreen
@@ -28,8 +29,8 @@ FIELDS = (
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
     Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
-    Spec("server_port", "Port", "TCP and UDP port, or RFCOMM channel 1-30: the same on both sides.", "49152"),
-    Spec("domain_id", "Domain", "ROS domain of this side, 0 to 101. Empty: $ROS_DOMAIN_ID, else 0.",
+    Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.", "49152"),
+    Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
     Spec("use_name", "Prefix", "On the server the client's topics have its name before them: /robot1/scan. The same on "
          "both sides.", options=tuple(reversed(YES_NO))),
@@ -95,7 +96,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         new = self.result(values)
         words: dict[str, str] = {}
         for problem in validate(new.session):
-            words.setdefault(problem.place, problem.words)
+            words.setdefault(problem.location, problem.message)
         if not values["name"]:
             words["name"] = "missing: give one"
         if not values["server_ip"]:
@@ -111,7 +112,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     def result(self, values: Mapping[str, str]) -> NewSession:
         """The session; not to be used while there are problems."""
         name = values["name"]
-        data = {key: _number(values[key]) for key in NUMBERS if values[key]}
+        data = {key: number(values[key]) for key in NUMBERS if values[key]}
         session = Session(
             name=name,
             role="server" if values["role"] == "server" else "client",
@@ -161,7 +162,8 @@ def _at(key: str, words: str) -> dict[str, str]:
     return {key: words} if words else {}
 
 
-def _number(text: str) -> int | str:
+def number(text: str) -> int | str:
+    """A field's text as a session file has it. A text that is no number stays one, for the validation to refuse."""
     return int(text) if text.isdecimal() else text
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import on, work
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.qos import PROFILES
 from rsb_console.screens.form import FormScreen
 from rsb_console.topic_draft import Ends, offers_of, problems_of, topic_of, values_of
@@ -180,7 +181,7 @@ def _how(session: Session, begun: str | None) -> tuple[Spec, ...]:
     )
     packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
     port = "Channel" if bluetooth else "Port"
-    channel = " Bluetooth: a channel, 1 to 30, which several may share." if has_radio and not bluetooth else ""
+    channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
     after = f"{session.stale_after:g} s"
     return (
         *(() if bluetooth else (protocol,)),

@@ -1,0 +1,58 @@
+"""Every limit on a value that an operator or a peer gives, with its source.
+
+`rsb_bridge.config.validation` applies them to sessions, `rsb_bridge.wire.fields` to messages. Both read them here, so
+that whatever the one accepts, the other accepts too. Budgets of memory and time stand beside the code that spends them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """An inclusive range of numbers. NaN is in none."""
+
+    low: float
+    high: float
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        return " to ".join(f"{bound:.0f}" if bound == int(bound) else f"{bound:g}" for bound in (self.low, self.high))
+
+
+DOMAIN = Range(0, 232)
+"""ROS domains whose ports fit below 65536 (DDSI-RTPS 2.5, section 9.6.1); Fast DDS ends the process beyond them."""
+SAFE_DOMAIN = Range(0, 101)
+"""ROS domains whose ports are clear of Linux's ephemeral range (docs.ros.org, "The ROS_DOMAIN_ID")."""
+PORT = Range(1, 65535)
+"""TCP and UDP (RFC 9293, section 3.1; RFC 768); 0 lets the kernel choose."""
+TOPIC_PORT = Range(1024, PORT.high)
+"""Ports that a server binds for a client's topics: lower ones are the system's (RFC 6335, section 6)."""
+CHANNEL = Range(1, 30)
+"""RFCOMM server channels (Bluetooth RFCOMM 1.2, section 5.4)."""
+
+NAME_BYTES = 255
+"""The name of a client or a server, in UTF-8: PROTOCOL.md section 1.1 gives its length one byte."""
+TOPIC_LENGTH = 247
+"""Characters of a full topic name, any prefix included (rmw/validate_full_topic_name.h, RMW_TOPIC_MAX_NAME_LENGTH)."""
+TEXT_LENGTH = 255
+"""Characters of a name, a topic or a type in a control message (PROTOCOL.md section 3)."""
+REASON_LENGTH = 500
+"""Characters of a reason or a problem in a control message (PROTOCOL.md section 3)."""
+
+DEPTH = Range(1, 100_000)
+"""Messages that a QoS may ask for. What a receiver keeps is bounded further (`rsb_bridge.route.incoming`)."""
+QOS_TIME = Range(0.001, 1e9)
+"""s: a deadline or lifespan where there is one. The shortest costs no timer storm, the longest is 30 years."""
+RATE = Range(0.001, 1e6)
+"""Hz: a message in a quarter of an hour to more than DDS carries."""
+STALE_AFTER = Range(0.1, 1e6)
+"""s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
+
+ROUTES_PER_LINK = 1000
+"""Routes that one peer may make the other side keep."""
+PORTS_PER_CLIENT = 64
+"""Ports of their own that a client's topics may have a server bind."""

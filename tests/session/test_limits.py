@@ -1,0 +1,165 @@
+"""What the validation of a session accepts, the wire carries; and what the wire carries, the validation accepts."""
+
+import math
+
+import msgspec
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from rsb_bridge.config.validation import domain_of, validate, validate_topic
+from rsb_bridge.link.proposals import proposal_of, topic_of
+from rsb_bridge.model.limits import CHANNEL, DEPTH, NAME_BYTES, QOS_TIME, RATE, STALE_AFTER, TOPIC_LENGTH, Range
+from rsb_bridge.model.qos import PROFILES
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.messages import Hello, Propose, decode, decode_hello, encode
+from rsb_bridge.wire.opening import control_header, parse_control
+from rsb_bridge.wire.sealing import Suite
+
+TRANSPORTS = default_transports()
+
+
+def around(limits: Range) -> st.SearchStrategy[float]:
+    """Numbers in a range, at its bounds, just beyond them, and far away."""
+    bounds = [limits.low, limits.high]
+    edges = [math.nextafter(bound, bound + step) for bound in bounds for step in (-1, 1)]
+    return st.one_of(
+        st.sampled_from([0.0, *bounds, *edges, limits.low / 2, limits.high * 10]),
+        st.floats(limits.low, limits.high),
+        st.floats(allow_nan=False),
+    )
+
+
+def names(longest: int) -> st.SearchStrategy[str]:
+    """Well-formed topic names, up to a length, and often close to it."""
+    lengths = st.one_of(st.integers(1, 30), st.integers(longest - 20, longest - 1))
+    return lengths.map(lambda length: "/" + "a" * length)
+
+
+depths = st.integers(-1, 20) | st.sampled_from([int(DEPTH.high), int(DEPTH.high) + 1, 1_000_000]) | st.integers()
+policies = st.fixed_dictionaries(
+    {},
+    optional={
+        "profile": st.sampled_from(list(PROFILES)),
+        "reliability": st.sampled_from(["reliable", "best_effort"]),
+        "history": st.sampled_from(["keep_last", "keep_all"]),
+        "depth": depths,
+        "deadline": around(QOS_TIME),
+        "lifespan": around(QOS_TIME),
+    },
+)
+topics = st.builds(
+    Topic,
+    topic=names(TOPIC_LENGTH + 1),
+    direction=st.sampled_from(["transmit", "receive"]),
+    type=st.sampled_from(["auto", "LaserScan", "a/B", f"a/msg/{'B' * 249}", f"a/msg/{'B' * 250}"]),
+    protocol=st.sampled_from([None, "tcp", "udp"]),
+    port=st.none() | st.integers(-1, 70_000),
+    qos=st.one_of(st.sampled_from(["auto", *PROFILES]), depths, policies),
+    remote_topic=st.none() | names(TOPIC_LENGTH + 1),
+    compression=st.sampled_from([None, "none", "zstd"]),
+    max_rate=st.none() | around(RATE),
+    expected_rate=st.none() | around(RATE),
+    stale_after=st.none() | around(STALE_AFTER),
+    paused=st.booleans(),
+)
+sessions = st.builds(
+    Session,
+    name=st.one_of(st.text(min_size=1, max_size=20), st.integers(1, NAME_BYTES + 1).map(lambda length: "r" * length)),
+    role=st.just("client"),
+    server_ip=st.just("10.0.0.1"),
+    server_port=st.just(49152),
+    key_file=st.just("robot1.key"),
+    use_name=st.booleans(),
+    topics=st.lists(topics, max_size=3).map(tuple),
+)
+
+
+def proposed(session: Session, topic: Topic) -> Propose:
+    transport = TRANSPORTS[topic.protocol or "tcp"]
+    return proposal_of(topic, transport, client_name=session.name, use_name=session.use_name)
+
+
+@given(sessions)
+def test_what_the_validation_accepts_the_wire_carries(session: Session) -> None:
+    assume(not validate(session))
+    hello = Hello(version="1", name=session.name, instance="a", domain_id=0)
+    assert decode_hello(encode(hello)) == hello
+    assert parse_control(control_header(Suite.PLAIN, session.name)).name == session.name
+    for topic in session.topics:
+        proposal = proposed(session, topic)
+        assert decode(encode(proposal)) == proposal
+        assert validate_topic(topic_of(proposal)) == [], "the other side accepts it too"
+
+
+@given(sessions.filter(lambda session: session.topics))
+def test_a_topic_is_judged_in_a_form_as_in_a_file(session: Session) -> None:
+    """`check` reads a file, the console's form gives a topic: neither lets through what the other refuses."""
+    session = msgspec.structs.replace(session, name="robot1", topics=session.topics[:1])
+    in_file = [problem.message for problem in validate(session) if "server_port" not in problem.message]
+    in_form = validate_topic(session.topics[0], session, client="robot1" if session.use_name else None)
+    assert in_file == [problem.message for problem in in_form]
+
+
+@given(
+    fields=st.fixed_dictionaries(
+        {"topic": names(TOPIC_LENGTH), "remote_topic": names(TOPIC_LENGTH), "from_client": st.booleans()},
+        optional={
+            "port": st.integers(-1, 70_000),
+            "qos": policies.map(lambda qos: {key: value for key, value in qos.items() if key != "profile"}),
+            "max_rate": around(RATE),
+            "expected_rate": around(RATE),
+            "stale_after": around(STALE_AFTER),
+            "compression": st.sampled_from(["none", "zstd"]),
+            "transport": st.sampled_from(["tcp", "udp", "bluetooth"]),
+        },
+    )
+)
+def test_what_the_wire_carries_the_validation_accepts(fields: dict[str, object]) -> None:
+    """Of a channel the range is the validation's alone, and so is the form of a name: those are refused in words."""
+    assume(fields.get("transport") != "bluetooth" or fields.get("port", 0) in (0, CHANNEL.low, CHANNEL.high))
+    depth = fields.get("qos", {}).get("depth", 0)
+    assume(-(2**63) <= depth < 2**64)  # else it is no msgpack
+    try:
+        proposal = decode(msgspec.msgpack.encode({"message": "propose", "route": 1} | fields))
+    except ProtocolError:
+        return
+    assert validate_topic(topic_of(proposal)) == []
+
+
+@pytest.mark.parametrize(
+    "qos", [{"depth": 100_001}, 1_000_000, {"deadline": 0.0009}, {"lifespan": 1e-9}, {"deadline": 1.1e9}]
+)
+def test_check_refuses_what_run_would(qos: object) -> None:
+    """Each of these was accepted in a file once, and ended the start or the link."""
+    (problem,) = validate_topic(Topic("/scan", "transmit", qos=qos))
+    assert problem.location == "qos"
+    assert "out of range" in problem.message
+
+
+def test_a_topic_name_is_measured_with_its_prefix() -> None:
+    longest = "/" + "a" * (TOPIC_LENGTH - len("/robot1") - 1)
+    base = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=1, key_file="k", use_name=True)
+    assert validate(msgspec.structs.replace(base, topics=(Topic(longest, "transmit"),))) == []
+    (problem,) = validate(msgspec.structs.replace(base, topics=(Topic(longest + "a", "transmit"),)))
+    assert problem.location == "topics[0].topic"
+    assert "has 248 characters with its prefix, and ROS allows at most 247" in problem.message
+    renamed = Topic(longest + "a", "transmit", remote_topic="/short")
+    assert validate(msgspec.structs.replace(base, topics=(renamed,))) == [], "its name on the server has no prefix"
+    assert validate(msgspec.structs.replace(base, use_name=False, topics=(Topic(longest + "a", "transmit"),))) == []
+
+
+@pytest.mark.parametrize(("variable", "domain"), [(None, 0), ("", 0), (" 7 ", 7), ("232", 232)])
+def test_the_domain_is_the_session_s_else_the_environment_s(variable: str | None, domain: int) -> None:
+    session = Session(name="a", role="server", server_ip="::", server_port=1)
+    assert domain_of(session, variable) == domain
+    assert domain_of(msgspec.structs.replace(session, domain_id=3), variable) == 3
+
+
+@pytest.mark.parametrize("variable", ["233", "-1", "robot", "1.5"])
+def test_an_environment_without_a_domain_is_named(variable: str) -> None:
+    session = Session(name="a", role="server", server_ip="::", server_port=1)
+    with pytest.raises(ValueError, match=r"ROS_DOMAIN_ID is .* 0 to 232"):
+        domain_of(session, variable)
