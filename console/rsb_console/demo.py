@@ -144,6 +144,7 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
                 )
             keep_output_clean()
             say(f"a simulated robot, a desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}")
+            sys.stdout.flush()
             engine = Engine(demo.session, base=demo.path.parent)
             engine.start()
             code = bridge_until_told(engine, signals, seconds=seconds)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import sys
 import time
@@ -12,20 +11,24 @@ from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
-from rsb_bridge.model.snapshot import Level, State
-from rsb_console.shell import FAILURE, OK, complain, keep_output_clean, say
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_console.output import LogWriter
+from rsb_console.shell import FAILURE, OK, complain, keep_output_clean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
     from types import FrameType
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 STATUS_EVERY = 5.0
 _LOOK_EVERY = 0.25
+_STOPS_WITHIN = 4.0
+_WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer and its reader do
 _TOPICS_IN_STATUS = 8
 
 
@@ -84,27 +87,34 @@ def bridge_until_told(
         status_every: as `run_headless`.
         seconds: stop by itself after so long.
     """
-    printer = _Printer(_json_event if log_format == "json" else _text_event)
+    format_event = _json_event if log_format == "json" else _text_event
     status = _json_status if log_format == "json" else text_status
     stopping = _json_stopping if log_format == "json" else _text_stopping
+    writer = LogWriter(sys.stdout.fileno(), lambda lost, reason: format_event(_lines_lost(lost, reason)))
+
+    def log(events: Iterable[Event]) -> None:
+        for event in events:
+            if event.level is not Level.DEBUG:
+                writer.write(format_event(event))
+
     ends = None if seconds is None else time.monotonic() + seconds
     next_status = time.monotonic() + status_every
     seen, reason = 0, ""
     while not reason:
-        for event in engine.wait_for_events(seen, _LOOK_EVERY):
-            seen = event.number
-            printer.event(event)
+        if events := engine.wait_for_events(seen, _LOOK_EVERY):
+            seen = events[-1].number
+            log(events)
         now = time.monotonic()
         snapshot = engine.snapshot()
         if now >= next_status:
             next_status = now + status_every
-            printer.line(status(snapshot))
+            writer.write(status(snapshot))
         reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
-    printer.line(stopping(reason))
+    writer.write(stopping(reason))
     failed = not engine.snapshot().running
-    engine.stop()
-    for event in engine.events(seen):
-        printer.event(event)
+    engine.stop(_STOPS_WITHIN)
+    log(engine.events(seen))
+    writer.close(_WRITTEN_WITHIN)
     return FAILURE if failed else OK
 
 
@@ -140,26 +150,9 @@ class Signals:
         self.caught = self.caught or signal.Signals(number).name
 
 
-class _Printer:
-    """Writes lines, until nobody reads them any more: a bridge does not end because its log does."""
-
-    def __init__(self, format_event: Callable[[Event], str]) -> None:
-        self._format_event = format_event
-        self._gone = False
-
-    def event(self, event: Event) -> None:
-        if event.level is not Level.DEBUG:
-            self.line(self._format_event(event))
-
-    def line(self, text: str) -> None:
-        if self._gone:
-            return
-        try:
-            say(text)
-            sys.stdout.flush()
-        except OSError:
-            self._gone = True
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains at exit
+def _lines_lost(lost: int, reason: str) -> Event:
+    text = f"{lost:,} log line{'s' if lost > 1 else ''} lost: {reason}"
+    return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)
 
 
 def _clock(moment: float) -> str:

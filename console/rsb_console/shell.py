@@ -10,9 +10,13 @@ OK, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
 def say(text: str) -> None:
-    """Write a line to standard output. What its encoding lacks is escaped: a name may be in any script."""
-    encoding = sys.stdout.encoding
-    sys.stdout.write(f"{text}\n".encode(encoding, "backslashreplace").decode(encoding))
+    """Write a line to standard output."""
+    sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))
+
+
+def encoded(text: str) -> bytes:
+    """Text in standard output's encoding. What that lacks is escaped: a name may be in any script."""
+    return text.encode(sys.stdout.encoding, "backslashreplace")
 
 
 def keep_output_clean() -> None:

@@ -16,6 +16,9 @@ class EventCode(StrEnum):
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 
+    LOG_LINES_LOST = "log.lines_lost"
+    """Standard output did not take some lines of the log; the text says how many, and why."""
+
     KEY_UNENCRYPTED = "key.unencrypted"
     KEY_WARNING = "key.warning"
 

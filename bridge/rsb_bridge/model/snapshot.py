@@ -54,7 +54,7 @@ class Event:
 
     @property
     def source(self) -> str:
-        """What it concerns: ``engine``, ``key``, ``link`` or ``route``."""
+        """What it concerns: ``engine``, ``log``, ``key``, ``link`` or ``route``."""
         return self.code.partition(".")[0]
 
 

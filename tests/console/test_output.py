@@ -1,0 +1,49 @@
+"""The log's writer, on a real pipe: nothing waits for its reader, and what is lost is counted."""
+
+import os
+import threading
+
+from rsb_console.output import WAITING_LIMIT, LogWriter
+
+
+def lost_line(lost: int, reason: str) -> str:
+    return f"{lost} lost: {reason}"
+
+
+def test_a_reader_that_comes_late_gets_the_newest_and_how_many_are_missing() -> None:
+    reader, pipe = os.pipe()
+    writer = LogWriter(pipe, lost_line)
+    count = 2 * WAITING_LIMIT // 1000
+    for number in range(count):
+        writer.write(f"{number:0999}")
+    content = bytearray()
+
+    def read() -> None:
+        while part := os.read(reader, 1 << 16):
+            content.extend(part)
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    writer.close(20.0)
+    os.close(pipe)
+    thread.join()
+    os.close(reader)
+    lines = content.decode().splitlines()
+    (said,) = [line for line in lines if "lost" in line]
+    numbers = [int(line) for line in lines if line != said]
+    assert said == f"{count - len(numbers)} lost: they were not read fast enough"
+    assert numbers[-1] == count - 1
+    assert numbers[lines.index(said) :] == list(range(count - len(numbers[lines.index(said) :]), count))
+    assert WAITING_LIMIT - 2000 < len(numbers[lines.index(said) :]) * 1000 <= WAITING_LIMIT
+
+
+def test_a_writer_that_is_stuck_is_left_behind() -> None:
+    reader, pipe = os.pipe()
+    writer = LogWriter(pipe, lost_line)
+    writer.write("x" * (1 << 20))
+    writer.write("more")
+    writer.close(0.01)
+    os.close(reader)  # the write ends, with an error
+    writer._thread.join(20.0)
+    assert not writer._thread.is_alive()
+    os.close(pipe)
