@@ -146,6 +146,23 @@ def match_subscriptions(requested: Sequence[Qos]) -> Qos:
     )
 
 
+def clamp_qos(qos: Qos) -> Qos:
+    """The nearest QoS that messages may carry, of one that some node of the graph has: it may have anything.
+
+    A deadline or lifespan that is shorter than the shortest becomes that, one beyond the longest (or none at all, as
+    NaN) becomes 0.
+    """
+    depth = min(max(qos.depth, 0), int(DEPTH.high))
+    deadline, lifespan = _clamp_time(qos.deadline), _clamp_time(qos.lifespan)
+    if (depth, deadline, lifespan) == (qos.depth, qos.deadline, qos.lifespan):
+        return qos
+    return msgspec.structs.replace(qos, depth=depth, deadline=deadline, lifespan=lifespan)
+
+
+def _clamp_time(seconds: float) -> float:
+    return max(seconds, QOS_TIME.low) if 0 < seconds <= QOS_TIME.high else 0.0
+
+
 def _loosest(seconds: list[float]) -> float:
     return 0.0 if 0.0 in seconds else max(seconds)
 

@@ -35,9 +35,9 @@ class Endpoint(NamedTuple):
 
     Attributes:
         node: its node's full name, ``/namespace/name``; empty for the moment in which only the endpoint is known.
-        type_name: ``pkg/msg/Name``.
+        type_name: ``pkg/msg/Name``, or whatever a program that is not ROS calls its type: printable, 255 characters.
         type_hash: ``RIHS01_...``, or empty where the middleware did not say.
-        qos: its policies; the depth is not known to others and stands as 0.
+        qos: its policies, clamped (`rsb_bridge.model.qos.clamp_qos`); the depth is not known to others and stands as 0.
         gid: its id in the middleware, the same for everybody in the domain.
     """
 

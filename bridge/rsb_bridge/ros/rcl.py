@@ -16,8 +16,10 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from rsb_bridge.model.limits import DOMAIN
-from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.limits import DOMAIN, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.names import is_topic_name
+from rsb_bridge.model.qos import Qos, clamp_qos
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.anytype import message_class
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.typesupport import HASH_PREFIX
@@ -114,8 +116,13 @@ class Participant:
         self._context.destroy()
 
     def topics(self) -> dict[str, list[str]]:
-        """Every topic, our own node's too, with its type names."""
-        return {name: list(types) for name, types in self._ask(_rclpy.rclpy_get_topic_names_and_types)}
+        """Every topic that ROS can subscribe to, our own node's too, with its type names."""
+        found = self._ask(_rclpy.rclpy_get_topic_names_and_types)
+        return {
+            name: [_type_name(each) for each in types]
+            for name, types in found
+            if len(name) <= TOPIC_LENGTH and is_topic_name(name)
+        }
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers on a topic, our own left out."""
@@ -313,22 +320,31 @@ def _duration(seconds: float) -> Duration:
 
 
 def _endpoint(info: dict[str, Any]) -> Endpoint:
+    """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is believed."""
     type_hash, profile = info["topic_type_hash"], info["qos_profile"]
     known = info["node_name"] != _UNKNOWN_NODE
     return Endpoint(
         node=f"{info['node_namespace'].rstrip('/')}/{info['node_name']}" if known else "",
-        type_name=info["topic_type"],
+        type_name=_type_name(info["topic_type"]),
         type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash["version"] == 1 else "",
-        qos=Qos(
-            reliability="reliable" if profile["reliability"] == ReliabilityPolicy.RELIABLE else "best_effort",
-            durability="transient_local" if profile["durability"] == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
-            history="keep_all" if profile["history"] == HistoryPolicy.KEEP_ALL else "keep_last",
-            depth=0,
-            deadline=_seconds(profile["deadline"]),
-            lifespan=_seconds(profile["lifespan"]),
+        qos=clamp_qos(
+            Qos(
+                reliability="reliable" if profile["reliability"] == ReliabilityPolicy.RELIABLE else "best_effort",
+                durability="transient_local"
+                if profile["durability"] == DurabilityPolicy.TRANSIENT_LOCAL
+                else "volatile",
+                history="keep_all" if profile["history"] == HistoryPolicy.KEEP_ALL else "keep_last",
+                depth=0,
+                deadline=_seconds(profile["deadline"]),
+                lifespan=_seconds(profile["lifespan"]),
+            )
         ),
         gid=bytes(info["endpoint_gid"]),
     )
+
+
+def _type_name(name: str) -> str:
+    return sanitize_text(name, TEXT_LENGTH)
 
 
 def _seconds(duration: Duration) -> float:

@@ -5,16 +5,14 @@ Text ends up in terminals and logs, so it is short, and prints as it reads.
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Literal, TypeAlias
 
 from msgspec import Meta
 
 from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
 
-# Control characters, and the marks that turn the direction of text.
-_UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u2028-\\u202e\\u2066-\\u2069"
-_PLAIN = rf"\A[^{_UNPRINTABLE}]*\Z"
+_PLAIN = rf"\A[^{UNPRINTABLE}]*\Z"
 
 Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=_PLAIN)]
 Words: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=_PLAIN)]
@@ -36,5 +34,5 @@ RefuseCode = Literal["no_such_type", "type_differs", "denied", "port_taken", "ba
 
 
 def plain(text: str, limit: int = REASON_LENGTH) -> str:
-    """A text made fit: what does not print becomes U+FFFD, what is too long is cut."""
-    return re.sub(f"[{_UNPRINTABLE}]", "\N{REPLACEMENT CHARACTER}", text[:limit])
+    """A text made fit for a field (`rsb_bridge.model.text.sanitize_text`)."""
+    return sanitize_text(text, limit)

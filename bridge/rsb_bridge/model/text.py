@@ -1,0 +1,15 @@
+"""Text from outside, made fit for terminals, logs and messages."""
+
+from __future__ import annotations
+
+import re
+
+UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u2028-\\u202e\\u2066-\\u2069"
+"""Control characters, and the marks that turn the direction of text; for a regular expression's brackets."""
+
+_unprintable = re.compile(f"[{UNPRINTABLE}]")
+
+
+def sanitize_text(text: str, limit: int) -> str:
+    """Replace each unprintable character by U+FFFD, and cut what is longer than `limit` characters."""
+    return _unprintable.sub("\N{REPLACEMENT CHARACTER}", text[:limit])

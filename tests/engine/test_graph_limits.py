@@ -1,0 +1,38 @@
+"""Endpoints with figures that no message of ours may carry: the link stays up, and topics are listed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
+from tests.support.bridge import carries, eventually, happened, heard, linked, route
+from tests.support.domain import text
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+SHORT = QoSProfile(depth=10, deadline=Duration(nanoseconds=500_000), lifespan=Duration(nanoseconds=200_000))
+
+
+def test_deadlines_and_lifespans_below_a_millisecond(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    out = robot.publisher("/chat", qos=SHORT)
+    robot.publisher("/elsewhere", qos=SHORT)
+    there = pc.listener("/chat")
+    pc.listener("/chat", qos=SHORT)
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    carries([out], server, ["/chat"])
+    out.publish(text("hello"))
+    assert heard(there, 1) == [text("hello")]
+    eventually(lambda: route(client, "/chat").subscriber_qos and route(server, "/chat").publisher_qos)
+    for engine, name in ((client, None), (server, "robot1")):
+        topics = {each.topic: each for each in engine.topics(name).result(5)}
+        assert topics["/elsewhere"].qos.deadline == topics["/chat"].qos.deadline == 0.001
+    assert linked(client)
+    assert linked(server)
+    for engine in (client, server):
+        assert not happened(engine, EventCode.LINK_LOST)
