@@ -7,18 +7,17 @@ import socket
 import time
 from collections import deque
 from contextlib import asynccontextmanager
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedChannel, Multiplexer
+from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedReceiver, MultiplexedSender, Multiplexer
 from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import HEADER, LENGTH, DataReader, DataWriter, FrameReader
 from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncIterator, Iterable
 
-    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.framing import Message
 
 _PACE = 50_000  # bytes/s: the thesis's
@@ -27,7 +26,7 @@ _KEY = bytes(range(32))
 
 
 class Topic:
-    """What a shared path needs of a route: here a queue that never runs dry, or single messages.
+    """What a channel needs of a route (`RouteSink`): here a queue that never runs dry, or single messages.
 
     Attributes:
         id: the route's.
@@ -37,8 +36,9 @@ class Topic:
 
     def __init__(self, number: int, always: int = 0) -> None:
         self.id = number
+        self.outgoing = True
         self.arrived: deque[tuple[int, float]] = deque()
-        self.path: MultiplexedChannel | None = None
+        self.path: MultiplexedSender | None = None
         self.something = asyncio.Event()
         self._always = always
 
@@ -46,7 +46,10 @@ class Topic:
         if self._always and self.path is not None and not self.path.congested:
             self.path.send([(bytes(self._always), time.time_ns(), 0)])
 
-    def deliver(self, messages: tuple[Message, ...]) -> None:
+    def channel_lost(self, reason: str) -> None:
+        raise AssertionError(reason)
+
+    def deliver(self, messages: Iterable[Message]) -> None:
         self.arrived += [(len(payload), time.monotonic()) for payload, _, _ in messages]
         self.something.set()
 
@@ -78,11 +81,10 @@ async def slow_link(*topics: Topic) -> AsyncIterator[None]:
     assert handler.shared is not None
     ends = {}
     for topic in topics:
-        route = cast("Route", topic)
         writer = DataWriter(Sealer(Suite.CHACHAPOLY, _KEY), topic.id)
-        topic.path = MultiplexedChannel(handler.shared, route, writer)
+        topic.path = MultiplexedSender(handler.shared, topic, writer)
         reader = DataReader(StreamOpener(Suite.CHACHAPOLY, _KEY), topic.id)
-        ends[topic.id] = MultiplexedChannel(handler.shared, route, reader)
+        ends[topic.id] = MultiplexedReceiver(handler.shared, topic, reader)
     reading = asyncio.create_task(_read_slowly(far, ends))
     try:
         yield
@@ -93,7 +95,7 @@ async def slow_link(*topics: Topic) -> AsyncIterator[None]:
         far.close()
 
 
-async def _read_slowly(far: socket.socket, ends: dict[int, MultiplexedChannel]) -> None:
+async def _read_slowly(far: socket.socket, ends: dict[int, MultiplexedReceiver]) -> None:
     loop = asyncio.get_running_loop()
     far.setblocking(False)
     far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

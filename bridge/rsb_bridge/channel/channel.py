@@ -1,21 +1,47 @@
-"""What carries one route's messages: a stream of its own, datagrams, or a share of a stream."""
+"""What a route and its channel know of each other."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_bridge.wire.framing import Message
 
 
+class RouteSink(Protocol):
+    """The route whose messages a channel carries, as far as the channel knows it."""
+
+    @property
+    def id(self) -> int:
+        """Route id of the present incarnation."""
+        ...
+
+    @property
+    def outgoing(self) -> bool:
+        """Whether this side sends."""
+        ...
+
+    def deliver(self, messages: Iterable[Message]) -> None:
+        """Take messages that arrived whole and authentic."""
+        ...
+
+    def flush(self) -> None:
+        """Send from the queue: the channel was congested and takes more again."""
+        ...
+
+    def channel_lost(self, reason: str) -> None:
+        """The channel failed; it is closed already."""
+        ...
+
+
 class Counts(NamedTuple):
-    """What a receiving path knows of messages that did not arrive whole.
+    """Messages that a channel received in part or not at all.
 
     Attributes:
         newest: number of the newest message seen, from 1.
-        incomplete: messages some of whose fragments wait for the rest.
+        incomplete: messages that wait for some of their fragments.
         expired: messages given up because fragments did not come in time.
     """
 
@@ -24,36 +50,63 @@ class Counts(NamedTuple):
     expired: int = 0
 
 
-class DataChannel(Protocol):
-    """One route's way to the peer, for one opening."""
+class Carrier(Protocol):
+    """What one or several channels run over; counts wire bytes."""
 
     @property
-    def ready(self) -> bool:
-        """Whether messages may be sent or may come."""
+    def received_bytes(self) -> int:
+        """Bytes received so far."""
         ...
 
     @property
+    def sent_bytes(self) -> int:
+        """Bytes sent so far."""
+        ...
+
+
+class DataChannel(Protocol):
+    """Carries the messages of one incarnation of a route."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether messages get through."""
+        ...
+
+    @property
+    def carrier(self) -> Carrier:
+        """What it runs over."""
+        ...
+
+    def trouble(self) -> str:
+        """What seems to be wrong, for an operator; empty: nothing."""
+        ...
+
+    def close(self, reason: str) -> None:
+        """Free it. The route hears no more of it."""
+        ...
+
+
+class SendingChannel(DataChannel, Protocol):
+    """The sending end of a channel."""
+
+    @property
     def congested(self) -> bool:
-        """Whether it is better not to send now."""
+        """Whether it is better not to send now; `RouteSink.flush` is called when that is over."""
         ...
 
     @property
     def batch_bytes(self) -> int:
-        """How much to send at once, where a single message is not more."""
+        """How much to send at once; a single message may be longer."""
         ...
 
     def send(self, batch: Sequence[Message]) -> None:
         """Send messages, oldest first."""
         ...
 
-    def trouble(self) -> str:
-        """What seems wrong with it, in words; empty: nothing."""
-        ...
+
+class ReceivingChannel(DataChannel, Protocol):
+    """The receiving end of a channel."""
 
     def counts(self) -> Counts | None:
-        """Where messages are numbered: what is missing."""
-        ...
-
-    def close(self, reason: str) -> None:
-        """Free it. The route hears no more of it."""
+        """What is missing; None where nothing can be, because messages arrive in order or not at all."""
         ...

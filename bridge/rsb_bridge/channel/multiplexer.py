@@ -1,4 +1,4 @@
-"""Many routes on one stream, as on Bluetooth: a message goes in chunks, and the chunks of all routes take turns.
+"""Channels that share a stream, as on Bluetooth: messages go in chunks, and the chunks of all routes take turns.
 
 The turns are start-time fair queueing (Goyal, Vin, Cheng 1996): each chunk has the virtual time at which it would begin
 if every route had an equal share, and the earliest goes first. So a route that uses less than its share, like a
@@ -11,50 +11,59 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.channel import Counts, DataChannel
-from rsb_bridge.wire.framing import DataReader, DataWriter, ProtocolError
+from rsb_bridge.wire.framing import ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.channel.channel import Counts, RouteSink
+    from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.framing import DataReader, DataWriter, Message
 
 CHUNK = 2048
 """Bytes of a message in one frame: 40 ms of a 50 kB/s link, and 1.7 % more for header and tag."""
 
 
 class Multiplexer:
-    """Gives the stream's room to the routes that have something to send.
+    """Shares a stream among the routes that have something to send.
 
     Attributes:
         stream: what carries them.
-        paths: the routes' shares of it, by route id.
+        channels: by route id.
     """
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
-        self.paths: dict[int, MultiplexedChannel] = {}
-        self._waiting: list[MultiplexedChannel] = []
+        self.channels: dict[int, MultiplexedSender | MultiplexedReceiver] = {}
+        self._waiting: list[MultiplexedSender] = []
         self._time = 0  # virtual: bytes
         self._pumping = False
 
-    def join(self, path: MultiplexedChannel) -> None:
-        """A path has chunks to send."""
-        path.start = max(path.start, self._time)
-        self._waiting.append(path)
+    def carry(self, route: RouteSink, keys: DataKeys) -> MultiplexedSender | MultiplexedReceiver:
+        """This side's end of a new channel for a route."""
+        channel: MultiplexedSender | MultiplexedReceiver
+        if route.outgoing:
+            channel = MultiplexedSender(self, route, keys.stream_writer(route.id))
+        else:
+            channel = MultiplexedReceiver(self, route, keys.stream_reader(route.id))
+        self.channels[route.id] = channel
+        return channel
+
+    def join(self, channel: MultiplexedSender) -> None:
+        """A channel has chunks to send."""
+        channel.start = max(channel.start, self._time)
+        self._waiting.append(channel)
         self.pump()
 
-    def leave(self, path: MultiplexedChannel) -> None:
-        """A path has none any more."""
-        if path in self._waiting:
-            self._waiting.remove(path)
+    def leave(self, channel: MultiplexedSender) -> None:
+        """A channel has none any more."""
+        if channel in self._waiting:
+            self._waiting.remove(channel)
 
-    def forget(self, path: MultiplexedChannel) -> None:
-        """A path is closed."""
-        self.leave(path)
-        self.paths.pop(path.route.id, None)
+    def forget(self, route_id: int) -> None:
+        """The channel of a route is closed."""
+        self.channels.pop(route_id, None)
 
     def pump(self) -> None:
         """Send while the stream takes it."""
@@ -63,73 +72,106 @@ class Multiplexer:
         self._pumping = True
         try:
             while self._waiting and not self.stream.congested and not self.stream.over:
-                path = min(self._waiting, key=lambda path: path.start)
-                self._time = path.start
-                self.stream.write(path.next_chunk())
+                channel = min(self._waiting, key=lambda channel: channel.start)
+                self._time = channel.start
+                self.stream.write(channel.next_chunk())
         finally:
             self._pumping = False
 
 
-class MultiplexedChannel(DataChannel):
-    """A route's share of a stream.
+class _MultiplexedChannel:
+    """What both ends share."""
+
+    ready = True
+
+    def __init__(self, multiplexer: Multiplexer, route: RouteSink) -> None:
+        self._multiplexer = multiplexer
+        self._route = route
+        self._route_id = route.id
+
+    @property
+    def carrier(self) -> Stream:
+        return self._multiplexer.stream
+
+    def trouble(self) -> str:
+        return ""
+
+    def close(self, reason: str) -> None:
+        self._multiplexer.forget(self._route_id)
+
+    def lost(self, reason: str) -> None:
+        """The stream is over."""
+        self._route.channel_lost(reason)
+
+
+class MultiplexedSender(_MultiplexedChannel):
+    """The sending end.
 
     Attributes:
-        shared: the stream's.
-        route: whose it is.
         start: virtual time at which its next chunk would begin.
     """
 
-    ready = True
     batch_bytes = CHUNK
 
-    def __init__(self, shared: Multiplexer, route: Route, end: DataWriter | DataReader) -> None:
+    def __init__(self, multiplexer: Multiplexer, route: RouteSink, codec: DataWriter) -> None:
+        super().__init__(multiplexer, route)
         self.start = 0
-        self.shared = shared
-        self.route = route
-        self._end = end
+        self._codec = codec
         self._chunks: deque[bytes] = deque()
-        shared.paths[route.id] = self
 
     @property
     def congested(self) -> bool:
         return bool(self._chunks)
 
     def send(self, batch: Sequence[Message]) -> None:
-        assert isinstance(self._end, DataWriter)
         for payload, stamp, flags in batch:
-            self._chunks += self._end.write_chunks(payload, stamp, flags, CHUNK)
-        self.shared.join(self)
+            self._chunks += self._codec.write_chunks(payload, stamp, flags, CHUNK)
+        self._multiplexer.join(self)
 
     def next_chunk(self) -> bytes:
-        """Take the next chunk, for sending; behind the last one the route may send more."""
+        """Take the next chunk, for sending; after the last one the route may send more."""
         chunk = self._chunks.popleft()
         self.start += len(chunk)
         if not self._chunks:
-            self.shared.leave(self)
-            self.route.flush()
+            self._multiplexer.leave(self)
+            self._route.flush()
         return chunk
+
+    def received(self, frame: memoryview) -> None:
+        """A frame of this route came, although the peer has nothing to say here.
+
+        Raises:
+            ProtocolError: always.
+        """
+        raise ProtocolError(f"data on route {self._route_id}, which goes the other way")
+
+    def close(self, reason: str) -> None:
+        self._chunks.clear()
+        self._multiplexer.leave(self)
+        super().close(reason)
+
+
+class MultiplexedReceiver(_MultiplexedChannel):
+    """The receiving end."""
+
+    def __init__(self, multiplexer: Multiplexer, route: RouteSink, codec: DataReader) -> None:
+        super().__init__(multiplexer, route)
+        self._codec = codec
+
+    def counts(self) -> Counts | None:
+        return None
 
     def received(self, frame: memoryview) -> None:
         """A frame of this route came.
 
         Raises:
-            ProtocolError: it breaks the format, or goes the wrong way.
+            ProtocolError: it breaks the format.
             SealError: its seal does not hold.
         """
-        if not isinstance(self._end, DataReader):
-            raise ProtocolError(f"data on route {self.route.id}, which goes the other way")
-        message = self._end.open_frame(frame)
+        message = self._codec.open_frame(frame)
         if message is not None:
-            self.route.deliver((message,))
-
-    def trouble(self) -> str:
-        return ""
-
-    def counts(self) -> Counts | None:
-        return None
+            self._route.deliver((message,))
 
     def close(self, reason: str) -> None:
-        if isinstance(self._end, DataReader):
-            self._end.close()
-        self._chunks.clear()
-        self.shared.forget(self)
+        self._codec.close()
+        super().close(reason)

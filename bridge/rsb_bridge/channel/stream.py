@@ -1,91 +1,105 @@
-"""A stream of one route's own."""
+"""Channels on a stream of their own."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.framing import DataReader, DataWriter, ProtocolError
+from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.channel.channel import Counts
-    from rsb_bridge.link.link import Link
-    from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.channel.channel import Counts, RouteSink
+    from rsb_bridge.channel.data_keys import DataKeys
+    from rsb_bridge.wire.framing import DataReader, DataWriter, Message
 
 
-class StreamChannel(StreamHandler):
-    """A stream of the route's own. It is the stream's handler.
+class _StreamChannel(StreamHandler):
+    """What both ends share.
 
     Attributes:
-        stream: what carries it.
+        carrier: the stream; the channel is its handler.
     """
 
     ready = True
 
-    def __init__(self, stream: Stream, route: Route, end: DataWriter | DataReader) -> None:
-        self.stream = stream
+    def __init__(self, stream: Stream, route: RouteSink) -> None:
+        self.carrier = stream
         self._route = route
-        self._end = end
         stream.handler = self
-
-    @property
-    def congested(self) -> bool:
-        return self.stream.congested
-
-    @property
-    def batch_bytes(self) -> int:
-        return self.stream.batch_bytes
-
-    def send(self, batch: Sequence[Message]) -> None:
-        assert isinstance(self._end, DataWriter)
-        self.stream.write(self._end.write_many(batch))
 
     def trouble(self) -> str:
         return ""
 
-    def counts(self) -> Counts | None:
-        return None
-
     def close(self, reason: str) -> None:
-        if isinstance(self._end, DataReader):
-            self._end.close()
-        self.stream.handler = StreamHandler()
-        self.stream.abort(reason)  # the peer closes its half too: nobody would read what waits
-
-    def received(self, data: bytes) -> None:
-        """Bytes came: on a sending route's stream there is nothing to say, so they break the format."""
-        if not isinstance(self._end, DataReader) or self._route.outgoing:
-            self._broken("the peer sent data on a stream that goes the other way")
-            return
-        try:
-            messages = self._end.receive_data(data)
-        except (ProtocolError, SealError) as error:
-            self._broken(str(error))
-            return
-        if messages:
-            self._route.deliver(messages)
-
-    def writable(self) -> None:
-        """The stream takes more again."""
-        self._route.flush()
+        self.carrier.handler = StreamHandler()
+        self.carrier.abort(reason)  # the peer closes its half too: nobody would read what waits
 
     def closed(self, reason: str) -> None:
         """The stream is over."""
         self._route.channel_lost(reason)
 
-    def _broken(self, reason: str) -> None:
-        self.stream.handler = StreamHandler()
-        self.stream.abort(reason)
+    def _fail(self, reason: str) -> None:
+        self.close(reason)
         self._route.channel_lost(reason)
 
 
-def stream_codec(link: Link, route: Route) -> DataWriter | DataReader:
-    """What makes or opens the route's frames on a stream, for its present opening."""
-    assert link.keys is not None
+class StreamSender(_StreamChannel):
+    """The sending end."""
+
+    def __init__(self, stream: Stream, route: RouteSink, codec: DataWriter) -> None:
+        super().__init__(stream, route)
+        self._codec = codec
+
+    @property
+    def congested(self) -> bool:
+        return self.carrier.congested
+
+    @property
+    def batch_bytes(self) -> int:
+        return self.carrier.batch_bytes
+
+    def send(self, batch: Sequence[Message]) -> None:
+        self.carrier.write(self._codec.write_many(batch))
+
+    def writable(self) -> None:
+        """The stream takes more again."""
+        self._route.flush()
+
+    def received(self, data: bytes) -> None:
+        """Bytes came, although the peer has nothing to say here."""
+        self._fail("the peer sent data on a stream that goes the other way")
+
+
+class StreamReceiver(_StreamChannel):
+    """The receiving end."""
+
+    def __init__(self, stream: Stream, route: RouteSink, codec: DataReader) -> None:
+        super().__init__(stream, route)
+        self._codec = codec
+
+    def counts(self) -> Counts | None:
+        return None
+
+    def close(self, reason: str) -> None:
+        self._codec.close()
+        super().close(reason)
+
+    def received(self, data: bytes) -> None:
+        """Bytes came."""
+        try:
+            messages = self._codec.receive_data(data)
+        except (ProtocolError, SealError) as error:
+            self._fail(str(error))
+            return
+        if messages:
+            self._route.deliver(messages)
+
+
+def stream_channel(stream: Stream, route: RouteSink, keys: DataKeys) -> StreamSender | StreamReceiver:
+    """This side's end of a route's channel on a stream that is let in."""
     if route.outgoing:
-        return DataWriter(link.keys.route_sealer(route.id, link.side), route.id)
-    return DataReader(link.keys.stream_opener(route.id, link.other_side), route.id, budget=link.unfinished)
+        return StreamSender(stream, route, keys.stream_writer(route.id))
+    return StreamReceiver(stream, route, keys.stream_reader(route.id))

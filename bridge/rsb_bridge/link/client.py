@@ -6,9 +6,7 @@ import asyncio
 import socket
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.channel.datagram import UdpChannel
-from rsb_bridge.channel.multiplexer import MultiplexedChannel
-from rsb_bridge.channel.rfcomm import RfcommMultiplexer
+from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
@@ -17,7 +15,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
-from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
 from rsb_bridge.wire.messages import Welcome
 from rsb_bridge.wire.opening import RefusalCode
@@ -25,7 +22,7 @@ from rsb_bridge.wire.opening import RefusalCode
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, StreamTransport
+    from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import Hello, Propose, Shutdown
     from rsb_bridge.wire.sealing import Suite
 
@@ -230,24 +227,17 @@ class ClientLink(Link):
     def _share_stream(self, route: Route, transport: StreamTransport) -> None:
         """Join the stream of the route's channel, or open it if nobody has begun to."""
         assert self.keys is not None
+        assert self.data_keys is not None
         channel = route.proposal.port
-        if radio := self._radio(channel):
-            radio.stream.write(DataConnection(self.keys, route.id).start())
-            radio.carry(route)
+        shared = self.shared_streams.get((transport.name, channel))
+        if shared is not None and not shared.stream.over:
+            shared.stream.write(DataConnection(self.keys, route.id).start())
+            route.channel = shared.carry(route, self.data_keys)
         elif channel in self._waiting:
             self._waiting[channel][route.id] = route
         else:
             self._waiting[channel] = {route.id: route}
             self._streams_opening[route.id] = self.spawn(self._open_shared(route, route.id, transport))
-
-    def _radio(self, channel: int) -> RfcommMultiplexer | None:
-        for route in self.routes.values():
-            match route.channel:
-                case MultiplexedChannel(shared=RfcommMultiplexer() as radio) if (
-                    radio.channel == channel and not radio.stream.over
-                ):
-                    return radio
-        return None
 
     async def _open_shared(self, first: Route, first_id: int, transport: StreamTransport) -> None:
         try:
@@ -263,31 +253,17 @@ class ClientLink(Link):
             elif route.id == route_id:
                 route.advance()
 
-    def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
+    def open_udp_channel(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         assert self.control is not None
         assert self.path_probe is not None
         address = self.control.stream.address
         server = (address[0], port, *address[2:])
         try:
-            socket = transport.connect(server, self._datagrams)
+            return ClientUdpChannel(transport, server, self.path_probe, self.context.now, self.udp_ready)
         except OSError as error:
             text = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
             self.log(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
             return None
-        udp_channel = UdpChannel(socket, self.path_probe, server=server)
-        udp_channel.tick(self.context.now())
-        return udp_channel
-
-    def _datagrams(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
-        udp_channel = next(
-            (udp_channel for udp_channel in self.udp_channels.values() if udp_channel.socket is socket), None
-        )
-        if udp_channel is not None and self.keys is not None:
-            ours = self.keys.link_id
-            self.datagrams(
-                udp_channel,
-                [(to[0], data, address) for data, address in datagrams if (to := addressee(data)) and to[1] == ours],
-            )
 
 
 def _connect_error_message(error: OSError) -> str:

@@ -31,13 +31,13 @@ class ControlChannel(StreamHandler):
     Attributes:
         stream: what carries it.
         link: whose it is.
-        shared: the room that it leaves to routes' messages (Bluetooth).
+        multiplexer: shares the stream among routes, where the transport is a multiplexed one.
     """
 
     def __init__(self, stream: Stream, connection: ClientConnection | ServerConnection, link: Link) -> None:
         self.stream = stream
         self.link = link
-        self.shared = Multiplexer(stream)
+        self.multiplexer = Multiplexer(stream)
         self._connection = connection
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
@@ -104,17 +104,17 @@ class ControlChannel(StreamHandler):
                 self.abort(words)
 
     def _take_data(self, route_id: int, frame: memoryview) -> None:
-        path = self.shared.paths.get(route_id)
-        if path is None:
+        channel = self.multiplexer.channels.get(route_id)
+        if channel is None:
             return  # it was closed here while the frame was under way
         try:
-            path.received(frame)
+            channel.received(frame)
         except (ProtocolError, SealError) as error:
             self.abort(f"the peer broke the format: {error}")
 
     def writable(self) -> None:
         """The stream takes more again."""
-        self.shared.pump()
+        self.multiplexer.pump()
 
     def closed(self, reason: str) -> None:
         """The stream is over."""

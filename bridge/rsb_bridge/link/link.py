@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.channel.datagram import DatagramChannel, PathProbe, UdpChannel, datagram_codec
-from rsb_bridge.channel.multiplexer import MultiplexedChannel, Multiplexer
-from rsb_bridge.channel.rfcomm import RfcommMultiplexer
-from rsb_bridge.channel.stream import StreamChannel, stream_codec
+from rsb_bridge.channel.data_keys import DataKeys
+from rsb_bridge.channel.datagram import datagram_channel
+from rsb_bridge.channel.path_probe import PathProbe
+from rsb_bridge.channel.shared_stream import SharedStream
+from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.keepalive import DEAD_AFTER, Keepalive
 from rsb_bridge.link.negotiation import LinkError, Negotiation
@@ -32,12 +33,14 @@ from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Coroutine, Iterable
+    from collections.abc import Coroutine
 
+    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+    from rsb_bridge.transport.streams import Stream, StreamHandler
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
@@ -55,6 +58,8 @@ class Link(Side):
         routes: by key.
         control: the authenticated connection; None: not linked.
         keys: what the present connection's handshake left; None: not linked.
+        data_keys: what seals and opens routes' messages on it; None: not linked.
+        shared_streams: multiplexed streams beside the control connection, by transport and channel.
         unfinished: what the peer may have this side hold of messages that are not whole yet.
         latched: likewise for late joiners.
         expansion: bytes by which its compressed messages may grow here.
@@ -66,7 +71,6 @@ class Link(Side):
         self.name = name
         self.is_client = is_client
         self.side: Role = "client" if is_client else "server"
-        self.other_side: Role = "server" if is_client else "client"
         self.routes: dict[str, Route] = {}
         self.control: ControlChannel | None = None
         self.keys: SessionKeys | None = None
@@ -76,7 +80,9 @@ class Link(Side):
         self.reason = _NOT_YET
         self.retry_at: float | None = None
         self.attempts = 0
+        self.data_keys: DataKeys | None = None
         self.path_probe: PathProbe | None = None
+        self.shared_streams: dict[tuple[str, int], SharedStream] = {}
         self.udp_channels: dict[int, UdpChannel] = {}
         self.unfinished = Budget(UNFINISHED_LIMIT)
         self.latched = Budget(LATCHED_LIMIT)
@@ -123,7 +129,8 @@ class Link(Side):
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """The peer is connected and authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
-        self.path_probe = PathProbe(keys, self.side, self.other_side)
+        self.data_keys = DataKeys(keys, self.side, self.unfinished)
+        self.path_probe = PathProbe(self.data_keys)
         self._linked_at = self.context.now()
         self.keepalive = Keepalive(self.context)
         self._since = self.context.wall()
@@ -140,7 +147,7 @@ class Link(Side):
         """The connection is over."""
         if self.control is None:
             return
-        self.control = self.keys = self.path_probe = None
+        self.control = self.keys = self.data_keys = self.path_probe = None
         self.reason = reason
         self._since = self.context.wall()
         self._by_id.clear()
@@ -149,6 +156,7 @@ class Link(Side):
         for udp_channel in self.udp_channels.values():
             udp_channel.close()
         self.udp_channels.clear()
+        self.shared_streams.clear()
         self.negotiation.end()
         level = Level.INFO if code in (EventCode.LINK_CLOSED, EventCode.LINK_REPLACED) else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
@@ -284,13 +292,13 @@ class Link(Side):
         self._by_id[route_id] = route
 
     def open_channel(self, route: Route) -> None:
-        """Set a route's path going."""
-        port = route.proposal.port or self.shared_port()
+        """Set a route's channel going."""
+        assert self.control is not None
+        assert self.data_keys is not None
+        port, transport = route.proposal.port or self.shared_port(), route.transport
         if self.transport.multiplexed and port == self.shared_port():
-            assert self.control is not None
-            route.channel = MultiplexedChannel(self.control.shared, route, stream_codec(self, route))
+            route.channel = self.control.multiplexer.carry(route, self.data_keys)
             return
-        transport = route.transport
         if isinstance(transport, StreamTransport):
             self.open_stream(route, transport)
             return
@@ -300,29 +308,30 @@ class Link(Side):
         if udp_channel is None:
             return
         self.udp_channels[port] = udp_channel
-        route.channel = DatagramChannel(udp_channel, route, datagram_codec(self, route))
+        route.channel = datagram_channel(udp_channel, route, self.data_keys)
 
     def attach_stream(self, route: Route, stream: Stream, beginning: bytes, *, multiplexed: bool) -> None:
-        """A stream is let in that was opened for the route; `beginning` came behind its opening frame."""
+        """A stream is let in that was opened for the route; `beginning` came behind its preamble."""
+        assert self.data_keys is not None
         handler: StreamHandler
         if multiplexed:
-            handler = radio = RfcommMultiplexer(stream, self, route.proposal.port)
-            radio.carry(route)
+            handler = shared = SharedStream(stream, self, route.proposal.port, self.unfinished)
+            self.shared_streams[route.transport.name, route.proposal.port] = shared
+            route.channel = shared.carry(route, self.data_keys)
         else:
-            handler = route.channel = StreamChannel(stream, route, stream_codec(self, route))
+            handler = route.channel = stream_channel(stream, route, self.data_keys)
         if beginning:
             handler.received(beginning)
         route.advance()
 
-    def join_stream(self, radio: RfcommMultiplexer, frame: bytes) -> None:
+    def join_stream(self, shared: SharedStream, frame: bytes) -> None:
         """The peer wants a further route on a stream; raises ProtocolError or Refusal where that can't be."""
         raise ProtocolError("an opening frame came on an open stream")
 
-    def datagrams(self, udp_channel: UdpChannel, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
-        """Datagrams came that say they are this link's, each with its route id."""
-        if udp_channel.received(datagrams, self.context.now()):
-            for route in tuple(self._by_id.values()):
-                route.advance()
+    def udp_ready(self) -> None:
+        """A UDP channel has found its path."""
+        for route in tuple(self._by_id.values()):
+            route.advance()
 
     # --- time
 
@@ -331,7 +340,7 @@ class Link(Side):
         now = self.context.now()
         for udp_channel in self.udp_channels.values():
             if not udp_channel.ready and not udp_channel.over:
-                self._tick_udp_channel(udp_channel, now)
+                self._tick_udp_channel(udp_channel)
         if self.control is not None:
             self.keepalive.look(self._carried()[0], now)
             if self.keepalive.quiet(now) > DEAD_AFTER:
@@ -350,7 +359,7 @@ class Link(Side):
         }
         self.send(self.keepalive.tick(*self._carried(), now))
         for udp_channel in self.udp_channels.values():
-            self._tick_udp_channel(udp_channel, now)
+            self._tick_udp_channel(udp_channel)
         self._report()
         for route in tuple(self.routes.values()):
             if route.proposed_here and not route.id and now >= route.retry_at:
@@ -361,16 +370,13 @@ class Link(Side):
     def _carried(self) -> tuple[int, int]:
         """Wire bytes received and sent by all that the link has now; less than before where something was closed."""
         assert self.control is not None
-        carriers: set[Stream | UdpChannel] = {self.control.stream, *self.udp_channels.values()}
-        for route in self.routes.values():
-            match route.channel:
-                case StreamChannel(stream=stream) | MultiplexedChannel(shared=Multiplexer(stream=stream)):
-                    carriers.add(stream)
+        carriers: set[Carrier] = {self.control.stream, *self.udp_channels.values()}
+        carriers.update(route.channel.carrier for route in self.routes.values() if route.channel is not None)
         return sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
 
-    def _tick_udp_channel(self, udp_channel: UdpChannel, now: float) -> None:
+    def _tick_udp_channel(self, udp_channel: UdpChannel) -> None:
         before = udp_channel.trouble
-        udp_channel.tick(now)
+        udp_channel.tick()
         if udp_channel.trouble and not before:
             self.log(Level.WARNING, EventCode.LINK_UDP_BLOCKED, udp_channel.trouble)
         elif before and not udp_channel.trouble:

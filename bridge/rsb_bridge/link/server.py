@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.channel.datagram import UdpChannel
+from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
@@ -22,7 +22,6 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
 from rsb_bridge.wire.connection import Credential, ServerConnection
-from rsb_bridge.wire.datagram import addressee
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
 from rsb_bridge.wire.opening import LINK_ID_LENGTH, DataOpening, Refusal, RefusalCode, parse_further
 from rsb_bridge.wire.sealing import SealError
@@ -30,12 +29,12 @@ from rsb_bridge.wire.sealing import SealError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.channel.rfcomm import RfcommMultiplexer
+    from rsb_bridge.channel.shared_stream import SharedStream
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Client
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Address, Stream
-    from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport
+    from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach, Established
 
 _NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
@@ -111,19 +110,19 @@ class ServerLink(Link):
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
         return route, transport
 
-    def join_stream(self, radio: RfcommMultiplexer, frame: bytes) -> None:
+    def join_stream(self, shared: SharedStream, frame: bytes) -> None:
         opening = parse_further(frame)
         if self.is_closed_id(opening.route):
             return  # it was closed here while the frame was under way
         route, transport = self.waiting_route(opening)
-        if not transport.multiplexed or route.proposal.port != radio.channel:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} has no place on channel {radio.channel}")
-        radio.carry(route)
+        if not transport.multiplexed or route.proposal.port != shared.channel:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} has no place on channel {shared.channel}")
+        assert self.data_keys is not None
+        route.channel = shared.carry(route, self.data_keys)
         route.advance()
 
-    def open_udp_channel(self, transport: DatagramTransport, port: int) -> UdpChannel | None:
+    def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
         """The client's first probe does."""
-        return None
 
     async def prepare_port(self, route: Route) -> None:
         port, route_id, transport = route.proposal.port, route.id, route.transport
@@ -142,20 +141,19 @@ class ServerLink(Link):
         else:  # it was closed while the port was being bound
             release()
 
-    def arrived(self, socket: DatagramSocket, datagrams: list[tuple[int, bytes, Address]]) -> None:
-        """Datagrams say they are this link's; the first ones on a socket make a UDP channel of it.
+    def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        """The link's UDP channel on a socket that its first datagram came to, from `address`; None: it can't be.
 
-        They come the way the control connection did: a forged one by the other IP must not take the UDP channel away.
+        It comes the way the control connection did: a forged one by the other IP must not take the UDP channel away.
         """
         assert self.path_probe is not None
         assert self.control is not None
-        if len(datagrams[0][2]) != len(self.control.stream.address):
-            return
-        udp_channel = self.udp_channels.get(socket.port)
-        if udp_channel is None or udp_channel.over or udp_channel.socket is not socket:
-            udp_channel = UdpChannel(socket, self.path_probe, own=self.control.stream.own_address)
-            self.udp_channels[socket.port] = udp_channel
-        self.datagrams(udp_channel, datagrams)
+        stream = self.control.stream
+        if len(address) != len(stream.address):
+            return None
+        udp_channel = ServerUdpChannel(socket, stream.own_address, self.path_probe, self.context.now, self.udp_ready)
+        self.udp_channels[socket.port] = udp_channel
+        return udp_channel
 
 
 class Server:
@@ -173,7 +171,7 @@ class Server:
         self._aes = aes
         self._pending = PendingConnections(self)
         self._transport = context.transports.of_link(context.session.server_ip)
-        acceptor = Acceptor(self._pending.arrive, self._datagrams)
+        acceptor = Acceptor(self._pending.arrive, UdpDemultiplexer(self._new_udp_channel).received)
         self._ports = Ports(context.session, context.transports, acceptor)
         self._entries = {entry.client.name: entry for entry in entries}
         self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
@@ -265,15 +263,9 @@ class Server:
             (link for link in self.links.values() if link.keys is not None and link.keys.link_id == link_id), None
         )
 
-    def _datagrams(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
-        by_link: dict[bytes, list[tuple[int, bytes, Address]]] = {}
-        for datagram, address in datagrams:
-            if to := addressee(datagram):
-                by_link.setdefault(to[1], []).append((to[0], datagram, address))
-        for link_id, its in by_link.items():
-            link = self._link_of(link_id)
-            if link is not None:
-                link.arrived(socket, its)
+    def _new_udp_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        link = self._link_of(link_id)
+        return link.new_udp_channel(socket, address) if link is not None else None
 
 
 def _stream_awaited(route: Route) -> StreamTransport | None:

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rsb_bridge.channel.datagram import UdpChannel
+    from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
     from rsb_bridge.wire.messages import Propose, Shutdown

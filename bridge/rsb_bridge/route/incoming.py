@@ -24,6 +24,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.channel.channel import ReceivingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
@@ -44,6 +45,7 @@ class IncomingRoute(Route):
     """Publishes here what the peer sends."""
 
     outgoing: ClassVar[bool] = False
+    channel: ReceivingChannel | None
 
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)

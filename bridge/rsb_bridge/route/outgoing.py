@@ -25,6 +25,7 @@ from rsb_bridge.wire.records import ReceivedReport, SentReport
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
 
@@ -48,6 +49,7 @@ class OutgoingRoute(Route):
     """Takes a topic's messages here and sends them to the peer."""
 
     outgoing: ClassVar[bool] = True
+    channel: SendingChannel | None
 
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)

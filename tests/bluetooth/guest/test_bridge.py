@@ -158,7 +158,7 @@ def test_a_joystick_beside_maps(addresses: tuple[str, str], base: Path) -> None:
         f"joystick: median {1e3 * alone[len(alone) // 2]:.1f} ms alone, {1e3 * beside[len(beside) // 2]:.1f} ms beside "
         f"maps, at most {1e3 * beside[-1]:.1f} ms; {rate:.2f} Hz; a map takes {1e3 * a_map:.0f} ms\n"
     )
-    assert 9.5 < rate < 10.5
+    assert rate > 9.5
     assert beside[len(beside) // 2] < a_map / 4
     assert beside[-1] < a_map
 

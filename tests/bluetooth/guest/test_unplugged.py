@@ -7,7 +7,8 @@ import os
 import signal
 from pathlib import Path
 
-from rsb_bridge.bluetooth import hci, scan
+from rsb_bridge.bluetooth import hci
+from rsb_bridge.bluetooth.scan import scan
 from rsb_console.bt_scan import run_bt_scan
 
 from .conftest import wait_until

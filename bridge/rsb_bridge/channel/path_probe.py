@@ -1,0 +1,39 @@
+"""Probes: whether datagrams of a connection get through."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe
+from rsb_bridge.wire.framing import ProtocolError
+
+if TYPE_CHECKING:
+    from rsb_bridge.channel.data_keys import DataKeys
+
+
+class PathProbe:
+    """Seals and opens the probes of one connection, over all its UDP channels: one key, one sequence each way.
+
+    Attributes:
+        link_id: the connection's, in every datagram.
+    """
+
+    def __init__(self, keys: DataKeys) -> None:
+        self.link_id = keys.keys.link_id
+        self._writer = keys.datagram_writer(PROBE_ROUTE)
+        self._reader = keys.datagram_reader(PROBE_ROUTE)
+
+    def write(self, probe: Probe, size: int) -> list[bytes]:
+        """The probe as datagrams of at most `size` bytes."""
+        return self._writer.write(probe.pack(), 0, 0, size)
+
+    def read(self, datagram: bytes, now: float) -> Probe | None:
+        """The probe in a datagram; None: forged, replayed, older than one that came before it, or no probe at all."""
+        newest = self._reader.newest
+        message = self._reader.receive(datagram, now)
+        if message is None or self._reader.newest == newest:
+            return None
+        try:
+            return Probe.unpack(message[0])
+        except ProtocolError:
+            return None

@@ -1,0 +1,264 @@
+"""A connection's datagrams on one UDP socket: probes that find the path, and the routes that share it.
+
+On its way to a route a datagram is looked up twice: by socket and link id (`UdpDemultiplexer`; on a client the socket
+is the channel's own), and by route id (`UdpChannel`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, addressee
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from rsb_bridge.channel.path_probe import PathProbe
+    from rsb_bridge.transport.streams import Address
+    from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, SendPath
+
+_SILENT = 6.0
+"""s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
+
+
+class DatagramSink(Protocol):
+    """The receiving end of a route's channel."""
+
+    def received(self, datagram: bytes, now: float) -> None:
+        """A datagram of its route came."""
+        ...
+
+    def hand_over(self) -> None:
+        """Deliver the messages that are whole; called once for all datagrams that came together."""
+        ...
+
+    def expire(self, now: float) -> None:
+        """Give up messages whose fragments did not come in time."""
+        ...
+
+
+class UdpChannel:
+    """What both ends share.
+
+    Attributes:
+        socket: what it uses.
+        over: it is closed, or its last route has left: the next route needs another UDP channel.
+        trouble: why nothing comes from the peer, for an operator; empty: something does.
+        received_bytes: so far.
+        sent_bytes: so far.
+        on_close: called when it is over.
+    """
+
+    def __init__(
+        self, socket: DatagramSocket, probe: PathProbe, now: Callable[[], float], on_ready: Callable[[], None]
+    ) -> None:
+        """Begin.
+
+        Args:
+            socket: to use.
+            probe: the connection's.
+            now: the time in s, on the clock that all timers use.
+            on_ready: called once datagrams are known to get through.
+        """
+        self.socket = socket
+        self.over = False
+        self.trouble = ""
+        self.received_bytes = 0
+        self.sent_bytes = 0
+        self.on_close: Callable[[], None] = _nothing
+        self._probe = probe
+        self._now = now
+        self._on_ready = on_ready
+        self._peer: Address | None = None
+        self._path: SendPath | None = None
+        self._began = now()
+        self._heard: float | None = None
+        self._senders: dict[int, Callable[[], None]] = {}
+        self._receivers: dict[int, DatagramSink] = {}
+
+    @property
+    def ready(self) -> bool:
+        """Whether datagrams are known to get through."""
+        return self._heard is not None
+
+    def add_sender(self, route_id: int, writable: Callable[[], None]) -> None:
+        """Tell a route when the socket was congested and takes more again."""
+        self._senders[route_id] = writable
+        self.socket.when_writable.add(writable)
+
+    def add_receiver(self, route_id: int, receiver: DatagramSink) -> None:
+        """Give a route its datagrams."""
+        self._receivers[route_id] = receiver
+
+    def remove(self, route_id: int) -> None:
+        """A route leaves; the last one closes the UDP channel."""
+        writable = self._senders.pop(route_id, None)
+        if writable is not None:
+            self.socket.when_writable.discard(writable)
+        self._receivers.pop(route_id, None)
+        if not self._senders and not self._receivers:
+            self.close()
+
+    def send(self, datagrams: list[bytes]) -> None:
+        """Send one message's datagrams; nothing happens while the peer's address is not known."""
+        if self._peer is not None:
+            self.sent_bytes += sum([len(datagram) for datagram in datagrams])
+            self.socket.send(datagrams, self._path)
+
+    def datagram_size(self) -> int:
+        """Bytes that one datagram to the peer may have."""
+        assert self._peer is not None, "a UDP channel sends only once it is ready"
+        return self.socket.datagram_size(self._peer)
+
+    def received(self, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
+        """Take datagrams that name this connection, each with its route id."""
+        now = self._now()
+        was_ready = self.ready
+        touched: dict[DatagramSink, None] = {}
+        for route_id, datagram, address in datagrams:
+            self.received_bytes += len(datagram)
+            receiver = self._receivers.get(route_id)
+            if receiver is not None:
+                receiver.received(datagram, now)
+                touched[receiver] = None
+            elif route_id == PROBE_ROUTE:
+                probe = self._probe.read(datagram, now)
+                if probe is not None:
+                    self._heard = now
+                    self._probed(probe, address)
+            # else the route was closed while the datagram was under way, or the peer has nothing to say on it
+        for receiver in touched:
+            receiver.hand_over()
+        if self.ready and not was_ready:
+            self._on_ready()
+
+    def _probed(self, probe: Probe, address: Address) -> None:
+        """A probe came."""
+
+    def tick(self) -> None:
+        """Look whether the peer is silent, and give up messages whose fragments did not come."""
+        now = self._now()
+        quiet = now - (self._began if self._heard is None else self._heard)
+        self.trouble = self._silence() if quiet > _SILENT else ""
+        for receiver in self._receivers.values():
+            receiver.expire(now)
+
+    def _silence(self) -> str:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Free what is its own. May be called twice."""
+        if not self.over:
+            self.over = True
+            self._free()
+            self.on_close()
+
+    def _free(self) -> None:
+        """Close what is its own."""
+
+
+class ClientUdpChannel(UdpChannel):
+    """A client's: it owns a socket that is connected to the server, and probes."""
+
+    def __init__(
+        self,
+        transport: DatagramTransport,
+        server: Address,
+        probe: PathProbe,
+        now: Callable[[], float],
+        on_ready: Callable[[], None],
+    ) -> None:
+        """Connect, and send the first probe.
+
+        Raises:
+            OSError: there is no way to the server.
+        """
+        super().__init__(transport.connect(server, self._arrived), probe, now, on_ready)
+        self._peer = server
+        self.tick()
+
+    def _arrived(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
+        ours = self._probe.link_id
+        self.received(
+            [(to[0], data, address) for data, address in datagrams if (to := addressee(data)) and to[1] == ours]
+        )
+
+    def tick(self) -> None:
+        super().tick()
+        self.send(self._probe.write(Probe(pong=False, opaque=0), self.datagram_size()))
+
+    def _silence(self) -> str:
+        assert self._peer is not None
+        return f"no answer from UDP port {self._peer[1]} of {self._peer[0]}: does a firewall drop it?"
+
+    def _free(self) -> None:
+        self.socket.close()
+
+
+class ServerUdpChannel(UdpChannel):
+    """A server's: it shares a bound socket, and answers probes.
+
+    It sends to wherever the newest authentic probe came from (NAT, roaming), and from the address that the client
+    calls, whichever else the server has.
+    """
+
+    def __init__(
+        self,
+        socket: DatagramSocket,
+        source: str,
+        probe: PathProbe,
+        now: Callable[[], float],
+        on_ready: Callable[[], None],
+    ) -> None:
+        """Begin; `source` is the address that the client calls."""
+        super().__init__(socket, probe, now, on_ready)
+        self._source = source
+
+    def _probed(self, probe: Probe, address: Address) -> None:
+        if not probe.pong:
+            self._peer, self._path = address, self.socket.path(self._source, address)
+            self.send(self._probe.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
+
+    def _silence(self) -> str:
+        if self._peer is None:
+            return "no UDP from the client: does a firewall drop it?"
+        return f"nothing more from UDP port {self._peer[1]} of {self._peer[0]}"
+
+
+class UdpDemultiplexer:
+    """Hands the datagrams of a server's sockets to the UDP channels of the connections that they name."""
+
+    def __init__(self, new_channel: Callable[[bytes, DatagramSocket, Address], ServerUdpChannel | None]) -> None:
+        """Begin.
+
+        Args:
+            new_channel: makes the UDP channel of a link id on a socket, when the first datagram of it comes, given the
+                datagram's source address; None: there is no such connection, or it can't come that way.
+        """
+        self._new_channel = new_channel
+        self._channels: dict[tuple[DatagramSocket, bytes], ServerUdpChannel] = {}
+
+    def received(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
+        """Take what one wake-up of a socket brought."""
+        by_link: dict[bytes, list[tuple[int, bytes, Address]]] = {}
+        for datagram, address in datagrams:
+            if to := addressee(datagram):
+                by_link.setdefault(to[1], []).append((to[0], datagram, address))
+        for link_id, its in by_link.items():
+            channel = self._channels.get((socket, link_id)) or self._begin(socket, link_id, its[0][2])
+            if channel is not None:
+                channel.received(its)
+
+    def _begin(self, socket: DatagramSocket, link_id: bytes, address: Address) -> ServerUdpChannel | None:
+        channel = self._new_channel(link_id, socket, address)
+        if channel is not None:
+            self._channels[socket, link_id] = channel
+            channel.on_close = lambda: self._forget(socket, link_id)
+        return channel
+
+    def _forget(self, socket: DatagramSocket, link_id: bytes) -> None:
+        self._channels.pop((socket, link_id), None)
+
+
+def _nothing() -> None:
+    """Nobody asked."""

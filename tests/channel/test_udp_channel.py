@@ -1,0 +1,256 @@
+"""UDP channels of both ends over real sockets, on a clock of the test's own."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from rsb_bridge.channel.data_keys import DataKeys
+from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
+from rsb_bridge.channel.path_probe import PathProbe
+from rsb_bridge.channel.udp_channel import ClientUdpChannel, ServerUdpChannel, UdpDemultiplexer
+from rsb_bridge.transport.streams import StreamHandler
+from rsb_bridge.transport.transport import Acceptor
+from rsb_bridge.transport.udp import Udp
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.datagram import DatagramWriter
+from rsb_bridge.wire.sealing import SessionKeys, Suite
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Iterable
+
+    from rsb_bridge.transport.streams import Address
+    from rsb_bridge.transport.transport import DatagramSocket
+    from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.sealing import Role
+
+_HOST = "127.0.0.1"
+
+
+@dataclass
+class Route:
+    """What a channel knows of a route (`RouteSink`)."""
+
+    id: int
+    outgoing: bool
+    arrived: list[bytes] = field(default_factory=list)
+
+    def deliver(self, messages: Iterable[Message]) -> None:
+        self.arrived += [payload for payload, _, _ in messages]
+
+    def flush(self) -> None:
+        pass
+
+    def channel_lost(self, reason: str) -> None:
+        raise AssertionError(reason)
+
+
+class Server:
+    """A bound socket, and the UDP channels of the connections that the server knows.
+
+    Attributes:
+        port: that is bound.
+        time: s, on the clock of both ends.
+        ready: link ids, each as often as its server's end became ready.
+        channels: the server's ends by link id, the newest.
+        made: how many they were.
+    """
+
+    def __init__(self) -> None:
+        self.port = 0
+        self.time = 0.0
+        self.ready: list[bytes] = []
+        self.channels: dict[bytes, ServerUdpChannel] = {}
+        self.made = 0
+        self.clients: list[ClientUdpChannel] = []
+        self.keys: dict[bytes, DataKeys] = {}
+        self._probes: dict[bytes, PathProbe] = {}
+        self.demultiplexer = UdpDemultiplexer(self._new_channel)
+
+    def now(self) -> float:
+        return self.time
+
+    def _new_channel(self, link_id: bytes, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        probe = self._probes.get(link_id)
+        if probe is None:
+            return None
+        self.made += 1
+        self.channels[link_id] = ServerUdpChannel(socket, _HOST, probe, self.now, lambda: self.ready.append(link_id))
+        return self.channels[link_id]
+
+    def connect(self, link_id: bytes, on_ready: Callable[[], None] = lambda: None) -> tuple[ClientUdpChannel, DataKeys]:
+        """A client's end of a new connection."""
+        self.keys[link_id] = _keys(link_id, "server")
+        self._probes[link_id] = PathProbe(self.keys[link_id])
+        keys = _keys(link_id, "client")
+        return self.call(keys, on_ready), keys
+
+    def call(self, keys: DataKeys, on_ready: Callable[[], None] = lambda: None) -> ClientUdpChannel:
+        """A client's end with these keys; closed with the server at the latest."""
+        self.clients.append(ClientUdpChannel(Udp(), (_HOST, self.port), PathProbe(keys), self.now, on_ready))
+        return self.clients[-1]
+
+
+def _keys(link_id: bytes, role: Role) -> DataKeys:
+    return DataKeys(SessionKeys(Suite.AESGCM, bytes(32), link_id), role, Budget(1 << 20))
+
+
+@asynccontextmanager
+async def serving() -> AsyncIterator[Server]:
+    server = Server()
+    bound = await Udp().listen(_HOST, 0, Acceptor(StreamHandler, server.demultiplexer.received))
+    server.port = bound.sockets[0].port
+    try:
+        yield server
+    finally:
+        bound.close()
+        for client in server.clients:
+            client.close()
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(10):
+        while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
+            await asyncio.sleep(0.005)
+
+
+async def ready(channel: ClientUdpChannel) -> None:
+    await until(lambda: channel.ready)
+
+
+def test_each_end_says_once_that_it_is_ready() -> None:
+    async def main() -> None:
+        async with serving() as server:
+            said: list[bool] = []
+            client, _ = server.connect(b"link one", lambda: said.append(client.ready))
+            await until(lambda: client.ready)
+            for _ in range(3):
+                client.tick()
+            await until(lambda: client.received_bytes >= 4 * 60)
+            assert said == [True]
+            assert server.ready == [b"link one"]
+
+    asyncio.run(main())
+
+
+def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
+    """Two connections on one socket, a route each way on both, with the same route ids."""
+
+    async def main() -> None:
+        async with serving() as server:
+            arrived: dict[bytes, tuple[Route, Route]] = {}
+            for link_id in (b"link one", b"link two"):
+                client, keys = server.connect(link_id)
+                await ready(client)
+                up, down = Route(1, outgoing=False), Route(2, outgoing=False)
+                arrived[link_id] = (up, down)
+                there = server.channels[link_id]
+                datagram_channel(there, up, server.keys[link_id])
+                datagram_channel(client, down, keys)
+                for channel, number, codec in ((client, 1, keys), (there, 2, server.keys[link_id])):
+                    sender = datagram_channel(channel, Route(number, outgoing=True), codec)
+                    assert isinstance(sender, DatagramSender)
+                    sender.send([(link_id * (10 * number), 0, 0), (b"x" * 100_000, 0, 0)])
+            await until(lambda: all(len(route.arrived) == 2 for pair in arrived.values() for route in pair))
+            for link_id, (up, down) in arrived.items():
+                assert sorted(up.arrived, key=len) == [link_id * 10, b"x" * 100_000]
+                assert sorted(down.arrived, key=len) == [link_id * 20, b"x" * 100_000]
+            assert server.made == 2
+
+    asyncio.run(main())
+
+
+def test_a_connection_that_is_over_is_forgotten() -> None:
+    """Whoever reconnects for months leaves nothing behind in the server's table; strangers leave nothing at all."""
+
+    async def main() -> None:
+        async with serving() as server:
+            for number in range(20):
+                link_id = number.to_bytes(8, "big")
+                client, _ = server.connect(link_id)
+                await ready(client)
+                client.close()
+                server.channels[link_id].close()
+            stranger = _keys(b"stranger", "client")
+            server.call(stranger)
+            known, _ = server.connect(b"link one")
+            await until(lambda: known.ready)
+            assert len(server.demultiplexer._channels) == 1
+
+    asyncio.run(main())
+
+
+def test_closing_an_old_channel_twice_does_not_take_the_new_one_away() -> None:
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            await until(lambda: client.ready)
+            old = server.channels[b"link one"]
+            old.close()
+            client.tick()
+            await until(lambda: server.made == 2)
+            old.close()
+            before = server.channels[b"link one"].received_bytes
+            client.tick()
+            await until(lambda: server.channels[b"link one"].received_bytes > before)
+            assert server.made == 2
+
+    asyncio.run(main())
+
+
+def test_the_last_route_closes_it() -> None:
+    async def main() -> None:
+        async with serving() as server:
+            client, keys = server.connect(b"link one")
+            routes = [datagram_channel(client, Route(number, outgoing=number == 1), keys) for number in (1, 2)]
+            routes[0].close("removed")
+            assert not client.over
+            routes[1].close("removed")
+            assert client.over
+            assert not client.socket.when_writable
+
+    asyncio.run(main())
+
+
+def test_a_route_that_sends_takes_no_datagrams() -> None:
+    async def main() -> None:
+        async with serving() as server:
+            client, keys = server.connect(b"link one")
+            await until(lambda: client.ready)
+            there = server.channels[b"link one"]
+            outgoing = Route(1, outgoing=True)
+            datagram_channel(there, outgoing, server.keys[b"link one"])
+            client.send(DatagramWriter(keys.keys.route_sealer(1, "client"), b"link one", 1).write(b"hello", 0, 0, 1000))
+            before = there.received_bytes
+            client.tick()
+            await until(lambda: there.received_bytes > before)
+            assert not outgoing.arrived
+
+    asyncio.run(main())
+
+
+def test_silence_is_named_with_its_port() -> None:
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            await until(lambda: client.ready)
+            there = server.channels[b"link one"]
+            for end in (client, there):
+                server.time += 6.0
+                end.tick()
+                assert not end.trouble
+                server.time += 0.1
+                end.tick()
+                server.time -= 6.1
+            where = f"UDP port {server.port} of {_HOST}"
+            assert client.trouble == f"no answer from {where}: does a firewall drop it?"
+            assert there.trouble == f"nothing more from UDP port {client.socket.port} of {_HOST}"
+            heard = client.received_bytes
+            client.tick()
+            await until(lambda: client.received_bytes > heard)
+            client.tick()
+            assert not client.trouble
+
+    asyncio.run(main())
