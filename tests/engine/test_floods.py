@@ -60,7 +60,7 @@ def are_refused(rogue: Rogue) -> None:
 def pause_and_resume(rogue: Rogue) -> None:
     route = rogue.route("/beat", "tcp", Qos())
     for number in range(FRAMES):
-        rogue.say(Pause(route=route, paused=number % 2 == 0))
+        rogue.say(Pause(route=route, paused=number % 2 == 0, revision=number))
 
 
 def of_link(server: Engine, name: str) -> list[Event]:

@@ -12,6 +12,7 @@ from rsb_bridge.context import Context
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.route.pause import Revisions
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.transport.registry import Transports, default_transports
 from rsb_bridge.wire.budget import Budget
@@ -75,6 +76,7 @@ class FakePeer:
     def __init__(self) -> None:
         self.sent: list[ControlMessage] = []
         self.instance = "first"
+        self.revisions = Revisions()
         self.latched = Budget(1 << 30)
         self.expansion = TokenBucket(1 << 30, 1 << 30, 0.0)
 

@@ -58,7 +58,7 @@ EXAMPLES = [
     Describe(route=1, type="sensor_msgs/msg/LaserScan", type_hash="RIHS01_00", qos=Qos(deadline=0.5, lifespan=2.0)),
     Ready(route=1),
     Close(route=1, reason="removed", removed=True),
-    Pause(route=1, paused=True),
+    Pause(route=1, paused=True, revision=3),
     Ping(n=1, sent=2**62),
     Pong(n=1, sent=2, received=3, answered=4),
     Report(

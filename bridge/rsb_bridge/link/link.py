@@ -22,6 +22,7 @@ from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE, IncomingRoute
 from rsb_bridge.route.latched import LATCHED_LIMIT
 from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.route import Route, route_key
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.telemetry.meters import ClockOffset
@@ -63,6 +64,7 @@ class Link(Side):
         unfinished: what the peer may have this side hold of messages that are not whole yet.
         latched: likewise for late joiners.
         expansion: bytes by which its compressed messages may grow here.
+        revisions: numbers the changes made on this side.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -87,6 +89,7 @@ class Link(Side):
         self.unfinished = Budget(UNFINISHED_LIMIT)
         self.latched = Budget(LATCHED_LIMIT)
         self.expansion = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, context.now())
+        self.revisions = Revisions()
         self._by_id: dict[int, Route] = {}
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = self.context.wall()
@@ -237,9 +240,13 @@ class Link(Side):
 
     def pause(self, route: Route, paused: bool) -> None:
         """Pause or resume a route on both sides."""
-        route.set_paused(paused)
+        route.pause(paused)
+        self.send_pause(route)
+
+    def send_pause(self, route: Route) -> None:
+        """Tell the peer whether a route is paused."""
         if route.id:
-            self.send(Pause(route=route.id, paused=paused))
+            self.send(Pause(route=route.id, paused=route.paused, revision=route.pausing.revision))
 
     @property
     def shut_down(self) -> bool:
@@ -283,7 +290,12 @@ class Link(Side):
             if route.id == route_id:
                 self.end_opening(route, EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
         if route.id == route_id:
-            self.send(msgspec.structs.replace(route.proposal, route=route_id, paused=route.paused))
+            pausing = route.pausing
+            self.send(
+                msgspec.structs.replace(
+                    route.proposal, route=route_id, paused=pausing.paused, pause_revision=pausing.revision
+                )
+            )
 
     def reopen(self, route: Route, route_id: int) -> None:
         """Begin a route's opening of that id."""

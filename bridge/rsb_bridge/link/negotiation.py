@@ -133,7 +133,11 @@ class Negotiation:
             link.forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         route = known or link.add(topic_of(admitted), admitted, proposed_here=False)
+        known_process = route.instance == link.instance
         link.reopen(route, proposal.route)
+        route.pause_from_peer(proposal.paused, proposal.pause_revision, known=known_process)
+        if (route.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
+            link.send_pause(route)  # an operator of this side changed it while the link was down
         return route
 
     async def _accept(self, route: Route, proposal: Propose) -> None:
@@ -148,7 +152,6 @@ class Negotiation:
         if link.control is not control or route.id != proposal.route:
             return  # it was closed while its port was being bound
         link.send(Accept(route=route.id, topic=route.local_topic))
-        route.paused = proposal.paused
         route.on_accepted()
 
     def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
@@ -176,7 +179,7 @@ class Negotiation:
             case Close():
                 self._link.end_opening(route, EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():
-                route.set_paused(message.paused)
+                route.pause_from_peer(message.paused, message.revision)
 
     def _take_report(self, report: Report) -> None:
         for sent in report.sent:

@@ -64,4 +64,5 @@ def topic_of(proposal: Propose) -> Topic:
 
 def same_route(one: Propose, other: Propose) -> bool:
     """Whether two proposals differ in nothing but their ids and a pause."""
-    return msgspec.structs.replace(one, route=1, paused=False) == msgspec.structs.replace(other, route=1, paused=False)
+    nothing = {"route": 1, "paused": False, "pause_revision": 0}
+    return msgspec.structs.replace(one, **nothing) == msgspec.structs.replace(other, **nothing)

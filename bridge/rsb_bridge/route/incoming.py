@@ -55,7 +55,6 @@ class IncomingRoute(Route):
         self._received = 0
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
-        self._instance = ""  # of the peer's process that the present opening is with
         self._before: tuple[str, ReceivedReport] | None = None
         self._report: SentReport | None = None
         self._sender_ledger = Ledger()
@@ -68,15 +67,10 @@ class IncomingRoute(Route):
 
     # --- setting up
 
-    def open(self, route_id: int) -> None:
-        """Begin a new opening."""
-        super().open(route_id)
-        self._instance = self.peer.instance
-
     def close(self, reason: str) -> None:
         """End the opening. The next one is counted anew, as the sender does, who is told then what came of this one."""
         if self._received:
-            self._before = self._instance, self.received_report()
+            self._before = self.instance, self.received_report()
             self._received = self._delivered = 0
             self._dropped.clear()
         super().close(reason)

@@ -14,6 +14,7 @@ import msgspec
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
+from rsb_bridge.route.pause import PauseState, Revisions
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.messages import Close, ControlMessage, Propose
@@ -41,6 +42,7 @@ class Peer(Protocol):
     is_client: bool
     latched: Budget
     expansion: TokenBucket
+    revisions: Revisions
 
     @property
     def linked(self) -> bool:
@@ -99,6 +101,7 @@ class Route:
         from_client: whether the client sends.
         proposed_here: whether this side opens it anew after a reconnect.
         id: route id on the present connection; 0: not open.
+        instance: of the peer's process that its present or last opening is with.
         accepted: the peer said yes (or we did, to the peer's proposal).
         refusal: why there is no such route, in words; empty: nothing was refused.
         closed_at: s, when its last opening ended; 0: it had none.
@@ -118,6 +121,7 @@ class Route:
         self.proposed_here = proposed_here
         self.key = route_key(peer.name, proposal)
         self.id = 0
+        self.instance = ""
         self.accepted = False
         self.refusal = ""
         self.opened_at = 0.0
@@ -126,7 +130,7 @@ class Route:
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self._told = ""
         self._doubted = ""
-        self.paused = proposal.paused
+        self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.channel: DataChannel | None = None
         self.type_name = ""
         self.type_hash = ""
@@ -198,6 +202,7 @@ class Route:
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
         self.id = route_id
+        self.instance = self.peer.instance
         self.opened_at = self.context.now()
         self.refusal = ""
         self.stale.rearm(self.context.now())
@@ -245,10 +250,35 @@ class Route:
             self.refuse(code, reason)
             self.peer.send(Close(route=route_id, reason=plain(reason)))
 
-    def set_paused(self, paused: bool) -> None:
-        """Stop or resume carrying messages; the route stays set up."""
-        if paused != self.paused:
-            self.paused = paused
+    @property
+    def paused(self) -> bool:
+        """Whether it carries no messages, as an operator of either side wants."""
+        return self.pausing.paused
+
+    def pause(self, paused: bool) -> None:
+        """An operator of this side stops or resumes carrying messages; the route stays set up."""
+        was = self.paused
+        self.pausing.change(paused=paused)
+        self._paused(was)
+
+    def pause_from_peer(self, paused: bool, revision: int, *, known: bool = True) -> None:
+        """The peer tells its state of the pause.
+
+        Args:
+            paused: its state.
+            revision: of its state.
+            known: whether this side's revisions are about the peer's present process; else its state counts as it is.
+        """
+        was = self.paused
+        if known:
+            self.pausing.merge(paused=paused, revision=revision)
+        else:
+            self.pausing.adopt(paused=paused, revision=revision)
+        self._paused(was)
+
+    def _paused(self, was: bool) -> None:
+        paused = self.paused
+        if paused != was:
             self.spec = msgspec.structs.replace(self.spec, paused=paused)
             self.stale.rearm(self.context.now())
             code = EventCode.ROUTE_PAUSED if paused else EventCode.ROUTE_RESUMED

@@ -89,6 +89,7 @@ class Propose(_Message, frozen=True, kw_only=True):
         expected_rate: Hz, for the operator's eye; 0: learn it.
         stale_after: s; 0 never warns; None: each side's own.
         paused: begin paused.
+        pause_revision: of `paused`; see `Pause`.
     """
 
     route: RouteId
@@ -104,6 +105,7 @@ class Propose(_Message, frozen=True, kw_only=True):
     expected_rate: Hertz = 0.0
     stale_after: StaleAfter | None = None
     paused: bool = False
+    pause_revision: Count = 0
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
@@ -186,10 +188,18 @@ class Close(_Message, frozen=True):
 
 
 class Pause(_Message, frozen=True):
-    """Either side: the route pauses or goes on."""
+    """Either side: the route pauses or goes on.
+
+    Attributes:
+        route: which.
+        paused: it pauses; else it goes on.
+        revision: of the change that led to this state: above all that the side that made it had seen. The higher one
+            counts on both sides, and of two equal ones the client's.
+    """
 
     route: RouteId
     paused: bool
+    revision: Count
 
 
 class Ping(_Message, frozen=True):

@@ -1,0 +1,84 @@
+"""Operators of both sides pause and resume at once, or while the link is down: both sides end up alike."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import eventually, linked, route
+from tests.support.waiting import holds
+
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+
+def press(engine: Engine, *states: bool) -> None:
+    for paused in states:
+        engine.pause(route(engine, "/chat").key, paused).result(5)
+
+
+def paused(engine: Engine) -> bool:
+    """Asked of the route itself: on a link that is down, the snapshot says that it is down."""
+    assert engine._bridge is not None
+    return any(each.paused for link in engine._bridge.links() for each in link.routes.values())
+
+
+def both(bridge: Bridge, robot: Domain) -> tuple[Engine, Engine]:
+    robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    eventually(lambda: route(server, "/chat").type_name and route(client, "/chat").type_name)
+    return server, client
+
+
+@pytest.mark.parametrize(
+    ("client_presses", "server_presses", "outcome"),
+    [
+        ((True,), (False,), True),
+        ((False,), (True,), False),
+        ((True,), (True, False), False),
+        ((True, False), (True,), False),
+    ],
+    ids=["a tie", "the other tie", "the server acts later", "the client acts later"],
+)
+def test_presses_that_cross(
+    client_presses: tuple[bool, ...],
+    server_presses: tuple[bool, ...],
+    outcome: bool,
+    bridge: Bridge,
+    relay: Relay,
+    robot: Domain,
+) -> None:
+    server, client = both(bridge, robot)
+    relay.stall()
+    press(client, *client_presses)
+    press(server, *server_presses)
+    relay.stall(False)
+    eventually(lambda: paused(client) is paused(server) is outcome)
+    holds(lambda: paused(client) is paused(server) is outcome and linked(client), 0.5)
+    assert client.session.topics[0].paused is outcome
+
+
+@pytest.mark.parametrize("operator", ["client", "server"])
+def test_a_press_while_the_link_is_down(operator: str, bridge: Bridge, relay: Relay, robot: Domain) -> None:
+    server, client = both(bridge, robot)
+    relay.stall()
+    eventually(lambda: not linked(client) and not linked(server), 15)
+    press(client if operator == "client" else server, True)
+    relay.stall(False)
+    eventually(lambda: route(client, "/chat").state == route(server, "/chat").state == "paused")
+
+
+def test_a_client_that_starts_again_begins_as_its_session_says(bridge: Bridge, robot: Domain) -> None:
+    server, client = both(bridge, robot)
+    press(server, True, False, True)
+    eventually(lambda: paused(client))
+    client.stop()
+    client = bridge.client(Topic("/chat", "transmit"))
+    eventually(lambda: linked(client) and not paused(server) and not paused(client))
+    holds(lambda: not paused(server) and not paused(client), 0.5)
