@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from rsb_bridge.link.roles import BridgeRole
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
-    from rsb_bridge.route.route import Route
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
 _SLICE = 20
@@ -22,6 +20,35 @@ _AT_ONCE = 128
 _LOOKED_AT_FOR = 2.0
 
 T = TypeVar("T")
+
+
+class ShownRoute(Protocol):
+    """A route, as far as its snapshot goes."""
+
+    def snapshot(self) -> RouteSnapshot:
+        """The route as it is now."""
+        ...
+
+
+class ShownLink(Protocol):
+    """A link, likewise."""
+
+    @property
+    def routes(self) -> Mapping[str, ShownRoute]:
+        """Its routes, by key."""
+        ...
+
+    def snapshot(self) -> LinkSnapshot:
+        """The link as it is now."""
+        ...
+
+
+class ShownBridge(Protocol):
+    """A bridge's links, likewise."""
+
+    def links(self) -> Sequence[ShownLink]:
+        """All of them, up or down."""
+        ...
 
 
 class SnapshotPublisher:
@@ -35,7 +62,7 @@ class SnapshotPublisher:
         self.latest = blank
         self._events = events
         self._clock = clock
-        self._routes: dict[Route, RouteSnapshot] = {}
+        self._routes: dict[ShownRoute, RouteSnapshot] = {}
         self._looks = self._looks_seen = 0
         self._looked_at = float("-inf")
         self._turn = 0
@@ -52,33 +79,33 @@ class SnapshotPublisher:
             self._looked_at = now
         return now - self._looked_at < _LOOKED_AT_FOR
 
-    async def refresh(self, end: BridgeRole) -> None:
+    async def refresh(self, bridge: ShownBridge) -> None:
         """Renew the links, and the routes or as many of them as have their turn."""
-        routes = _routes_of(end)
+        routes = _routes_of(bridge)
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
         turn = [routes[(self._turn + i) % len(routes)] for i in range(min(_AT_ONCE, len(routes)))]
         self._turn += len(turn)
         await in_slices(turn, self._renew)
-        self._publish(end, running=True)
+        self._publish(bridge, running=True)
 
-    def refresh_now(self, end: BridgeRole, *, running: bool = True) -> None:
+    def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
         """Renew all in one go: after a command, whose outcome is waited for."""
-        self._routes = {route: route.snapshot() for route in _routes_of(end)}
-        self._publish(end, running=running)
+        self._routes = {route: route.snapshot() for route in _routes_of(bridge)}
+        self._publish(bridge, running=running)
 
-    def _renew(self, route: Route) -> None:
+    def _renew(self, route: ShownRoute) -> None:
         self._routes[route] = route.snapshot()
 
-    def _publish(self, end: BridgeRole, *, running: bool) -> None:
-        for route in _routes_of(end):
+    def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
+        for route in _routes_of(bridge):
             if route not in self._routes:
                 self._renew(route)
         self.latest = dataclasses.replace(
             self.latest,
             time=self._clock.time_ns() / 1e9,
             running=running,
-            links=tuple(link.snapshot() for link in end.links()),
-            routes=tuple(self._routes[route] for route in _routes_of(end)),
+            links=tuple(link.snapshot() for link in bridge.links()),
+            routes=tuple(self._routes[route] for route in _routes_of(bridge)),
             last_event=self._events.last,
         )
 
@@ -91,5 +118,5 @@ async def in_slices(items: Iterable[T], work: Callable[[T], None]) -> None:
             await asyncio.sleep(0)
 
 
-def _routes_of(end: BridgeRole) -> list[Route]:
-    return [route for link in end.links() for route in link.routes.values()]
+def _routes_of(bridge: ShownBridge) -> list[ShownRoute]:
+    return [route for link in bridge.links() for route in link.routes.values()]
