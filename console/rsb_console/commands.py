@@ -13,7 +13,7 @@ from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.model.limits import SAFE_DOMAIN
-from rsb_console.shell import FAILURE, OK, USAGE, complain, say
+from rsb_console.shell import FAILURE, OK, USAGE, allow_many_descriptors, complain, say
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -28,6 +28,7 @@ _IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_po
 
 def run(arguments: Namespace) -> int:
     """Bridge a session, with the console or without."""
+    allow_many_descriptors()
     path: Path | None = arguments.session
     if path is None and arguments.no_ui:
         complain("--no-ui needs a session file: rsb-console run --no-ui SESSION")
@@ -103,6 +104,7 @@ def bt_scan(arguments: Namespace) -> int:
 
 def demo(arguments: Namespace) -> int:
     """Bridge two domains of this machine."""
+    allow_many_descriptors()
     if not arguments.no_ui and not _can_draw("rsb-console demo --no-ui"):
         return USAGE
     from rsb_console.demo import run_demo  # noqa: PLC0415 (needs ROS)

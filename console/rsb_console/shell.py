@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import sys
 
 OK, FAILURE, USAGE, INTERRUPTED = 0, 1, 2, 130
+_MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some programs go through all that they may have
 
 
 def say(text: str) -> None:
@@ -26,6 +28,14 @@ def keep_output_clean() -> None:
         own = os.dup(1)
         os.dup2(2, 1)
         sys.stdout = os.fdopen(own, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
+
+
+def allow_many_descriptors() -> None:
+    """Raise the limit on open files as far as this user may: each TCP topic takes one, and 1,024 is a usual limit."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = _MOST_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _MOST_DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 def complain(text: str) -> None:

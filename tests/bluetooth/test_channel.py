@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import socket
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
+from tests.support.bridge import free_port
 
 from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
@@ -22,7 +24,6 @@ from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
-from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
 from rsb_bridge.wire.opening import Kind, data_header, opening
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot
+    from rsb_bridge.transport.transport import Acceptor, Listener
 
 _MAC = "5C:F3:70:9A:1B:2E"
 _CHANNEL = 11
@@ -77,15 +79,13 @@ class Radio(Rfcomm):
         self.called: list[_End] = []
         self.accepted: list[_End] = []
         self.off = False
-        self._port = 0
+        self._port = free_port()
         self._tcp = Tcp()
 
-    async def listen(self, host: str, port: int, acceptor: Acceptor) -> asyncio.Server:
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         assert (host, port) == (_MAC, _CHANNEL)
-        noting = Acceptor(lambda: _Noting(acceptor.make_handler(), self.accepted), acceptor.datagrams)
-        server = await self._tcp.listen("127.0.0.1", self._port, noting)
-        self._port = server.sockets[0].getsockname()[1]
-        return server
+        noting = replace(acceptor, make_handler=lambda: _Noting(acceptor.make_handler(), self.accepted))
+        return await self._tcp.listen("127.0.0.1", self._port, noting)
 
     async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
         assert (host, port) == (_MAC, _CHANNEL)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import resource
 import signal
 import sys
 
@@ -16,9 +17,11 @@ def main() -> int:
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no zombies
     print("ready", flush=True)  # noqa: T201
     for line in sys.stdin:
-        session, log = json.loads(line)
+        session, log, descriptors = json.loads(line)
         pid = os.fork()
         if not pid:
+            if descriptors:
+                resource.setrlimit(resource.RLIMIT_NOFILE, tuple(descriptors))
             os._exit(run(session, log))
         print(pid, flush=True)  # noqa: T201
     return 0

@@ -39,14 +39,19 @@ class Programs:
         assert self._forker.stdout
         assert self._forker.stdout.readline() == "ready\n"
 
-    def start(self, session: Session) -> Program:
-        """Run a session; its key files are relative to the folder."""
+    def start(self, session: Session, descriptors: tuple[int, int] | None = None) -> Program:
+        """Run a session; its key files are relative to the folder.
+
+        Args:
+            session: what to run.
+            descriptors: soft and hard limit of how many the process may have; None: as this one.
+        """
         assert self._forker.stdin
         assert self._forker.stdout
         number = len(self._programs)
         path, log = self._folder / f"{session.role}{number}.yaml", self._folder / f"{session.role}{number}.log"
         save(session, path)
-        self._forker.stdin.write(json.dumps([str(path), str(log)]) + "\n")
+        self._forker.stdin.write(json.dumps([str(path), str(log), descriptors]) + "\n")
         self._forker.stdin.flush()
         program = Program(int(self._forker.stdout.readline()), log)
         self._programs.append(program)

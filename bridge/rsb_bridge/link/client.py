@@ -13,6 +13,7 @@ from rsb_bridge.link.link import Link
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
@@ -219,6 +220,8 @@ class ClientLink(Link):
     async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> _Failure | None:
         assert self.keys is not None
         assert self.control is not None
+        if descriptors.scarce():
+            return _Failure(descriptors.scarcity_message("client"), refused=False)
         opening = _StreamOpening(self, DataConnection(self.keys, route_id), route, multiplexed=transport.multiplexed)
         # Where the control connection got through, not wherever the server's name leads to by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)

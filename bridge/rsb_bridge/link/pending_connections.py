@@ -82,9 +82,22 @@ class PendingConnections:
 
     def say(self, stream: Stream, code: EventCode, words: str) -> None:
         """Log that a stream was turned away, at most once in 10 s for a host and a reason."""
-        if (stream.host, words) not in self._said and len(self._said) < _SAID_MOST:
-            self._said[stream.host, words] = self.server.context.now()
+        if self._is_new(stream.host, words):
             self.server.context.log(Level.WARNING, code, f"turned {stream.peer} away: {words}")
+
+    def _is_new(self, host: str, words: str) -> bool:
+        if (host, words) in self._said or len(self._said) >= _SAID_MOST:
+            return False
+        self._said[host, words] = self.server.context.now()
+        return True
+
+    def shortage(self, message: str) -> None:
+        """No connection can be accepted for now: tell the operator, and give up the one that has waited longest."""
+        if self._is_new("", message):
+            text = f"new connections have to wait: {message}"
+            self.server.context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
+        for oldest in tuple(self._present)[:1]:
+            oldest.reject("the server lacks descriptors")
 
     def tick(self) -> None:
         """Once a second: forget old failures, and what was said of them."""

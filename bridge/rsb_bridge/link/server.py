@@ -19,6 +19,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import PORTS_PER_CLIENT
 from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
 from rsb_bridge.wire.connection import Credential, ServerConnection
@@ -171,7 +172,8 @@ class Server:
         self._aes = aes
         self._pending = PendingConnections(self)
         self._transport = context.transports.of_link(context.session.server_ip)
-        acceptor = Acceptor(self._pending.arrive, UdpDemultiplexer(self._new_udp_channel).received)
+        datagrams = UdpDemultiplexer(self._new_udp_channel).received
+        acceptor = Acceptor(self._pending.arrive, datagrams, self._pending.shortage)
         self._ports = Ports(context.session, context.transports, acceptor)
         self._entries = {entry.client.name: entry for entry in entries}
         self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
@@ -242,6 +244,8 @@ class Server:
         if link is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
         route, transport = link.waiting_route(event)
+        if descriptors.scarce():
+            raise Refusal(RefusalCode.BUSY, descriptors.scarcity_message("server"))
         stream.write(connection.accept_attach())
         link.attach_stream(route, stream, connection.leftover(), multiplexed=transport.multiplexed)
 

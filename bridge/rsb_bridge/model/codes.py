@@ -12,6 +12,8 @@ class EventCode(StrEnum):
     ENGINE_RESTARTING = "engine.restarting"
     ENGINE_SHUTDOWN = "engine.shutdown"
     ENGINE_STOPPED = "engine.stopped"
+    ENGINE_SHORTAGE = "engine.shortage"
+    """The process or the system lacks descriptors or memory; new connections wait."""
     ENGINE_ERROR = "engine.error"
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 from rsb_bridge.bluetooth import hci
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.session import is_mac
+from rsb_bridge.transport.listening import StreamListener
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message
-from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
+from rsb_bridge.transport.transport import Acceptor, Listener, ListenError, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 if TYPE_CHECKING:
@@ -80,9 +81,8 @@ class Rfcomm(StreamTransport):
         _, stream = await loop.create_connection(lambda: RfcommStream(handler), sock=sock)
         return stream
 
-    async def listen(self, host: str, port: int, acceptor: Acceptor) -> asyncio.Server:
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         """Accept connections on one adapter's channel, or with `hci.ANY_ADAPTER` on all adapters'."""
-        loop = asyncio.get_running_loop()
         try:
             own = {adapter.address for adapter in hci.adapters()}
             if host.upper() not in own | {hci.ANY_ADAPTER}:
@@ -93,7 +93,7 @@ class Rfcomm(StreamTransport):
             raise ListenError(str(error)) from None
         try:
             sock.bind((host, port))
-            return await loop.create_server(lambda: RfcommStream(acceptor.make_handler()), sock=sock, backlog=_BACKLOG)
+            return StreamListener([sock], _BACKLOG, lambda: RfcommStream(acceptor.make_handler()), acceptor.shortage)
         except OSError as error:
             sock.close()
             if error.errno == errno.EADDRINUSE:

@@ -8,6 +8,8 @@ import os
 import socket
 from typing import Any, ClassVar, TypeAlias
 
+from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
+
 Address: TypeAlias = tuple[Any, ...]
 """As the socket module has it: host and port (TCP and UDP over IPv6: with flow and scope behind them)."""
 
@@ -15,6 +17,10 @@ BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
 _LINGER = 2.0
+_REMEDIES = {
+    errno.ECONNREFUSED: "is the server running there?",
+    errno.EMFILE: f"this process needs more file descriptors: {MORE_DESCRIPTORS}",
+}
 
 
 class StreamHandler:
@@ -159,7 +165,8 @@ def os_error_message(error: BaseException) -> str:
         return "timed out"
     if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
         message = os.strerror(error.errno)  # asyncio puts its own text into strerror
-        return f"{message}: is the server running there?" if error.errno == errno.ECONNREFUSED else message
+        remedy = _REMEDIES.get(error.errno)
+        return f"{message}: {remedy}" if remedy else message
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return str(error) or type(error).__name__

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import socket
 
+from rsb_bridge.transport.listening import StreamListener, bind
 from rsb_bridge.transport.names import look_up
-from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message
-from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
+from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+from rsb_bridge.transport.transport import Acceptor, Listener, StreamTransport
 from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 CONNECT_TIMEOUT = 3.0
@@ -59,14 +59,9 @@ class Tcp(StreamTransport):
                 failure = error
         raise failure
 
-    async def listen(self, host: str, port: int, acceptor: Acceptor) -> asyncio.Server:
-        loop = asyncio.get_running_loop()
-        try:
-            return await loop.create_server(
-                lambda: TcpStream(acceptor.make_handler()), host, port, backlog=_BACKLOG, reuse_address=True
-            )
-        except OSError as error:
-            raise ListenError(listen_error_message(error, f"{host}:{port}", "TCP")) from None
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
+        sockets = await bind(host, port, socket.SOCK_STREAM)
+        return StreamListener(sockets, _BACKLOG, lambda: TcpStream(acceptor.make_handler()), acceptor.shortage)
 
     def source_address(self, peer: Address) -> str:
         family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
@@ -87,20 +82,6 @@ async def _connect(sock: socket.socket, address: Address, handler: StreamHandler
         _, stream = await loop.create_connection(lambda: TcpStream(handler), sock=sock)
         unless_connected.pop_all()
     return stream
-
-
-def listen_error_message(error: OSError, address: str, kind: str) -> str:
-    """Why an address can't be bound, and the remedy."""
-    if error.errno == errno.EADDRINUSE:
-        return f"{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
-    if error.errno == errno.EADDRNOTAVAIL:
-        return f"{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
-    if error.errno == errno.EACCES:
-        return f"{kind} {address}: ports below 1024 need root; choose a higher one"
-    if isinstance(error, socket.gaierror):
-        remedy = "set server_ip in this side's session file to an address that `ip addr` shows, or 0.0.0.0 for all"
-        return f"{address}: the name is not known ({error.strerror}): {remedy}"
-    return f"{kind} {address}: {os_error_message(error)}"
 
 
 def _set_options(sock: socket.socket) -> None:

@@ -93,10 +93,13 @@ class Acceptor:
     Attributes:
         make_handler: called for each inbound stream, before its `StreamHandler.connected`.
         datagrams: called with the datagrams that one wake-up of a socket brought.
+        shortage: called with a message each time that streams cannot be accepted, because the process may have no more
+            descriptors or the like; they wait, and accepting them is tried again.
     """
 
     make_handler: Callable[[], StreamHandler]
     datagrams: Callable[[DatagramSocket, Datagrams], None]
+    shortage: Callable[[str], None]
 
 
 class Listener(Protocol):

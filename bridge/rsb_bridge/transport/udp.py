@@ -11,13 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from rsb_bridge.transport.tcp import listen_error_message
+from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.transport import (
     Acceptor,
     Datagrams,
     DatagramSocket,
     DatagramTransport,
-    ListenError,
     SendPath,
 )
 
@@ -50,6 +49,8 @@ class UdpSocket:
     """
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
+        sock.setblocking(False)
+        _enlarge_buffers(sock)
         self._sock = sock
         self._received = received
         self._loop = asyncio.get_running_loop()
@@ -178,28 +179,12 @@ class Udp(DatagramTransport):
     largest_message = 8 * 1024 * 1024
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> _Bound:
-        loop = asyncio.get_running_loop()
-        bound = _Bound([])
-        try:
-            found = await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
-            for family, kind, proto, _, address in dict.fromkeys(found):
-                sock = _socket(family, kind, proto)
-                try:
-                    if family == socket.AF_INET6:
-                        sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-                    sock.bind(address)
-                except OSError:
-                    sock.close()
-                    raise
-                bound.sockets.append(UdpSocket(sock, acceptor.datagrams))
-        except OSError as error:
-            bound.close()
-            raise ListenError(listen_error_message(error, f"{host}:{port}", "UDP")) from None
-        return bound
+        sockets = await bind(host, port, socket.SOCK_DGRAM)
+        return _Bound([UdpSocket(sock, acceptor.datagrams) for sock in sockets])
 
     def connect(self, peer: Address, received: Received) -> UdpSocket:
         family = socket.AF_INET6 if len(peer) == 4 else socket.AF_INET
-        sock = _socket(family, socket.SOCK_DGRAM, 0)
+        sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
             sock.connect(peer)
         except OSError:
@@ -208,15 +193,12 @@ class Udp(DatagramTransport):
         return UdpSocket(sock, received)
 
 
-def _socket(family: int, kind: int, proto: int) -> socket.socket:
-    sock = socket.socket(family, kind, proto)
-    sock.setblocking(False)
+def _enlarge_buffers(sock: socket.socket) -> None:
     for forced, asked in ((_SO_RCVBUFFORCE, socket.SO_RCVBUF), (_SO_SNDBUFFORCE, socket.SO_SNDBUF)):
         try:
             sock.setsockopt(socket.SOL_SOCKET, forced, _BUFFER)  # beyond net.core.?mem_max: root only
         except OSError:
             sock.setsockopt(socket.SOL_SOCKET, asked, _BUFFER)
-    return sock
 
 
 def _path_mtu(family: int, address: Address) -> int:

@@ -95,7 +95,7 @@ class Pair:
 
 
 def _streams_to(make_handler: Callable[[], Recorder]) -> Acceptor:
-    return Acceptor(make_handler, lambda socket, datagrams: None)
+    return Acceptor(make_handler, lambda socket, datagrams: None, lambda message: None)
 
 
 @asynccontextmanager

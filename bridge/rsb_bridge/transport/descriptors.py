@@ -1,0 +1,41 @@
+"""File descriptors: each TCP topic takes one on either side, and a process may have only so many."""
+
+from __future__ import annotations
+
+import errno
+import resource
+import socket
+
+RESERVE = 64
+"""Descriptors that routes' streams leave to control connections, DDS, key files and whatever else must not fail."""
+
+SHORTAGES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+"""Errors of a call that would succeed if the process or the system had more to give."""
+
+MORE_DESCRIPTORS = "raise the limit (ulimit -n, or LimitNOFILE in a systemd unit)"
+"""What an operator does when they run out."""
+
+
+def scarce() -> bool:
+    """Whether only the reserve is left, so that no further stream should be opened for a route."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if limit == resource.RLIM_INFINITY:
+        return False
+    try:
+        with socket.socket() as probe:  # the kernel gives the lowest number that is free
+            return probe.fileno() >= limit - RESERVE
+    except OSError:
+        return True
+
+
+def scarcity_message(side: str) -> str:
+    """Why a route has no stream, and what to do: for the operators of both sides.
+
+    Args:
+        side: whose process is meant, ``client`` or ``server``.
+    """
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return (
+        f"the {side} may have {limit:,} file descriptors and needs more: {MORE_DESCRIPTORS} there, "
+        "or use protocol: udp, whose topics share one"
+    )

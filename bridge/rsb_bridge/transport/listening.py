@@ -1,0 +1,129 @@
+"""Bound sockets, and the streams that they accept."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from typing import TYPE_CHECKING
+
+from rsb_bridge.transport.descriptors import SHORTAGES
+from rsb_bridge.transport.streams import os_error_message
+from rsb_bridge.transport.transport import ListenError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.transport.streams import Stream
+
+_AT_ONCE = 64
+"""Connections accepted before the I/O loop turns to other work."""
+_SHORT_FOR = 0.25
+"""s until accepting is tried again where descriptors or memory are lacking."""
+
+
+async def bind(host: str, port: int, kind: socket.SocketKind) -> list[socket.socket]:
+    """A socket on each of the host's addresses.
+
+    Raises:
+        ListenError: one of them can't be bound.
+    """
+    sockets: list[socket.socket] = []
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(host, port, type=kind, flags=socket.AI_PASSIVE)
+        for family, type_, proto, _, address in dict.fromkeys(found):
+            sock = socket.socket(family, type_, proto)
+            sockets.append(sock)
+            sock.setblocking(False)
+            if kind is socket.SOCK_STREAM:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            sock.bind(address)
+    except OSError as error:
+        for sock in sockets:
+            sock.close()
+        name = "TCP" if kind is socket.SOCK_STREAM else "UDP"
+        raise ListenError(_listen_error_message(error, f"{host}:{port}", name)) from None
+    return sockets
+
+
+class StreamListener:
+    """Accepts connections on bound sockets, as `asyncio.Server` does.
+
+    While the process lacks descriptors it says so and tries again four times a second; `asyncio.Server` would report
+    each attempt as an internal error, as often as its backlog is long.
+    """
+
+    def __init__(
+        self,
+        sockets: list[socket.socket],
+        backlog: int,
+        make_stream: Callable[[], Stream],
+        shortage: Callable[[str], None],
+    ) -> None:
+        """Begin to listen.
+
+        Args:
+            sockets: bound; they are closed with this.
+            backlog: connections that the kernel may hold until they are accepted.
+            make_stream: called for each connection.
+            shortage: told, in words, each time that nothing can be accepted for now.
+        """
+        self._loop = asyncio.get_running_loop()
+        self._sockets = sockets
+        self._make_stream = make_stream
+        self._shortage = shortage
+        self._accepting: set[asyncio.Task[None]] = set()
+        self._again: dict[socket.socket, asyncio.TimerHandle] = {}
+        for sock in sockets:
+            sock.setblocking(False)
+            sock.listen(backlog)
+            self._loop.add_reader(sock, self._accept, sock)
+
+    def close(self) -> None:
+        """Free the port."""
+        for timer in self._again.values():
+            timer.cancel()
+        for sock in self._sockets:
+            self._loop.remove_reader(sock)
+            sock.close()
+        self._sockets.clear()
+
+    def _accept(self, sock: socket.socket) -> None:
+        for _ in range(_AT_ONCE):
+            try:
+                accepted, _address = sock.accept()
+            except OSError as error:
+                if error.errno in SHORTAGES:
+                    self._rest(sock, error)
+                return  # else nothing waits, or the connection has ended already
+            accepted.setblocking(False)
+            task = self._loop.create_task(self._serve(accepted))
+            self._accepting.add(task)
+            task.add_done_callback(self._accepting.discard)
+
+    def _rest(self, sock: socket.socket, error: OSError) -> None:
+        self._loop.remove_reader(sock)
+        self._again[sock] = self._loop.call_later(_SHORT_FOR, self._loop.add_reader, sock, self._accept, sock)
+        self._shortage(os_error_message(error))
+
+    async def _serve(self, accepted: socket.socket) -> None:
+        try:
+            await self._loop.connect_accepted_socket(self._make_stream, accepted)
+        except OSError:  # it has ended already
+            accepted.close()
+
+
+def _listen_error_message(error: OSError, address: str, kind: str) -> str:
+    """Why an address can't be bound, and the remedy."""
+    if error.errno == errno.EADDRINUSE:
+        return f"{kind} {address} is taken by another process: stop it, or choose another port (ss -lntup shows whose)"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"{address} is not an address of this machine: use one that `ip addr` shows, or 0.0.0.0 for all"
+    if error.errno == errno.EACCES:
+        return f"{kind} {address}: ports below 1024 need root; choose a higher one"
+    if isinstance(error, socket.gaierror):
+        remedy = "set server_ip in this side's session file to an address that `ip addr` shows, or 0.0.0.0 for all"
+        return f"{address}: the name is not known ({error.strerror}): {remedy}"
+    return f"{kind} {address}: {os_error_message(error)}"

@@ -1,0 +1,119 @@
+"""A process that may have few file descriptors: the topics that it has none for say so, and nothing else suffers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import resource
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import eventually, free_port, happened, linked, now
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.transport.streams import Stream, StreamHandler
+from rsb_bridge.transport.tcp import Tcp
+from rsb_bridge.transport.transport import Acceptor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.program import Programs
+
+TOPICS = 100
+
+
+@contextlib.contextmanager
+def none_left() -> Iterator[None]:
+    """Take all descriptors that there are up to a low limit."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    highest = max(int(path.name) for path in Path("/proc/self/fd").iterdir())
+    taken: list[int] = []
+    resource.setrlimit(resource.RLIMIT_NOFILE, (highest + 2, hard))
+    try:
+        with contextlib.suppress(OSError):
+            while True:
+                taken.append(os.dup(0))
+        yield
+    finally:
+        for descriptor in taken:
+            os.close(descriptor)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_connections_that_cannot_be_accepted_wait() -> None:
+    """The loop is told once, not once for each connection that the kernel holds, and turns to other work."""
+    connected: list[Stream] = []
+    shortages: list[str] = []
+
+    class Handler(StreamHandler):
+        def connected(self, stream: Stream) -> None:
+            connected.append(stream)
+
+    async def play() -> None:
+        port = free_port()
+        listener = await Tcp().listen("127.0.0.1", port, Acceptor(Handler, lambda *_: None, shortages.append))
+        with contextlib.ExitStack() as clients:
+            waiting = [clients.enter_context(socket.socket()) for _ in range(3)]
+            with none_left():
+                for client in waiting:
+                    client.connect(("127.0.0.1", port))
+                await until(lambda: shortages)
+                for _ in range(100):
+                    await asyncio.sleep(0)
+                assert len(shortages) == 1
+                assert connected == []
+            await until(lambda: len(connected) == len(waiting))
+            for stream in connected:
+                stream.abort("done")
+            await until(lambda: all(stream.gone for stream in connected))
+        listener.close()
+
+    asyncio.run(play())
+    assert shortages[0] == (
+        "Too many open files: this process needs more file descriptors: raise the limit (ulimit -n, or LimitNOFILE in "
+        "a systemd unit)"
+    )
+
+
+async def until(condition: Callable[[], object], within: float = 20.0) -> None:
+    """As `eventually`, while the loop runs."""
+    async with asyncio.timeout(within):
+        while True:
+            if condition():
+                return
+            await asyncio.sleep(0)
+
+
+def test_the_program_takes_all_that_it_may_have(bridge: Bridge, programs: Programs) -> None:
+    """The soft limit is 1,024 on most systems, for programs that can do with no more."""
+    program = programs.start(bridge.server_session(), descriptors=(256, 4096))
+    program.wait_for("listening")
+    assert resource.prlimit(program.pid, resource.RLIMIT_NOFILE) == (4096, 4096)
+
+
+@pytest.mark.parametrize("side", ["server", "client"])
+def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) -> None:
+    """Both sides are told whose limit it is; the link, the other topics and other clients are served."""
+    bridge.make_key("other")
+    clients = (Client("robot1"), Client("robot2", key_file="other.key"))
+    topics = (Topic(f"/topic{number}", "transmit", type="std_msgs/msg/String", qos=1) for number in range(TOPICS))
+    sessions = {"server": bridge.server_session(name="pc", clients=clients), "client": bridge.client_session(*topics)}
+    short = programs.start(sessions.pop(side), descriptors=(100, 150))
+    ((_, session),) = sessions.items()
+    short.wait_for("listening" if side == "server" else "connecting")
+    other = bridge.start(session)
+    message = f"the {side} may have 150 file descriptors and needs more: raise the limit (ulimit -n"
+    eventually(lambda: happened(other, EventCode.ROUTE_CONNECTED) and message in "".join(short.said))
+    refused = eventually(lambda: [route for route in now(other).routes if message in route.reason])
+    assert len(refused) < TOPICS
+    assert any(route.state != "down" for route in now(other).routes)
+    assert not happened(other, EventCode.LINK_LOST)
+    if side == "server":
+        newcomer = bridge.client(name="robot2", key_file="other.key")
+        eventually(lambda: linked(newcomer, "robot2"))
