@@ -100,7 +100,7 @@ def _keys(link_id: bytes, role: Role) -> DataKeys:
 @asynccontextmanager
 async def serving() -> AsyncIterator[Server]:
     server = Server()
-    bound = await Udp().listen(_HOST, 0, Acceptor(StreamHandler, server.demultiplexer.received))
+    bound = await Udp().listen(_HOST, 0, Acceptor(StreamHandler, server.demultiplexer.received, lambda message: None))
     server.port = bound.sockets[0].port
     try:
         yield server
