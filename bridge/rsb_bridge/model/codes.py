@@ -69,6 +69,8 @@ class EventCode(StrEnum):
     ROUTE_PORT_UNAVAILABLE = "route.port_unavailable"
     ROUTE_TYPE_CHANGED = "route.type_changed"
     ROUTE_TYPE_DIFFERS = "route.type_differs"
+    ROUTE_DEEPENED = "route.deepened"
+    """With `qos: auto`, a busier topic than before gets a deeper subscription."""
     ROUTE_SUBSCRIBE_FAILED = "route.subscribe_failed"
     ROUTE_PUBLISH_FAILED = "route.publish_failed"
     ROUTE_TOO_LARGE = "route.too_large"

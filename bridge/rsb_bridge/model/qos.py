@@ -50,6 +50,11 @@ PROFILES: dict[str, Qos] = {
 """QoS by name. ``latched`` is ours: what ROS 1 called a latched topic."""
 
 AUTO = "auto"
+AUTO_SECONDS = 5.0
+"""What a reliable volatile topic brings in this time may wait with ``auto``: a link that stalls longer is given up."""
+_DEPTH_AT_FIRST = 500
+_LEAST_AUTO, _MOST_AUTO = 10, 10_000
+_MOST_AUTO_BYTES = 32 << 20
 
 
 def parse_qos(value: object) -> Qos | None:
@@ -144,6 +149,22 @@ def match_subscriptions(requested: Sequence[Qos]) -> Qos:
         durability="transient_local" if any(qos.durability == "transient_local" for qos in requested) else "volatile",
         deadline=min(deadlines, default=0.0),
     )
+
+
+def auto_depth(rate: float | None, mean_size: float) -> int:
+    """The depth that ``auto`` means on a volatile topic: as many messages as it brings in `AUTO_SECONDS`.
+
+    Args:
+        rate: Hz; None: not known yet.
+        mean_size: bytes of a message; 0: not known yet.
+
+    Returns:
+        At least 10, at most 10,000 messages, and no more than 32 MiB where that is more than 10.
+    """
+    if rate is None:
+        return _DEPTH_AT_FIRST
+    most = min(_MOST_AUTO, _MOST_AUTO_BYTES / mean_size) if mean_size else _MOST_AUTO
+    return int(max(_LEAST_AUTO, min(rate * AUTO_SECONDS, most)))
 
 
 def clamp_qos(qos: Qos) -> Qos:

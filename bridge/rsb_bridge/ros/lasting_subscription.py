@@ -56,6 +56,12 @@ class LastingSubscription:
         """Messages that DDS lost before they could be taken, over all attempts."""
         return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
+    def reopen(self) -> None:
+        """Subscribe anew; if that fails, later again."""
+        if self._subscription is not None:
+            self._drop()
+            self._try_again()
+
     def close(self) -> None:
         """Take no more messages. May be called twice."""
         self._drop()
@@ -96,5 +102,6 @@ class LastingSubscription:
         except RosError as error:
             self._try_later(str(error))
         else:
-            self.failure = ""
-            self._changed()
+            if self.failure:
+                self.failure = ""
+                self._changed()

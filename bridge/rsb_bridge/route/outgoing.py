@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import zstandard
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.qos import Qos, incompatible, match_publishers
+from rsb_bridge.model.qos import AUTO_SECONDS, Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.type_names import expand_type_name
-from rsb_bridge.ros.api import Endpoint, OnFailure, RawMessage, RosError, Subscription
-from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.route.intake import Intake
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.route import Peer, Route
+from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import ZSTD, Message
@@ -53,9 +53,8 @@ class OutgoingRoute(Route):
 
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._subscription: LastingSubscription | None = None
-        self._queue: deque[Message] = deque()
-        self._queue_bytes = 0
+        self._intake: Intake | None = None
+        self._queue = SendQueue()
         self._interval = int(1e9 / proposal.max_rate) if proposal.max_rate else 0
         self._due = 0
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
@@ -109,7 +108,7 @@ class OutgoingRoute(Route):
             return
         if self.channel is None:
             self.peer.open_channel(self)
-        if self.channel is not None and self.channel.ready and self._subscription is None:
+        if self.channel is not None and self.channel.ready and self._intake is None:
             self._subscribe()
 
     def _resolve(self) -> Describe | None:
@@ -149,41 +148,37 @@ class OutgoingRoute(Route):
         described = self._described
         if described is None:
             return
-
-        def subscribe(on_failure: OnFailure) -> Subscription:
-            return self.context.ros.subscribe(
-                self.topic,
-                described.type,
-                described.type_hash,
-                described.qos,
-                lambda batch: self.context.ros_queue.put(self, batch),
-                self.peer.name,
-                on_failure,
-            )
-
+        automatic = self.proposal.qos is None and described.qos.durability == "volatile"
         try:
-            self._subscription = LastingSubscription(self.context.loop, subscribe, self._subscription_changed)
+            self._intake = Intake(
+                self.context,
+                self,
+                self.topic,
+                described,
+                self.peer.name,
+                log=self._log_intake,
+                rates=self.meter if automatic else None,
+                expected_rate=self.spec.expected_rate,
+            )
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error))
             return
         self.stale.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({described.type})")
 
-    def _subscription_changed(self) -> None:
-        if failure := self._failure():
-            self.last_error = failure
-            self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, failure)
-        elif self._described is not None:
-            self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"subscribed again ({self._described.type})")
+    def _log_intake(self, level: Level, code: EventCode, text: str) -> None:
+        if level is Level.ERROR:
+            self.last_error = text
+        self.log(level, code, text)
 
     def _failure(self) -> str:
-        return self._subscription.failure if self._subscription is not None else ""
+        return self._intake.failure if self._intake is not None else ""
 
     def _unsubscribe(self) -> None:
-        if self._subscription is not None:
-            self._ledger.lost_in_dds += self._subscription.lost
-            self._subscription.close()
-            self._subscription = None
+        if self._intake is not None:
+            self._ledger.lost_in_dds += self._intake.lost
+            self._intake.close()
+            self._intake = None
 
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
@@ -195,14 +190,17 @@ class OutgoingRoute(Route):
         self._unsubscribe()
         self._described = None
         self._ready = False
-        self._ledger.drop("link lost", len(self._queue))
+        self._ledger.drop("link lost", self._queue.clear())
         self._ledger.closed()
         self._report = None
-        self._queue.clear()
-        self._queue_bytes = 0
         super().close(reason)
 
     # --- messages
+
+    def tick(self) -> None:
+        super().tick()
+        if self._intake is not None:
+            self._intake.tick()
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from the ROS side, oldest first."""
@@ -222,34 +220,26 @@ class OutgoingRoute(Route):
 
     def flush(self) -> None:
         """Send from the queue while the path takes it."""
-        queue, path = self._queue, self.channel
-        while queue and path is not None and not path.congested:
-            batch: list[Message] = []
-            size = 0
-            while queue and len(batch) < _BATCH and size < path.batch_bytes:
-                message = queue.popleft()
-                size += len(message[0])
-                batch.append(message)
-            self._queue_bytes -= size
+        queue, channel = self._queue, self.channel
+        while queue and channel is not None and not channel.congested:
+            batch = queue.take(_BATCH, channel.batch_bytes)
             self._ledger.sent(len(batch))
-            path.send(batch)
+            channel.send(batch)
 
     def _enqueue(self, messages: list[Message]) -> None:
-        queue, path = self._queue, self.channel
-        for message in messages:
-            size = len(message[0])
-            if size > self._largest:
-                self._too_large(size)
-                continue
-            queue.append(message)
-            self._queue_bytes += size
-        congested = path is not None and path.congested
-        depth = self.qos.depth if congested and self.qos is not None and self.qos.history == "keep_last" else 0
-        stale = self.transport.slow and self.qos is not None and self.qos.reliability == "best_effort"
-        limit = _SLOW_QUEUE_BYTES if stale else _QUEUE_BYTES + self._largest
-        while len(queue) > 1 and ((depth and len(queue) > depth) or self._queue_bytes > limit):
-            self._queue_bytes -= len(queue.popleft()[0])
-            self._ledger.drop("queue full", 1)
+        now = self.context.now()
+        self._queue.add([message for message in messages if self._fits(len(message[0]))], now)
+        self._ledger.drop("queue full", self._queue.trim(self._queue_limits(), now))
+
+    def _queue_limits(self) -> QueueLimits:
+        """What may wait now. As long as the channel takes messages, the queue only passes them on."""
+        qos = self.qos
+        best_effort = qos is not None and qos.reliability == "best_effort"
+        size = _SLOW_QUEUE_BYTES if self.transport.slow and best_effort else _QUEUE_BYTES + self._largest
+        if qos is None or qos.history == "keep_all" or self.channel is None or not self.channel.congested:
+            return QueueLimits(0, 0.0, size)
+        automatic = self.proposal.qos is None and not best_effort
+        return QueueLimits(max(1, qos.depth), AUTO_SECONDS if automatic else 0.0, size)
 
     def _throttle(self, messages: list[Message]) -> list[Message]:
         kept = []
@@ -269,7 +259,10 @@ class OutgoingRoute(Route):
         smaller = self._compressor.compress(payload)
         return (smaller, stamp, flags | ZSTD) if len(smaller) < len(payload) else message
 
-    def _too_large(self, size: int) -> None:
+    def _fits(self, size: int) -> bool:
+        """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
+        if size <= self._largest:
+            return True
         self._ledger.drop("too large", 1)
         text = (
             f"a message of {size:,} bytes is more than {self.transport.name} carries here ({self._largest:,}): use tcp"
@@ -277,6 +270,7 @@ class OutgoingRoute(Route):
         if text != self.last_error:
             self.last_error = text
             self.log(Level.ERROR, EventCode.ROUTE_TOO_LARGE, text)
+        return False
 
     # --- the ledger
 
@@ -291,7 +285,7 @@ class OutgoingRoute(Route):
 
     def ledger(self) -> Ledger:
         """Where the messages went, by the peer's last report."""
-        lost_in_dds = self._subscription.lost if self._subscription else 0
+        lost_in_dds = self._intake.lost if self._intake else 0
         return self._ledger.ledger(lost_in_dds, numbered=isinstance(self.transport, DatagramTransport))
 
     def sent_report(self) -> SentReport:
@@ -314,7 +308,7 @@ class OutgoingRoute(Route):
 
     @property
     def _subscribed(self) -> bool:
-        return self._subscription is not None and not self._subscription.failure
+        return self._intake is not None and not self._intake.failure
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         report = self._report

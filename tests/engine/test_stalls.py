@@ -1,0 +1,43 @@
+"""A link that stalls for less than it takes to be given up."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import balance, carries, eventually, linked, settled
+from tests.support.domain import text
+
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+RATE = 100  # Hz
+STALL = 3.0  # s
+
+
+@pytest.mark.parametrize("size", [20, 50_000])
+def test_an_auto_topic_loses_nothing(size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """What a reliable topic brings in the meantime waits, and arrives when the link goes on."""
+    out, there = robot.publisher("/count"), pc.listener("/count")
+    server, client = bridge.both(Topic("/count", "transmit"))
+    carries([out], server, ["/count"])
+    count = int(RATE * (STALL + 2))
+    began = time.monotonic()
+    for number in range(count):
+        if number == RATE:
+            relay.stall()
+        if number == RATE * (1 + STALL):
+            relay.stall(False)
+        out.publish(text(f"{number}" + " " * size))
+        time.sleep(max(0.0, began + number / RATE - time.monotonic()))
+    ledger = settled(client, "/count", count)
+    assert linked(client)
+    assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (count, {}, 0)
+    assert balance(ledger) == count
+    eventually(lambda: len(there.payloads) == count, what="everything heard")
+    assert there.texts(count) == [f"{number}" + " " * size for number in range(count)]

@@ -1,0 +1,67 @@
+"""What waits for a route's channel, and what gives way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.route.send_queue import QueueLimits, SendQueue
+
+if TYPE_CHECKING:
+    from rsb_bridge.wire.framing import Message
+
+ANY = 1 << 30
+
+
+def messages(*names: str) -> list[Message]:
+    return [(name.encode(), 0, 0) for name in names]
+
+
+def names(queue: SendQueue) -> str:
+    return " ".join(payload.decode() for payload, _, _ in queue.take(1000, ANY))
+
+
+def test_the_oldest_beyond_the_depth_give_way() -> None:
+    queue = SendQueue()
+    queue.add(messages("a", "b", "c"), 0.0)
+    assert queue.trim(QueueLimits(0, 0.0, ANY), 0.0) == 0
+    assert queue.trim(QueueLimits(2, 0.0, ANY), 0.0) == 1
+    assert names(queue) == "b c"
+
+
+def test_what_is_young_enough_stays_beyond_the_depth() -> None:
+    queue, limits = SendQueue(), QueueLimits(2, 5.0, ANY)
+    for second in range(10):
+        queue.add(messages(str(second)), float(second))
+        queue.trim(limits, float(second))
+    assert names(queue) == "5 6 7 8 9"
+
+
+def test_bytes_are_bounded_but_one_message_always_may_wait() -> None:
+    queue, limits = SendQueue(), QueueLimits(0, 0.0, 10)
+    queue.add(messages("123456", "12345", "x" * 100), 0.0)
+    assert queue.trim(limits, 0.0) == 2
+    assert len(queue) == 1
+    queue.add(messages("ab"), 0.0)
+    assert queue.trim(limits, 0.0) == 1
+    assert names(queue) == "ab"
+
+
+def test_each_publisher_has_a_depth_of_its_own() -> None:
+    queue, limits = SendQueue(), QueueLimits(1, 0.0, ANY)
+    for number in range(3):
+        for publisher in ("a", "b", "c"):
+            queue.add(messages(f"{publisher}{number}"), 0.0, publisher.encode())
+            queue.trim(limits, 0.0, publisher.encode())
+    queue.add(messages("d0", "d1"), 0.0, b"d")
+    queue.trim(QueueLimits(5, 0.0, ANY), 0.0, b"d")
+    assert names(queue) == "a2 b2 c2 d0 d1"
+
+
+def test_a_batch_ends_at_its_size_or_number() -> None:
+    queue = SendQueue()
+    queue.add(messages("aa", "bb", "cc", "dd"), 0.0)
+    assert queue.take(10, 3) == messages("aa", "bb")
+    assert queue.take(1, 100) == messages("cc")
+    assert queue.clear() == 1
+    assert queue.take(10, 10) == []
+    assert not queue
