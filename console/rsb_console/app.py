@@ -82,6 +82,8 @@ class ConsoleApp(App[None]):
         self.base = Path()
         self.saved: Session | None = None
         self._belongings = ExitStack()
+        self._changing = asyncio.Lock()
+        """Held while an engine starts or stops: two at once would fight for the port."""
         self.leaving = Leaving.QUIT
         self._deadline: threading.Timer | None = None
         self.terminal = 1
@@ -135,7 +137,7 @@ class ConsoleApp(App[None]):
 
     # -- the engine ---------------------------------------------------------------------------------------------------
 
-    @work(exclusive=True, group="session")
+    @work(group="session")
     async def run_session(
         self, session: Session, path: Path | None, belongings: ExitStack | None = None, *, temporary: bool = False
     ) -> None:
@@ -147,23 +149,28 @@ class ConsoleApp(App[None]):
             belongings: what is to end with it.
             temporary: the file ends with it too, so nothing is kept by saving to it.
         """
-        self.note = "stopping"
-        await asyncio.to_thread(self.stop)
-        self._belongings = belongings or ExitStack()
-        self.base = Path() if path is None else path.parent
-        self.temporary = temporary
-        if temporary:
-            self.path = self.saved = None
-        else:
-            self.saved_to(session, path)
-        await self._start(session)
+        async with self._changing:
+            self.note = "stopping"
+            await asyncio.to_thread(self.stop)
+            self._belongings = belongings or ExitStack()
+            self.base = Path() if path is None else path.parent
+            self.temporary = temporary
+            if temporary:
+                self.path = self.saved = None
+            else:
+                self.saved_to(session, path)
+            await self._start(session)
 
-    @work(exclusive=True, group="session")
+    @work(group="session")
     async def start_anew(self) -> None:
         """Run the session again whose engine has ended by itself, or could not start."""
-        if self.engine is not None:
-            await asyncio.to_thread(self.engine.stop)
-            await self._start(self.engine.session)
+        if self._changing.locked():
+            self.notify(f"the bridge is {self.note}", timeout=3)
+            return
+        async with self._changing:
+            if self.engine is not None:
+                await asyncio.to_thread(self.engine.stop)
+                await self._start(self.engine.session)
 
     async def _start(self, session: Session) -> None:
         self.note, self._last_event = "starting", 0

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
-Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interrupted."""
+Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interrupted,
+143 terminated before it was at work."""
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:

@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 
-from rsb_console.shell import FAILURE, INTERRUPTED, USAGE, complain
+from rsb_console.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, complain
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
@@ -31,12 +31,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever started us: what is said goes nowhere
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 -- as long as the process
+    signal.signal(signal.SIGTERM, _terminated)  # until the command handles it, which a bridge does once it is loaded
     try:
         return _run(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more would only end the interpreter's end in a traceback
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _terminated(*_: object) -> None:
+    raise SystemExit(TERMINATED)
 
 
 def _run(argv: list[str]) -> int:

@@ -38,7 +38,8 @@ from rsb_bridge.wire.records import TopicEntry
 if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
 
-_ANSWER_WITHIN = 5.0
+_ANSWER_WITHIN = 30.0
+"""Seconds; a peer that is gone ends the link sooner, and a long list takes its time on a slow one."""
 _MOST_TOPICS = 2000
 """In one list: a control frame holds about three times as many of usual names (PROTOCOL.md section 1)."""
 

@@ -51,6 +51,10 @@ class TopicScreen(FormScreen[Draft]):
         now = engine.snapshot()
         self._links = [route.link] if route is not None else [link.name for link in now.links]
         fields = [self._field(spec) for spec in _specs(engine.session, now, self._links, route)]
+        self._found: dict[str | None, list[TopicInfo]] = {}
+        self._errors: dict[str | None, str] = {}
+        self._awaited: set[str | None] = set()
+        self._late: set[str | None] = set()
         title, yes = ("Add a topic", "Add") if route is None else (f"Edit {route.topic}", "Change")
         super().__init__(title, fields, yes)
 
@@ -81,26 +85,38 @@ class TopicScreen(FormScreen[Draft]):
             self._look()
             self.set_interval(LOOK_EVERY, self._look)
 
-    @work(exclusive=True)
-    async def _look(self) -> None:
-        """Ask both sides what they have."""
-        found: list[list[TopicInfo]] = []
-        missing = ""
-        for link in (None, self._link):
-            try:
-                found.append(await asyncio.wrap_future(self._engine.topics(link)))
-            except EngineError as error:
-                found.append([])
-                missing = str(error)
-        now = self._engine.snapshot()
-        ends = Ends.of(now, self._link)
-        bridged = [route for route in now.routes if route.link == self._link]
+    def _look(self) -> None:
+        """Ask both sides what they have; a side that has not answered yet is not asked again."""
+        self._late = set(self._awaited)
+        for side in (None, self._link):
+            if side not in self._awaited:
+                self._awaited.add(side)
+                self._ask(side)
+        self._offer()
+
+    @work(group="ask")
+    async def _ask(self, side: str | None) -> None:
+        try:
+            self._found[side] = await asyncio.wrap_future(self._engine.topics(side))
+            self._errors.pop(side, None)
+        except EngineError as error:
+            self._errors[side] = str(error)
+        self._awaited.discard(side)
+        self._late.discard(side)
+        self._offer()
+
+    def _offer(self) -> None:
+        """List what has been found, and say whose answer is missing."""
+        link, now = self._link, self._engine.snapshot()
+        bridged = [route for route in now.routes if route.link == link]
         field = self.form.fields["topic"]
         assert isinstance(field, PickField)
-        field.offer(
-            offers_of(ends, found[0], found[1], bridged),
-            lambda _text: missing or "no other topic on either side; type its whole name",
-        )
+        late = "waiting for the other side's topics …" if link in self._late else ""
+        field.note.say(self._errors.get(link) or self._errors.get(None) or late)
+        waiting = self._awaited & {None, link}
+        empty = "asking both sides …" if waiting else "no other topic on either side; type its whole name"
+        offers = offers_of(Ends.of(now, link), self._found.get(None, []), self._found.get(link, []), bridged)
+        field.offer(offers, lambda _text: empty)
 
     @on(Field.Changed)
     def _another_client(self, event: Field.Changed) -> None:

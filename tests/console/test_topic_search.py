@@ -1,0 +1,78 @@
+"""The add form's list while a side is slow to say what it has, or does not say it."""
+
+from concurrent.futures import Future
+
+import pytest
+from driving import drive, gone, scripted_app, shown, text, until
+from scripted import ScriptedEngine
+from textual.pilot import Pilot
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.snapshot import TopicInfo
+from rsb_console.screens import topic
+
+
+class SlowPeer(ScriptedEngine):
+    """An engine whose peer answers when the test says so.
+
+    Attributes:
+        asked: the questions to the peer, oldest first.
+    """
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*args)  # type: ignore[arg-type]
+        self.asked: list[Future[list[TopicInfo]]] = []
+
+    def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
+        if link is None:
+            return super().topics(link)
+        self.commands.append(("topics", link))
+        self.asked.append(Future())
+        return self.asked[-1]
+
+    @property
+    def looks(self) -> int:
+        return self.commands.count(("topics", None))
+
+
+FAR = [TopicInfo("/far", "std_msgs/msg/String", "", None, 1, 0)]
+
+
+@pytest.fixture(autouse=True)
+def _look_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(topic, "LOOK_EVERY", 0.05)
+
+
+def test_an_answer_that_takes_many_looks_fills_the_list() -> None:
+    app = scripted_app(make_engine=SlowPeer)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "/camera/depth")  # this side's own
+        await shown(pilot, "waiting for the other side's topics")
+        looks = app.engine.looks
+        await until(pilot, lambda: app.engine.looks > looks + 3, "it goes on looking at this side")
+        assert len(app.engine.asked) == 1
+        app.engine.asked[0].set_result(FAR)
+        await shown(pilot, "/far")
+        assert "/camera/depth" in text(app)
+
+    drive(app, steps)
+
+
+def test_an_answer_that_never_comes_is_said_and_asked_for_again() -> None:
+    app = scripted_app(make_engine=SlowPeer)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "/camera/depth")
+        app.engine.asked[0].set_exception(EngineError("robot1 did not answer"))
+        await shown(pilot, "robot1 did not answer")
+        await until(pilot, lambda: len(app.engine.asked) > 1, "it asks again")
+        app.engine.asked[1].set_result(FAR)
+        await shown(pilot, "/far")
+        await gone(pilot, "robot1 did not answer")
+
+    drive(app, steps)
