@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-HERE = Path(__file__).parent
+ROOT = Path(__file__).parents[1]
 NEAR, FAR = 94, 95
 TOPIC = "/bench"
 _TICKS = os.sysconf("SC_CLK_TCK")
@@ -36,6 +36,7 @@ class Process:
             stderr=subprocess.DEVNULL,
             text=True,
             env=environment,
+            cwd=ROOT,
         )
 
     def __enter__(self) -> Self:
@@ -170,7 +171,7 @@ def thesis() -> Iterator[Bed]:
     with _ends(NEAR, FAR) as bed:
         port, key = str(free_port()), base64.urlsafe_b64encode(os.urandom(32)).decode()
         for part, domain in (("receive", FAR), ("send", NEAR)):
-            bed.between.append(Process(str(HERE / "thesis.py"), part, str(domain), TOPIC, port, key))
+            bed.between.append(Process("-m", "bench.thesis", part, str(domain), TOPIC, port, key))
             bed.between[-1].line()
         try:
             yield _ready(bed)
@@ -181,8 +182,10 @@ def thesis() -> Iterator[Bed]:
 
 @contextlib.contextmanager
 def _ends(near: int, far: int, listener: str = "listen") -> Iterator[Bed]:
-    traffic = str(HERE / "traffic.py")
-    bed = Bed(Process(traffic, "talk", str(near), TOPIC), Process(traffic, listener, str(far), TOPIC))
+    bed = Bed(
+        Process("-m", "bench.traffic", "talk", str(near), TOPIC),
+        Process("-m", "bench.traffic", listener, str(far), TOPIC),
+    )
     try:
         yield bed
     finally:

@@ -7,17 +7,14 @@ import sys
 import threading
 import time
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import bed
-
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests" / "console"))
-from terminal import Terminal  # noqa: E402 -- the tests' pseudo-terminal
+from bench import bed
+from tests.console.terminal import Terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from pathlib import Path
 
 RATE, SIZE, SECONDS, ROUNDS = 5_000, 2_500, 10.0, 5
 OVER_SSH = {"SSH_CONNECTION": "bench"}  # the refresh is 2 Hz then
@@ -91,7 +88,7 @@ def _console(session: Path, **environ: str) -> Watched:
 
 
 def _alone(name: str, environ: dict[str, str]) -> None:
-    console = Watched(str(HERE / "console_alone.py"), "500", **environ)
+    console = Watched("-m", "bench.console_alone", "500", **environ)
     try:
         painted = console.until(lambda: b"Topics" in console.terminal.output)
         time.sleep(2.0)

@@ -1,4 +1,4 @@
-"""The console on a scripted engine with many topics whose figures move: ``python console_alone.py TOPICS``."""
+"""The console on a scripted engine with many topics whose figures move: ``python -m bench.console_alone TOPICS``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "console"))
-from scripted import NOW, SESSION, ScriptedEngine, route
+from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
 
 from rsb_console.app import ConsoleApp
 

@@ -1,4 +1,4 @@
-"""Prints how long a link's topics take to open: ``python bench/opening.py [topics]``, part of ``make bench``.
+"""Prints how long a link's topics take to open: ``python -m bench.opening [topics]``, part of ``make bench``.
 
 Each side is a process of its own, and so are the publishers of the topics where ROS is real. Under ``stand-in`` there
 is no ROS behind the engine: what the bridge itself takes. ``floor`` is what rclpy alone takes for one side's endpoints,
@@ -17,7 +17,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import bed
+from bench import bed
+from tests.bluetooth.guest.stand_in import StandIn
 
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.api import RosInterface
 
-sys.path.append(str(bed.HERE.parent / "tests" / "bluetooth" / "guest"))
 TOPICS = 500
 _DISCOVERED_WITHIN = 60.0
 _OPEN_WITHIN = 120.0
@@ -60,9 +60,9 @@ def report(topics: int) -> None:
         for protocol in ("tcp", "udp"):
             for direction in ("transmit", "receive"):
                 _measure(ros, protocol, direction, names)
-    with bed.Process(__file__, "publish", str(bed.NEAR), *names) as publishers:
+    with bed.Process("-m", "bench.opening", "publish", str(bed.NEAR), *names) as publishers:
         publishers.line()
-        with bed.Process(__file__, "floor", *names) as endpoints:
+        with bed.Process("-m", "bench.opening", "floor", *names) as endpoints:
             took = json.loads(endpoints.line())
             _row("floor: subscriptions", f"{took['subscriptions']:.2f}")
             _row("floor: publishers", f"{took['publishers']:.2f}")
@@ -98,10 +98,10 @@ def _sides(
         sides = []
         if ros == "real":
             domain = bed.NEAR if direction == "transmit" else bed.FAR
-            stack.enter_context(bed.Process(__file__, "publish", str(domain), *names)).line()
+            stack.enter_context(bed.Process("-m", "bench.opening", "publish", str(domain), *names)).line()
         for role in roles:
             options = json.dumps(common | {"role": role, "sends": role == roles[0]})
-            sides.append(stack.enter_context(bed.Process(__file__, "side", options)))
+            sides.append(stack.enter_context(bed.Process("-m", "bench.opening", "side", options)))
             sides[-1].line()
         yield sides[0], sides[1]
 
@@ -160,8 +160,6 @@ def _lateness(engine: Engine) -> list[float]:
 
 
 def _stand_in(names: Sequence[str]) -> RosInterface:
-    from stand_in import StandIn  # noqa: PLC0415 — where it stands is known only now
-
     return StandIn(**{name[1:]: Qos() for name in names})
 
 

@@ -10,8 +10,7 @@ import os
 import platform
 import time
 
-import bed
-import opening
+from bench import bed, opening
 
 SIZES = (2_500, 5_000, 10_000)
 CPU_RATES = (1_000, 10_000, 30_000)

@@ -1,7 +1,7 @@
 """The thesis's own pipeline, rebuilt from its description for comparison only.
 
 Typed subscription on the stock executor, pickle, Fernet, a separator between messages, one recv(1024) loop, typed
-publisher. ``python thesis.py send|receive DOMAIN TOPIC PORT KEY``
+publisher. ``python -m bench.thesis send|receive DOMAIN TOPIC PORT KEY``
 """
 
 from __future__ import annotations

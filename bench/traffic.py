@@ -1,4 +1,4 @@
-"""One end of a measured stream of std_msgs/String: ``python traffic.py PART DOMAIN TOPIC``, commanded by lines.
+"""One end of a measured stream of std_msgs/String: ``python -m bench.traffic PART DOMAIN TOPIC``, commanded by lines.
 
 ``talk``: ``send RATE COUNT SIZE`` publishes COUNT messages of SIZE bytes at RATE Hz and answers with the rate reached.
 ``listen``: ``reset`` forgets; ``report`` answers with the count and the latencies' percentiles. Both drain and publish

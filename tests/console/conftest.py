@@ -1,12 +1,9 @@
-"""What the console's tests share: `scripted.py` and `driving.py` beside this file are importable."""
+"""What the console's tests share."""
 
-import sys
 import time
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
-from scripted import SESSION, ScriptedEngine
+from tests.console.scripted import SESSION, ScriptedEngine
 from textual.events import Paste
 from textual.pilot import Pilot
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from driving import drive, gone, scripted_app, shown, text, until
+from tests.console.driving import drive, gone, scripted_app, shown, text, until
 from textual.pilot import Pilot
 
 from rsb_console.actions import ACTIONS, BY_ID, Group, KeymapError, load_keymap, split_keys

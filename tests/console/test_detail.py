@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from driving import NARROW, drive, scripted_app, settled, shown, text, until
-from scripted import ROUTES, ScriptedEngine, route
+from tests.console.driving import NARROW, drive, scripted_app, settled, shown, text, until
+from tests.console.scripted import ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos

@@ -1,7 +1,7 @@
 """Typing into forms: on coming to a field, and faster than a refusal shows."""
 
 import pytest
-from driving import drive, empty_app, fill, shown, text, until
+from tests.console.driving import drive, empty_app, fill, shown, text, until
 from textual.events import Key
 from textual.pilot import Pilot
 

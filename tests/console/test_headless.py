@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from scripted import ScriptedEngine, route
+from tests.console.scripted import ScriptedEngine, route
 
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.headless import text_status

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from driving import NARROW, drive, fill, gone, scripted_app, shown, text, until
-from scripted import LINK, SESSION
+from tests.console.driving import NARROW, drive, fill, gone, scripted_app, shown, text, until
+from tests.console.scripted import LINK, SESSION
 from textual.pilot import Pilot
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use

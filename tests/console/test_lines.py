@@ -1,9 +1,9 @@
 """A live pane redraws no more than it must, and never less."""
 
-from driving import drive, scripted_app, shown, until
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
+from tests.console.driving import drive, scripted_app, shown, until
 from textual.pilot import Pilot
 from textual.strip import Strip
 

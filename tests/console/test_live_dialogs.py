@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 
 import pytest
-from driving import NOWHERE, drive, gone, shown, text, until
-from live import HERE, THERE, Pair, talker
+from tests.console.driving import NOWHERE, drive, gone, shown, text, until
+from tests.console.live import HERE, THERE, Pair, talker
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import load

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from driving import NARROW, gone, listed, on_main, put, shown, text, until
-from scripted import LINK, NOW
+from tests.console.driving import NARROW, gone, listed, on_main, put, shown, text, until
+from tests.console.scripted import LINK, NOW
 
 from rsb_bridge.model.snapshot import Event, Level
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from driving import NARROW, drive, gone, on_main, put, scripted_app, shown, text, until
-from scripted import FAULTY, LINK, NOW, ScriptedEngine, route
+from tests.console.driving import NARROW, drive, gone, on_main, put, scripted_app, shown, text, until
+from tests.console.scripted import FAULTY, LINK, NOW, ScriptedEngine, route
 from textual.pilot import Pilot
 from textual.widgets import Button
 

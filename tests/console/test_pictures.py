@@ -1,7 +1,7 @@
 """Exact pictures, each proven to show the console and not a crash before it is compared."""
 
 import pytest
-from driving import NARROW, WIDE, scripted_app, settled, shown
+from tests.console.driving import NARROW, WIDE, scripted_app, settled, shown
 from textual.pilot import Pilot
 
 THEMES = ("dark", "light", "high-contrast", "terminal")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from driving import drive, fill, scripted_app, shown, text, until
-from scripted import SESSION
+from tests.console.driving import drive, fill, scripted_app, shown, text, until
+from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import read_key, write_key

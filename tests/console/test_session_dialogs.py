@@ -4,8 +4,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from driving import NARROW, choose, drive, empty_app, fill, gone, shown, text, until
-from scripted import SESSION
+from tests.console.driving import NARROW, choose, drive, empty_app, fill, gone, shown, text, until
+from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import fingerprint, read_key, write_key

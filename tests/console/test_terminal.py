@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
-from live import Pair, end, talker
-from terminal import COMMAND, Terminal
+from tests.console.live import Pair, end, talker
+from tests.console.terminal import COMMAND, Terminal
 
 from rsb_bridge.model.session import Topic
 from rsb_console.terminal import prefers_ascii

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from driving import drive, scripted_app, shown
+from tests.console.driving import drive, scripted_app, shown
 from textual.color import Color
 from textual.pilot import Pilot
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text, until
-from scripted import SESSION, ScriptedEngine, route
+from tests.console.driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text, until
+from tests.console.scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from driving import gone, listed, on_main, put, shown, text, until
-from scripted import FAULTY, LINK, ROUTES, route
+from tests.console.driving import gone, listed, on_main, put, shown, text, until
+from tests.console.scripted import FAULTY, LINK, ROUTES, route
 from textual.events import Key
 
 from rsb_bridge.model.snapshot import State
