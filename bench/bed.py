@@ -49,7 +49,8 @@ class Process:
         assert self._child.stdin is not None
         self._child.stdin.write(line + "\n")
         self._child.stdin.flush()
-        return json.loads(self.line())
+        answer: dict[str, float] = json.loads(self.line())
+        return answer
 
     def line(self) -> str:
         assert self._child.stdout is not None

@@ -13,7 +13,7 @@ from bench import bed
 from tests.console.terminal import Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
 RATE, SIZE, SECONDS, ROUNDS = 5_000, 2_500, 10.0, 5
@@ -24,8 +24,8 @@ KEYS = 30
 class Watched(bed.Process):
     """A Python program in a pseudo-terminal whose reader is as fast as a terminal."""
 
-    def __init__(self, *command: str, **environ: str) -> None:
-        self.terminal = Terminal(sys.executable, *command, COLORTERM="", **environ)
+    def __init__(self, *command: str, environ: Mapping[str, str]) -> None:
+        self.terminal = Terminal(sys.executable, *command, environ={"COLORTERM": "", **environ})
         self._stopping = threading.Event()
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
@@ -67,7 +67,7 @@ def main() -> None:
         _alone(rate, environ)
     print(f"\na bridge carrying {RATE} msg/s of {SIZE} bytes over TCP, {ROUNDS} x {SECONDS:.0f} s each, by turns")
     print(f"{'client':>8} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'of which':>12} {'CPU s':>7} {'p99 ratio':>10}")
-    over_ssh = partial(_console, **OVER_SSH)
+    over_ssh = partial(_console, environ=OVER_SSH)
     clients = {"no-ui": None, "4 Hz": _console, "2 Hz": over_ssh, "no-ui 2": None}  # the last shows the noise
     runs = [[_carried(client) for client in clients.values()] for _ in range(ROUNDS)]
     by_client = [_medians(rounds) for rounds in zip(*runs, strict=True)]
@@ -83,12 +83,12 @@ def _medians(runs: Iterable[tuple[float, ...]]) -> tuple[float, ...]:
     return tuple(statistics.median(figures) for figures in zip(*runs, strict=True))
 
 
-def _console(session: Path, **environ: str) -> Watched:
-    return Watched("-m", "rsb_console", "run", str(session), **environ)
+def _console(session: Path, environ: Mapping[str, str] = {}) -> Watched:
+    return Watched("-m", "rsb_console", "run", str(session), environ=environ)
 
 
 def _alone(name: str, environ: dict[str, str]) -> None:
-    console = Watched("-m", "bench.console_alone", "500", **environ)
+    console = Watched("-m", "bench.console_alone", "500", environ=environ)
     try:
         painted = console.until(lambda: b"Topics" in console.terminal.output)
         time.sleep(2.0)

@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bench import bed
 from tests.bluetooth.guest.stand_in import StandIn
@@ -27,8 +27,9 @@ from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
+    from rsb_bridge.model.session import Direction, Protocol, Role
     from rsb_bridge.ros.api import RosInterface
 
 TOPICS = 500
@@ -91,8 +92,8 @@ def _sides(
     key = Path(folder) / "bench.key"
     key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
     key.chmod(0o600)
-    common = {"names": names, "ros": ros, "protocol": protocol, "direction": direction, "folder": folder}
-    common["port"] = bed.free_port()
+    common: dict[str, Any] = {"names": names, "ros": ros, "protocol": protocol, "direction": direction}
+    common |= {"folder": folder, "port": bed.free_port()}
     roles = ("client", "server") if direction == "transmit" else ("server", "client")
     with contextlib.ExitStack() as stack:
         sides = []
@@ -107,7 +108,14 @@ def _sides(
 
 
 def _side(
-    names: Sequence[str], ros: str, protocol: str, direction: str, folder: str, port: int, role: str, sends: bool
+    names: Sequence[str],
+    ros: str,
+    protocol: Protocol,
+    direction: Direction,
+    folder: str,
+    port: int,
+    role: Role,
+    sends: bool,
 ) -> None:
     topics = tuple(Topic(name, direction, protocol=protocol) for name in names)
     domain = bed.NEAR if role == "client" else bed.FAR
@@ -128,7 +136,7 @@ def _side(
     sys.stdin.readline()
 
 
-def _opened(engine: Engine, topics: int) -> Mapping[str, float]:
+def _opened(engine: Engine, topics: int) -> dict[str, float]:
     deadline = time.monotonic() + _OPEN_WITHIN
     while True:
         events = engine.events()

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from rsb_bridge.model.session import Direction
     from rsb_bridge.model.snapshot import Event, RouteSnapshot
     from rsb_bridge.transport.transport import Acceptor, Listener
 
@@ -142,7 +143,7 @@ def _data_frame(route: int) -> bytes:
     return pack_frame(HEADER.pack(DATA, 0, route, 0), bytes(20))
 
 
-def on_channel(name: str, direction: str = "transmit", **more: object) -> Topic:
+def on_channel(name: str, direction: Direction = "transmit", **more: Any) -> Topic:
     return Topic(name, direction, protocol="bluetooth", port=_CHANNEL, qos=10, compression="none", **more)
 
 

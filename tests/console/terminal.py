@@ -9,6 +9,7 @@ import struct
 import sys
 import termios
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 COMMAND = Path(sys.executable).with_name("rsb-console")
@@ -21,13 +22,13 @@ class Terminal:
         output: all that it wrote so far.
     """
 
-    def __init__(self, *command: str, size: tuple[int, int] = (120, 36), **environ: str) -> None:
+    def __init__(self, *command: str, size: tuple[int, int] = (120, 36), environ: Mapping[str, str] = {}) -> None:
         self.started = time.monotonic()
         self.pid, self.fd = pty.fork()
         if self.pid == 0:
             fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
             # execve, for readline, which pytest loads, has put COLUMNS and LINES where os.environ does not see them
-            settings = {"TERM": "xterm-256color", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | environ
+            settings = {"TERM": "xterm-256color", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **environ}
             os.execve(command[0], command, os.environ | settings)
         self.output = b""
         self.status: int | None = None

@@ -47,7 +47,7 @@ def pair(tmp_path: Path) -> Pair:
 
 
 def console(pair: Pair, *options: str, **environ: str) -> Terminal:
-    return Terminal(str(COMMAND), "run", str(pair.client_path), *options, **environ)
+    return Terminal(str(COMMAND), "run", str(pair.client_path), *options, environ=environ)
 
 
 class FarSide:
@@ -180,7 +180,7 @@ def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair
     script.write_text(CRASHING)
     with FarSide(pair, tmp_path / "far") as far, talker(CHATTER):
         command = (sys.executable, str(script), str(pair.client_path))
-        with Terminal(*command, XDG_STATE_HOME=str(tmp_path / "state")) as terminal:
+        with Terminal(*command, environ={"XDG_STATE_HOME": str(tmp_path / "state")}) as terminal:
             terminal.wait_for("LINKED")
             terminal.type("t")
             terminal.wait_for("the console has crashed")
@@ -196,7 +196,7 @@ def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair
 def test_what_libraries_print_is_kept_off_the_picture(tmp_path: Path) -> None:
     script, state = tmp_path / "noisy.py", tmp_path / "state"
     script.write_text(NOISY)
-    with Terminal(sys.executable, str(script), size=(100, 30), XDG_STATE_HOME=str(state)) as terminal:
+    with Terminal(sys.executable, str(script), size=(100, 30), environ={"XDG_STATE_HOME": str(state)}) as terminal:
         terminal.wait_for("Open a session")
         terminal.type("q")
         terminal.wait_for("itself again 1")
@@ -302,7 +302,7 @@ def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Pat
         tmux.wait_for("┌─ /console_")
 
         for _ in range(2):
-            with Terminal(shutil.which("tmux"), "-S", str(tmp_path / "tmux"), "attach", size=(100, 30)) as client:
+            with Terminal(str(shutil.which("tmux")), "-S", str(tmp_path / "tmux"), "attach", size=(100, 30)) as client:
                 client.wait_for("Topics")
                 tmux("detach-client")
                 assert client.exit_code() == 0

@@ -10,8 +10,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
-from tests.support.bridge import carries, eventually, find, free_port, happened, heard, link, route, stage
+from tests.support.bridge import carries, find, free_port, happened, heard, link, route, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
+from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import fingerprint, read_key, write_key

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.serialization import serialize_message
-from tests.support.bridge import carries, eventually, happened, heard, link, route, settled
+from tests.support.bridge import carries, happened, heard, link, protocol_of, route, settled
 from tests.support.domain import text
 from tests.support.filled import filled
+from tests.support.waiting import eventually
 
 from rsb_bridge.link import roles as ends
 from rsb_bridge.model.codes import EventCode
@@ -116,8 +117,8 @@ def test_both_ways_over(address: str, changes: dict[str, Any], bridge: Bridge, r
     theirs = [prefix + name for name in outs]
     out, there = [robot.publisher(name) for name in outs], [pc.listener(name) for name in theirs]
     home, back = [pc.publisher(prefix + name) for name in backs], [robot.listener(name) for name in backs]
-    topics = [Topic(name, "transmit", protocol=name[-3:]) for name in outs]
-    topics += [Topic(name, "receive", protocol=name[-3:]) for name in backs]
+    topics = [Topic(name, "transmit", protocol=protocol_of(name)) for name in outs]
+    topics += [Topic(name, "receive", protocol=protocol_of(name)) for name in backs]
     server, client = bridge.both(*topics, server_ip=address, **changes)
     carries(out, server, theirs)
     carries(home, client, backs)
@@ -200,7 +201,7 @@ def test_compressed(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """What shrinks is sent shrunk; noise as it is."""
     names = ("/tcp", "/udp")
     theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
-    server, client = bridge.both(*(Topic(n, "transmit", protocol=n[1:], compression="zstd") for n in names))
+    server, client = bridge.both(*(Topic(n, "transmit", protocol=protocol_of(n), compression="zstd") for n in names))
     carries(outs, server, names)
     noise = "".join(random.Random(1).choices("0123456789abcdefghijklmnopqrstuvwxyz", k=20_000))
     sent = [text("free space " * 40_000), text(noise), text("")]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import carries, eventually, happened, heard, linked
+from tests.support.bridge import carries, happened, heard, linked
 from tests.support.domain import text
 from tests.support.rogue import Rogue
+from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode

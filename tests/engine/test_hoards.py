@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from tests.support.bridge import carries, eventually, happened, heard, linked, route, settled
+from tests.support.bridge import carries, happened, heard, linked, route, settled
 from tests.support.domain import text
 from tests.support.rogue import Rogue
+from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode

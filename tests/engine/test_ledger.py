@@ -7,9 +7,10 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import balance, carries, eventually, happened, heard, linked, route, settled
+from tests.support.bridge import balance, carries, happened, heard, linked, protocol_of, route, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -34,7 +35,7 @@ def test_everything_arrives_on_a_good_line(direction: Any, bridge: Bridge, robot
     near, far = (robot, pc) if direction == "transmit" else (pc, robot)
     names = ("/tcp", "/udp")
     theres, outs = [far.listener(name) for name in names], [near.publisher(name) for name in names]
-    server, client = bridge.both(*(Topic(n, direction, protocol=n[1:], qos={"depth": 1000}) for n in names))
+    server, client = bridge.both(*(Topic(n, direction, protocol=protocol_of(n), qos={"depth": 1000}) for n in names))
     sender, receiver = (client, server) if direction == "transmit" else (server, client)
     carries(outs, receiver, names)
     for name, there, out in zip(names, theres, outs, strict=True):
@@ -110,7 +111,7 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
     """Three times amid traffic: what the other side published is delivered, also what it had not reported yet."""
     names = ("/tcp", "/udp")
     theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
-    server, client = bridge.both(*(Topic(n, "transmit", protocol=n[1:], qos={"depth": 1000}) for n in names))
+    server, client = bridge.both(*(Topic(n, "transmit", protocol=protocol_of(n), qos={"depth": 1000}) for n in names))
     for _ in range(3):
         carries(outs, server, names)
         before = [len(there.payloads) for there in theres]
@@ -207,7 +208,7 @@ def test_pausing_under_traffic(bridge: Bridge, robot: Domain, pc: Domain) -> Non
 def test_a_highest_rate(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     names = ("/tcp", "/udp")
     theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
-    server, client = bridge.both(*(Topic(n, "transmit", protocol=n[1:], max_rate=20.0) for n in names))
+    server, client = bridge.both(*(Topic(n, "transmit", protocol=protocol_of(n), max_rate=20.0) for n in names))
     carries(outs, server, names)
     began = time.monotonic()
     for number in range(200):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import threading
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import eventually, linked, said
+from tests.support.bridge import linked, said
 from tests.support.rogue import Rogue
+from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.link import client as link_client
@@ -59,7 +61,7 @@ def test_all_streams_are_let_in(bridge: Bridge, monkeypatch: pytest.MonkeyPatch)
 def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server's name is looked up once for a link, not for each stream."""
     asked: list[str] = []
-    look_up = tcp.look_up
+    look_up = names.look_up
 
     async def counted(host: str, port: int, within: float) -> names.Found:
         asked.append(host)
@@ -75,7 +77,7 @@ def test_streams_go_where_the_control_connection_went(bridge: Bridge, monkeypatc
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "fe80::1%1"])
 def test_what_is_an_address_already_needs_no_thread(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(names.threading, "Thread", None)
+    monkeypatch.setattr(threading, "Thread", None)
     ((*_, found),) = asyncio.run(names.look_up(address, 49152, 1.0))
     assert found[:2] == (address.partition("%")[0], 49152)
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from std_msgs.msg import String
-from tests.support.bridge import carries, eventually, find, happened, heard, linked, route
+from tests.support.bridge import carries, find, happened, heard, linked, protocol_of, route
 from tests.support.domain import LATCHED, text
-from tests.support.waiting import holds
+from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
@@ -166,7 +166,7 @@ def test_a_topic_both_ways_does_not_loop(bridge: Bridge, robot: Domain, pc: Doma
     """On either transport, also where the server hands one robot's words to another."""
     names = ("/tcp", "/udp")
     topics = [
-        Topic(name, direction, protocol=name[1:], type="String", qos="default")
+        Topic(name, direction, protocol=protocol_of(name), type="String", qos="default")
         for name in names
         for direction in ("transmit", "receive")
     ]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import eventually, linked, route
-from tests.support.waiting import holds
+from tests.support.bridge import linked, route
+from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
 

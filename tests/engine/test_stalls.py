@@ -6,8 +6,9 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import balance, carries, eventually, linked, settled
+from tests.support.bridge import balance, carries, linked, settled
 from tests.support.domain import text
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import Topic
 

@@ -9,9 +9,10 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import STOPS_WITHIN, carries, eventually, find, happened, link, linked
+from tests.support.bridge import STOPS_WITHIN, carries, find, happened, link, linked
 from tests.support.domain import text
 from tests.support.resources import resources
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic

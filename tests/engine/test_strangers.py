@@ -11,9 +11,10 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, eventually, happened, heard, link, linked, route, said, settled
+from tests.support.bridge import carries, happened, heard, link, linked, route, said, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tests.support.bridge import carries, eventually, happened, heard, route, stage
+from tests.support.bridge import carries, happened, heard, route, stage
 from tests.support.domain import text
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic

@@ -316,7 +316,9 @@ def test_a_sink_may_close_its_subscription_and_stop_the_node(
     publisher = other.advertise("/chat", STRING, "", DEEP, "link")
     eventually(lambda: publisher.subscriber_count)
     publisher.publish(payload("1"))
-    eventually(lambda: called and not node._thread.is_alive())
+    thread = node._thread
+    assert thread is not None
+    eventually(lambda: called and not thread.is_alive())
     assert len(called) == 1
 
 

@@ -7,14 +7,14 @@ from itertools import product
 import pytest
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
-from rsb_bridge.model.qos import PROFILES, Qos, incompatible, match_publishers
+from rsb_bridge.model.qos import PROFILES, Durability, Qos, Reliability, incompatible, match_publishers
 from rsb_bridge.ros.rcl import _profile
 
+RELIABILITIES: tuple[Reliability, ...] = ("reliable", "best_effort")
+DURABILITIES: tuple[Durability, ...] = ("volatile", "transient_local")
 POLICIES = [
     Qos(reliability=reliability, durability=durability, deadline=deadline)
-    for reliability, durability, deadline in product(
-        ("reliable", "best_effort"), ("volatile", "transient_local"), (0.0, 1.0, 2.0)
-    )
+    for reliability, durability, deadline in product(RELIABILITIES, DURABILITIES, (0.0, 1.0, 2.0))
 ]
 
 

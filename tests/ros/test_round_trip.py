@@ -14,7 +14,7 @@ from tests.support.filled import filled
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.type_names import SHORT_NAMES
-from rsb_bridge.ros import anytype
+from rsb_bridge.ros import anytype, typesupport
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.typesupport import hash_of, installed_class
 
@@ -143,12 +143,17 @@ def test_a_made_type_is_asked_by_none_but_the_thread_that_creates_endpoints(
         def wrap(function: Any) -> Any:
             if not callable(function):  # an address of the middleware's
                 return prototype(function)
-            return prototype(lambda *arguments: (asked_by.append(threading.get_ident()), function(*arguments))[1])
+
+            def recorded(*arguments: Any) -> Any:
+                asked_by.append(threading.get_ident())
+                return function(*arguments)
+
+            return prototype(recorded)
 
         return wrap
 
-    monkeypatch.setattr(anytype, "FIND", recording(anytype.FIND))
-    monkeypatch.setattr(anytype, "GET_HASH", recording(anytype.GET_HASH))
+    monkeypatch.setattr(anytype, "FIND", recording(typesupport.FIND))
+    monkeypatch.setattr(anytype, "GET_HASH", recording(typesupport.GET_HASH))
     one, other = open_node(), open_node(name="other")
     received: list[Any] = []
     one.subscribe("/asked", "asked_msgs/msg/A", MADE_UP_HASH, Qos(), received.extend, "link")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given, settings
@@ -58,7 +58,7 @@ def check(ledger: Ledger) -> None:
 
 @given(st.lists(steps, max_size=40), st.booleans())
 @settings(max_examples=500, deadline=None)
-def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple], numbered: bool) -> None:
+def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple[Any, ...]], numbered: bool) -> None:
     ledger = RouteLedger()
     for now, (what, *details) in enumerate(taken):
         match what:
@@ -76,7 +76,7 @@ def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple], nu
             case "close":
                 ledger.closed()
             case "report":
-                ledger.reported(*details, now)
+                ledger.reported(details[0], now)
             case "settle":
                 ledger.settle(*details)
         check(ledger.ledger(0, numbered=numbered))
@@ -163,7 +163,7 @@ def test_an_impossible_report_is_said_once_and_ends_nothing(make_context: Callab
     ],
 )
 def test_a_sender_s_impossible_ledger_is_not_shown(
-    make_context: Callable[..., Context], topic: Topic, wrong: dict[str, int]
+    make_context: Callable[..., Context], topic: Topic, wrong: dict[str, Any]
 ) -> None:
     context, peer = make_context(role="server"), FakePeer()
     proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)

@@ -1,6 +1,7 @@
 """What the validation of a session accepts, the wire carries; and what the wire carries, the validation accepts."""
 
 import math
+from typing import Any
 
 import msgspec
 import pytest
@@ -117,7 +118,7 @@ def test_a_topic_is_judged_in_a_form_as_in_a_file(session: Session) -> None:
         },
     )
 )
-def test_what_the_wire_carries_the_validation_accepts(fields: dict[str, object]) -> None:
+def test_what_the_wire_carries_the_validation_accepts(fields: dict[str, Any]) -> None:
     """Of a channel the range is the validation's alone, and so is the form of a name: those are refused in words."""
     assume(fields.get("transport") != "bluetooth" or fields.get("port", 0) in (0, CHANNEL.low, CHANNEL.high))
     depth = fields.get("qos", {}).get("depth", 0)
@@ -126,13 +127,14 @@ def test_what_the_wire_carries_the_validation_accepts(fields: dict[str, object])
         proposal = decode(msgspec.msgpack.encode({"message": "propose", "route": 1} | fields))
     except ProtocolError:
         return
+    assert isinstance(proposal, Propose)
     assert validate_topic(topic_of(proposal)) == []
 
 
 @pytest.mark.parametrize(
     "qos", [{"depth": 100_001}, 1_000_000, {"deadline": 0.0009}, {"lifespan": 1e-9}, {"deadline": 1.1e9}]
 )
-def test_check_refuses_what_run_would(qos: object) -> None:
+def test_check_refuses_what_run_would(qos: int | dict[str, Any]) -> None:
     """Each of these was accepted in a file once, and ended the start or the link."""
     (problem,) = validate_topic(Topic("/scan", "transmit", qos=qos))
     assert problem.location == "qos"

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
+    from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.api import RosInterface
 
@@ -117,6 +118,11 @@ class Bridge:
         assert [
             event.text for engine in engines for event in engine.events() if event.code == EventCode.ENGINE_ERROR
         ] == []
+
+
+def protocol_of(topic: str) -> Protocol:
+    """What the topic's name ends with: tests name them ``/tcp``, ``/from_pc_udp`` and the like."""
+    return "udp" if topic.endswith("udp") else "tcp"
 
 
 def free_port(host: str = "127.0.0.1") -> int:

@@ -11,6 +11,7 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 from rsb_bridge.context import Context
 from rsb_bridge.model.session import Session
 from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.route.pause import Revisions
 from rsb_bridge.telemetry.event_log import EventLog
@@ -18,8 +19,10 @@ from rsb_bridge.transport.registry import Transports, default_transports
 from rsb_bridge.wire.budget import Budget
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Hashable, Iterator
 
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import Endpoint, OnFailure, Publisher, Sink, Subscription
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -31,9 +34,42 @@ def loop() -> Iterator[VirtualLoop]:
 
 
 class NoRos:
-    """A ROS graph that has nothing in it."""
+    """A ROS graph that has nothing in it, and takes nothing."""
 
     instance_id = "0123abcd"
+
+    def start(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+    def topics(self) -> dict[str, list[str]]:
+        return {}
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        return []
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        return []
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return None
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Subscription:
+        raise RosError("there is no ROS")
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+        raise RosError("there is no ROS")
 
 
 @pytest.fixture

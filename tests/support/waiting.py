@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 T = TypeVar("T")
+Condition: TypeAlias = "Callable[..., T | None]"
+"""Called without arguments; in a loop it binds the loop's variables by defaults, which `Callable[[], T]` forbids."""
 
 
-def eventually(condition: Callable[[], T], within: float = 20.0, what: str = "") -> T:
+def eventually(condition: Condition[T], within: float = 20.0, what: str = "") -> T:
     """Wait until a condition gives something true, and return that.
 
     Raises:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from rclpy.qos import QoSHistoryPolicy, QoSProfile
-from tests.support.bridge import eventually
 from tests.support.domain import BEST_EFFORT, text
-from tests.support.waiting import holds
+from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
 

@@ -7,9 +7,10 @@ import random
 import time
 from typing import TYPE_CHECKING
 
-from tests.support.bridge import eventually, linked
+from tests.support.bridge import linked
 from tests.support.domain import Domain, text
 from tests.support.resources import resources
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic

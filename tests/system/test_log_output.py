@@ -15,7 +15,8 @@ import time
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import eventually, happened, linked
+from tests.support.bridge import happened, linked
+from tests.support.waiting import eventually
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode

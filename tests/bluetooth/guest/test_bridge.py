@@ -10,7 +10,7 @@ import sys
 import time
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from msgspec import structs
@@ -263,7 +263,7 @@ def _all_flow(client_side: StandIn, server_side: StandIn) -> None:
 def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], base: Path) -> None:
     """Also after one was made anew, and after the radio link broke. The kernel has one connection on a channel."""
     client_side, server_side = StandIn(map=Qos(), joy=Qos(), odom=Qos()), StandIn(cmd=Qos())
-    radio = {"protocol": "bluetooth", "port": 11, "compression": "none"}
+    radio: dict[str, Any] = {"protocol": "bluetooth", "port": 11, "compression": "none"}
     on_radio = [
         Topic("/map", "transmit", **radio),
         Topic("/joy", "transmit", **radio),

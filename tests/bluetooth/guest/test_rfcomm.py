@@ -109,7 +109,6 @@ async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator
         for end in pair.accepted:
             if end.stream is not None:
                 end.stream.abort("test over")
-        await server.wait_closed()
 
 
 def test_both_ways_intact(addresses: tuple[str, str]) -> None:
