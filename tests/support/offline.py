@@ -37,6 +37,7 @@ class NoRos:
     """A ROS graph that has nothing in it, and takes nothing."""
 
     instance_id = "0123abcd"
+    node_name = "rsb_robot1_0123abcd"
 
     def start(self) -> None:
         pass
