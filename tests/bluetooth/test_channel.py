@@ -26,7 +26,7 @@ from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_frame
-from rsb_bridge.wire.opening import Kind, data_header, opening
+from rsb_bridge.wire.preamble import Kind, data_header, preamble_frame
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -278,15 +278,15 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
         ("accepted", _data_frame(9), "a frame of type 1, route 9 on a stream that does not carry it"),
         ("called", _data_frame(5), "a frame of type 1, route 5 on a stream that does not carry it"),
         ("called", pack_frame(bytes(HEADER.size)), "a frame of type 0, route 0 on a stream that does not carry it"),
-        ("called", _data_frame(1), "sequence 0 is not what the peer sealed"),
+        ("called", _data_frame(1), "sequence 0 was not sealed with this key"),
         ("accepted", _data_frame(1), "data on route 1, which goes the other way"),
         ("called", pack_frame(b"\1"), "a data frame of 1 bytes"),
         ("called", LENGTH.pack(CONTROL_LIMIT + 1), f"a frame of {CONTROL_LIMIT + 1} bytes"),
         ("called", pack_frame(data_header(bytes(8), 9), bytes(16)), "no such route waits for a stream"),
         ("called", pack_frame(data_header(bytes(8), 1), bytes(16)), "no such route waits for a stream"),
-        ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), "sequence 0 is not what the peer sealed"),
-        ("called", pack_frame(opening(Kind.ACCEPT)), "an opening frame of kind ACCEPT has no place on an open stream"),
-        ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), "an opening frame came on an open stream"),
+        ("called", pack_frame(data_header(bytes(8), 7), bytes(16)), "sequence 0 was not sealed with this key"),
+        ("called", pack_frame(preamble_frame(Kind.ACCEPT)), "unexpected ACCEPT frame after the preamble"),
+        ("accepted", pack_frame(data_header(bytes(8), 7), bytes(16)), "unexpected preamble frame on an open stream"),
     ],
 )
 def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words: str, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
 
 ROUTES = 8
-WORDS = f"would hold more than {UNFINISHED_LIMIT:,} bytes"
+WORDS = f"the link's incomplete messages would take more than {UNFINISHED_LIMIT:,} bytes"
 
 
 @pytest.fixture

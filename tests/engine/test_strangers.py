@@ -67,7 +67,7 @@ def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, 
         (
             {"name": "robot2"},
             EventCode.LINK_WRONG_KEY,
-            "the two sides' keys for 'robot2' differ; this side's key has the fingerprint",
+            "the two sides have different keys for 'robot2'; this side's key has the fingerprint",
             ("", ""),
         ),
         (
@@ -123,7 +123,7 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
 def test_a_key_against_none(bridge: Bridge) -> None:
     server = bridge.server(use_encryption=False)
     stranger = bridge.client()
-    words = "the client encrypts and the server has no key for 'robot1'"
+    words = "the client encrypts, and the server has no key for 'robot1'"
     eventually(lambda: happened(stranger, EventCode.LINK_REFUSED) and happened(server, EventCode.LINK_REJECTED, words))
     plain = bridge.client(use_encryption=False)
     eventually(lambda: linked(plain))
@@ -154,11 +154,11 @@ NO_HANDSHAKES = [
     (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", "the other side is not an rsb-console"),
     (struct.pack(">I", 2**32 - 1), "the other side is not an rsb-console"),
     (frame(b"rsb\x09\x01whatever comes later"), "this side speaks version 1, the peer version 9"),
-    (frame(b"rsb\x01\x63"), "there is no opening frame of kind 99"),
+    (frame(b"rsb\x01\x63"), "unknown preamble kind 99"),
     (frame(b"rsb\x01\x01\x01\xffname"), "a CONTROL frame ends before its name does"),
-    (frame(b"rsb\x01\x01\x07\x01x"), "names a cipher suite that does not exist"),
+    (frame(b"rsb\x01\x01\x07\x01x"), "unknown cipher suite"),
     (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(20)), "a handshake message of 20 bytes is too short"),
-    (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(200)), "the two sides' keys for 'robot1' differ"),
+    (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(200)), "the two sides have different keys for 'robot1'"),
     (frame(b"rsb\x01\x02short"), "a DATA frame ends before its route does"),
     (frame(b"rsb\x01\x02" + bytes(28)), "no such route waits for a stream"),
 ]

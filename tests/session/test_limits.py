@@ -16,7 +16,7 @@ from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import Hello, Propose, decode, decode_hello, encode
-from rsb_bridge.wire.opening import control_header, parse_control
+from rsb_bridge.wire.preamble import control_header, parse_control
 from rsb_bridge.wire.sealing import Suite
 
 TRANSPORTS = default_transports()

@@ -20,12 +20,12 @@ from rsb_bridge.wire.connection import DataConnection
 from rsb_bridge.wire.events import DataFrame, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping, encode
-from rsb_bridge.wire.opening import Kind, RefusalCode, control_header, opening, refuse_frame
+from rsb_bridge.wire.preamble import Kind, RefusalCode, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
 
 
 def control(body):
-    return pack_frame(opening(Kind.CONTROL, body))
+    return pack_frame(preamble_frame(Kind.CONTROL, body))
 
 
 @pytest.mark.parametrize(
@@ -36,17 +36,17 @@ def control(body):
         (pack_frame(b""), "not an rsb-console"),
         (pack_frame(b"rsb\x01"), "not an rsb-console"),
         (pack_frame(b"RSB\x01\x01"), "not an rsb-console"),
-        (pack_frame(opening(Kind.ACCEPT)), "kind ACCEPT has no place"),
-        (pack_frame(b"rsb\x01\x63"), "no opening frame of kind 99"),
+        (pack_frame(preamble_frame(Kind.ACCEPT)), "unexpected ACCEPT frame"),
+        (pack_frame(b"rsb\x01\x63"), "unknown preamble kind 99"),
         (control(b""), "ends before its name does"),
         (control(b"\x01\x05robo"), "ends before its name does"),
         (control(b"\x01\x02\xff\xfe"), "not UTF-8"),
-        (control(b"\x07\x01a"), "cipher suite that does not exist"),
+        (control(b"\x07\x01a"), "unknown cipher suite"),
         (control(b"\x01\x06robot1short"), "too short"),
-        (pack_frame(opening(Kind.DATA, bytes(11))), "ends before its route does"),
+        (pack_frame(preamble_frame(Kind.DATA, bytes(11))), "ends before its route does"),
     ],
 )
-def test_what_is_no_opening_frame_is_refused_in_words(stream, words):
+def test_what_is_no_preamble_is_refused_in_words(stream, words):
     server = make_server()
     (event,) = server.receive_data(stream)
     assert isinstance(event, Failed)
@@ -57,21 +57,21 @@ def test_what_is_no_opening_frame_is_refused_in_words(stream, words):
 @pytest.mark.parametrize("hello", [b"", b"\xc1", encode(Ping(1, 1)), encode(WELCOME)])
 def test_a_first_message_that_holds_no_hello(hello):
     (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello))
-    assert "does not read" in event.reason
+    assert "invalid control message" in event.reason
 
 
 def test_a_client_with_two_names():
     (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot2"), encode(HELLO)))
-    assert event == Failed("the client calls itself 'robot2' first and 'robot1' then")
+    assert event == Failed("the client's name is 'robot2' in the preamble and 'robot1' in its Hello")
 
 
 @pytest.mark.parametrize(
     ("frame", "words"),
     [
-        (opening(Kind.DATA), "kind DATA has no place"),
-        (opening(Kind.REFUSE), "a reason that does not exist"),
-        (opening(Kind.REFUSE, b"\x63words"), "a reason that does not exist"),
-        (opening(Kind.ACCEPT, b"short"), "too short"),
+        (preamble_frame(Kind.DATA), "unexpected DATA frame"),
+        (preamble_frame(Kind.REFUSE), "unknown refusal code"),
+        (preamble_frame(Kind.REFUSE, b"\x63words"), "unknown refusal code"),
+        (preamble_frame(Kind.ACCEPT, b"short"), "too short"),
         (b"SSH-2.0-OpenSSH", "not an rsb-console"),
     ],
 )
@@ -82,14 +82,14 @@ def test_a_client_hears_nonsense(frame, words):
     assert client.data_to_send() == b""
 
 
-def test_a_refusal_s_words_are_bounded_and_printable():
+def test_a_refusal_s_message_is_bounded_and_printable():
     client, _ = ready_to_accept()
     words = "\x1b[2J" + "ü" * 400
     assert len(refuse_frame(RefusalCode.BUSY, words)) == 6 + 512
     (event,) = client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words)))
-    assert (event.code, event.by_peer) == (RefusalCode.BUSY, True)
-    assert event.words.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
-    assert len(event.words.encode()) <= 512 + 4
+    assert event.code is RefusalCode.BUSY
+    assert event.message.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
+    assert len(event.message.encode()) <= 512 + 4
 
 
 @SUITES
@@ -116,13 +116,13 @@ def test_a_sealed_frame_played_again_ends_the_connection(suite):
 def test_a_sealed_frame_that_is_neither_control_nor_data(frame, multiplexed):
     _, server, _, _ = established(multiplexed=multiplexed)
     (event,) = server.receive_data(pack_frame(frame))
-    assert "has no place on this control connection" in event.reason
+    assert "unexpected frame on the control connection" in event.reason
 
 
 def test_a_control_frame_too_long_is_refused_before_it_comes():
     _, server, _, _ = established()
     (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
-    assert event == Failed(f"a frame of {CONTROL_LIMIT + 1} bytes, where {CONTROL_LIMIT} are the most")
+    assert event == Failed(f"a frame of {CONTROL_LIMIT + 1} bytes; the limit is {CONTROL_LIMIT}")
 
 
 def test_an_empty_control_frame_later_is_no_message():
@@ -130,7 +130,7 @@ def test_an_empty_control_frame_later_is_no_message():
     sealer = Sealer(Suite.PLAIN, None)
     sealer.sequence = 1
     (event,) = server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER)))
-    assert "does not read" in event.reason
+    assert "invalid control message" in event.reason
 
 
 @st.composite

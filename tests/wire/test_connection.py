@@ -25,7 +25,7 @@ from rsb_bridge.wire.events import Established, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
 from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, encode
-from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, opening, refuse_frame
+from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, preamble_frame, refuse_frame
 from rsb_bridge.wire.records import TopicEntry
 from rsb_bridge.wire.sealing import Sealer, Suite
 
@@ -88,28 +88,26 @@ def refused(client, server):
     """The one event on each side of a refusal by the server."""
     client_events, server_events = shake_hands(client, server)
     (ours,), (theirs,) = server_events, client_events
-    assert (ours.code, ours.words) == (theirs.code, theirs.words)
-    assert not ours.by_peer
-    assert theirs.by_peer
+    assert (ours.code, ours.message) == (theirs.code, theirs.message)
     return ours
 
 
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
 def test_another_key(suite):
     refusal = refused(make_client(suite), make_server(suite, key=OTHER_KEY))
-    assert refusal == Refused(RefusalCode.WRONG_KEY, "the two sides' keys for 'robot1' differ", by_peer=False)
+    assert refusal == Refused(RefusalCode.WRONG_KEY, "the two sides have different keys for 'robot1'")
 
 
 def test_no_key_against_a_key():
     refusal = refused(make_client(Suite.PLAIN), make_server())
     assert refusal.code is RefusalCode.ENCRYPTION_REQUIRED
-    assert refusal.words == "the server requires encryption for 'robot1' and the client came without"
+    assert refusal.message == "the server requires encryption for 'robot1', and the client came without"
 
 
 def test_a_key_against_none():
     refusal = refused(make_client(), make_server(Suite.PLAIN))
     assert refusal.code is RefusalCode.ENCRYPTION_NOT_POSSIBLE
-    assert refusal.words == "the client encrypts and the server has no key for 'robot1'"
+    assert refusal.message == "the client encrypts, and the server has no key for 'robot1'"
 
 
 def test_an_unknown_name():
@@ -117,7 +115,7 @@ def test_an_unknown_name():
         raise Refusal(RefusalCode.UNKNOWN_NAME, f"no client {name} is known here")
 
     refusal = refused(make_client(), ServerConnection(identity, lambda hello: WELCOME, aes=True))
-    assert (refusal.code, refusal.words) == (RefusalCode.UNKNOWN_NAME, "no client robot1 is known here")
+    assert (refusal.code, refusal.message) == (RefusalCode.UNKNOWN_NAME, "no client robot1 is known here")
 
 
 def test_a_busy_server():
@@ -130,14 +128,14 @@ def test_a_busy_server():
 
 def test_a_server_that_answers_with_another_key():
     client, _ = ready_to_accept()
-    answer = pack_frame(opening(Kind.ACCEPT, NoiseHandshake(Suite.AESGCM, OTHER_KEY, b"").write(b"")))
-    words = "the server's answer does not open with this side's key"
-    assert client.receive_data(answer) == [Refused(RefusalCode.WRONG_KEY, words, by_peer=False)]
+    answer = pack_frame(preamble_frame(Kind.ACCEPT, NoiseHandshake(Suite.AESGCM, OTHER_KEY, b"").write(b"")))
+    words = "this side's key does not open the server's answer"
+    assert client.receive_data(answer) == [Refused(RefusalCode.WRONG_KEY, words)]
 
 
 def test_a_plain_answer_to_an_encrypting_client_is_not_taken():
     client, _ = ready_to_accept()
-    (event,) = client.receive_data(pack_frame(opening(Kind.ACCEPT, encode(WELCOME))))
+    (event,) = client.receive_data(pack_frame(preamble_frame(Kind.ACCEPT, encode(WELCOME))))
     assert event.code is RefusalCode.WRONG_KEY
 
 
@@ -151,8 +149,8 @@ def other_version(frame):
 def test_a_client_of_another_version():
     server = make_server()
     words = "this side speaks version 1, the peer version 9"
-    (event,) = server.receive_data(other_version(opening(Kind.CONTROL, b"whatever that means in version 9")))
-    assert event == Refused(RefusalCode.WRONG_VERSION, words, by_peer=False)
+    (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever that means in version 9")))
+    assert event == Refused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
 
 
@@ -161,8 +159,8 @@ def test_a_server_of_another_version(kind):
     client = make_client()
     client.start()
     words = "this side speaks version 1, the peer version 9"
-    events = client.receive_data(other_version(opening(kind, b"\x01whatever")))
-    assert events == [Refused(RefusalCode.WRONG_VERSION, words, by_peer=False)]
+    events = client.receive_data(other_version(preamble_frame(kind, b"\x01whatever")))
+    assert events == [Refused(RefusalCode.WRONG_VERSION, words)]
     assert client.data_to_send() == b""
 
 
@@ -172,7 +170,7 @@ def test_a_server_of_another_version(kind):
 @pytest.mark.parametrize("body", [b"", b"\x00", b"\x01", b"\x07"])
 def test_a_forged_retry_does_not_take_the_encryption_away(body):
     client, _ = ready_to_accept()
-    (event,) = client.receive_data(pack_frame(opening(Kind.RETRY, body)))
+    (event,) = client.receive_data(pack_frame(preamble_frame(Kind.RETRY, body)))
     assert isinstance(event, Failed)
     assert client.data_to_send() == b""
 
@@ -180,13 +178,13 @@ def test_a_forged_retry_does_not_take_the_encryption_away(body):
 @pytest.mark.parametrize("suite", [Suite.PLAIN, Suite.CHACHAPOLY])
 def test_a_retry_without_cause_is_a_format_error(suite):
     client, _ = ready_to_accept(suite)
-    retry = pack_frame(opening(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
-    assert client.receive_data(retry) == [Failed("an opening frame of kind RETRY has no place here")]
+    retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+    assert client.receive_data(retry) == [Failed("unexpected RETRY frame in the preamble")]
 
 
 def test_a_client_takes_one_retry():
     client, _ = ready_to_accept()
-    retry = pack_frame(opening(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+    retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
     assert client.receive_data(retry) == []
     assert client.data_to_send()
     assert [type(event) for event in client.receive_data(retry)] == [Failed]
@@ -196,7 +194,7 @@ def test_a_client_that_does_not_follow_a_retry():
     client, server = make_client(), make_server(aes=False)
     assert server.receive_data(client.start()) == []
     (event,) = server.receive_data(client.start())
-    assert event == Failed("the client was asked for ChaCha20-Poly1305 and offers AES-GCM again")
+    assert event == Failed("the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305")
 
 
 # --- a client is proven by its confirmation
@@ -227,7 +225,7 @@ def test_data_before_the_confirmation_have_no_place():
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
     (event,) = server.receive_data(DataWriter(Sealer(Suite.AESGCM, KEY), 1).write(b"x", 0))
-    assert "has no place on this control connection" in event.reason
+    assert "unexpected frame on the control connection" in event.reason
 
 
 # --- sending

@@ -7,7 +7,7 @@ from rsb_bridge.wire.connection import DataConnection
 from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Failed, Received, Refused
 from rsb_bridge.wire.framing import LENGTH, DataReader, DataWriter, ProtocolError, pack_frame
 from rsb_bridge.wire.messages import Ping
-from rsb_bridge.wire.opening import Kind, Refusal, RefusalCode, opening, parse_further
+from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, parse_further, preamble_frame
 from rsb_bridge.wire.sealing import SealError, SessionKeys, Suite
 
 
@@ -43,18 +43,18 @@ def test_a_further_route_is_attached_by_the_same_frame(suite):
 @pytest.mark.parametrize(
     ("frame", "error", "words"),
     [
-        (opening(Kind.RETRY), ProtocolError, "kind RETRY has no place on an open stream"),
-        (opening(Kind.DATA), ProtocolError, "ends before its route does"),
-        (b"rsb\x01\x63", ProtocolError, "no opening frame of kind 99"),
+        (preamble_frame(Kind.RETRY), ProtocolError, "unexpected RETRY frame after the preamble"),
+        (preamble_frame(Kind.DATA), ProtocolError, "ends before its route does"),
+        (b"rsb\x01\x63", ProtocolError, "unknown preamble kind 99"),
         (b"rsb\x09\x02", Refusal, "the peer version 9"),
     ],
 )
-def test_what_is_no_further_data_opening(frame, error, words):
+def test_what_is_no_further_data_frame(frame, error, words):
     with pytest.raises(error, match=words):
         parse_further(frame)
 
 
-def test_what_a_client_sends_behind_its_data_opening_is_left_over():
+def test_what_a_client_sends_after_its_data_preamble_is_left_over():
     _, _, keys, _ = established()
     server = make_server()
     (attach,) = server.receive_data(DataConnection(keys, 5).start() + b"beyond")
@@ -77,7 +77,7 @@ def test_a_data_stream_is_turned_away():
     data, server = DataConnection(keys, 5), make_server()
     server.receive_data(data.start())
     answer = server.refuse(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
-    refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open", by_peer=True)
+    refusal = Refused(RefusalCode.NO_SUCH_ROUTE, "route 5 is not open")
     assert data.receive_data(answer) == [refusal]
     for end in (data, server):
         assert end.receive_data(b"more") == []
@@ -88,8 +88,8 @@ def test_a_data_stream_is_offered_a_retry():
     _, _, keys, _ = established()
     data = DataConnection(keys, 5)
     data.start()
-    assert data.receive_data(pack_frame(opening(Kind.RETRY, b"\x02"))) == [
-        Failed("an opening frame of kind RETRY has no place here")
+    assert data.receive_data(pack_frame(preamble_frame(Kind.RETRY, b"\x02"))) == [
+        Failed("unexpected RETRY frame in the preamble")
     ]
 
 
@@ -111,4 +111,4 @@ def test_a_multiplexed_stream_carries_control_and_data(suite):
 def test_elsewhere_data_frames_have_no_place_on_the_control_stream():
     _, server, keys, _ = established()
     (event,) = server.receive_data(DataWriter(keys.route_sealer(3, "client"), 3).write(b"x", 0))
-    assert "has no place on this control connection" in event.reason
+    assert "unexpected frame on the control connection" in event.reason

@@ -9,7 +9,8 @@ import pytest
 
 import rsb_bridge
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.wire import messages, opening, records
+from rsb_bridge.wire import messages, preamble, records
+from rsb_bridge.wire.fields import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
 STRUCTS = {
@@ -44,11 +45,16 @@ def test_every_field_is_documented_and_no_other(name):
     assert documented_fields()[name] == {field.name for field in msgspec.structs.fields(STRUCTS[name])}
 
 
-@pytest.mark.parametrize("kind", list(opening.Kind))
-def test_every_opening_frame_is_documented(kind):
+@pytest.mark.parametrize("kind", list(preamble.Kind))
+def test_every_preamble_frame_is_documented(kind):
     assert re.search(rf"^\| {kind.value} {kind.name} \| (client|server) \|", DOCUMENT, re.MULTILINE)
 
 
-@pytest.mark.parametrize("code", list(opening.RefusalCode))
+@pytest.mark.parametrize("code", list(preamble.RefusalCode))
 def test_every_refusal_code_is_documented(code):
     assert f"| {code.value} | {code.name.replace('_', ' ').lower()} |" in DOCUMENT
+
+
+def test_every_code_of_a_refused_route_is_documented_and_no_other():
+    (row,) = re.findall(r"^\| \| code \| (.*?) \|", DOCUMENT, re.MULTILINE)
+    assert set(re.findall(r'"(\w+)"', row)) == set(typing.get_args(RefuseCode))

@@ -57,7 +57,7 @@ def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data, garb
         words = str(error)
     if words:
         # Frames before it in the same piece are not handed out, so the length it names may be further on.
-        assert words.endswith("bytes, where 50 are the most")
+        assert words.endswith("bytes; the limit is 50")
     else:
         assert whole + len(reader._tail) == len(garbage)
 
@@ -66,7 +66,7 @@ def test_a_length_is_refused_before_its_content_comes():
     reader = FrameReader(100)
     assert [bytes(frame) for frame in reader.feed(pack_frame(bytes(100)))] == [bytes(100)]
     assert reader.feed(b"\x00\x00\x00") == []
-    with pytest.raises(ProtocolError, match="a frame of 101 bytes, where 100 are the most"):
+    with pytest.raises(ProtocolError, match="a frame of 101 bytes; the limit is 100"):
         reader.feed(b"\x65")
     with pytest.raises(ProtocolError, match="4294967295"):
         FrameReader(100).feed(b"\xff\xff\xff\xff")
@@ -163,7 +163,7 @@ def test_readers_hold_no_more_than_their_budget_together(began):
         begun = [writer.write(bytes(600), 0, MORE) for writer, _ in ends]
     (_, first), (_, second) = ends
     assert first.receive_data(begun[0]) == []
-    with pytest.raises(ProtocolError, match="would hold more than 1,000 bytes"):
+    with pytest.raises(ProtocolError, match="would take more than 1,000 bytes"):
         second.receive_data(begun[1])
     second.close()
     assert budget.held == 600

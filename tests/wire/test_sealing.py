@@ -222,7 +222,7 @@ def test_a_route_has_one_sealer_each_way():
     keys = session_keys()
     keys.route_sealer(1, "client")
     keys.route_sealer(1, "server")
-    with pytest.raises(ValueError, match="route 1 has had its sealer"):
+    with pytest.raises(ValueError, match="route 1 has a sealer already"):
         keys.route_sealer(1, "client")
 
 

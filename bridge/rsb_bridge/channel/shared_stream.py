@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from rsb_bridge.channel.multiplexer import Multiplexer
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError
-from rsb_bridge.wire.opening import MAGIC, Refusal
+from rsb_bridge.wire.preamble import MAGIC, Refusal
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:

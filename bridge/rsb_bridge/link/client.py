@@ -18,7 +18,7 @@ from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
 from rsb_bridge.wire.messages import Welcome
-from rsb_bridge.wire.opening import RefusalCode
+from rsb_bridge.wire.preamble import RefusalCode
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
@@ -316,8 +316,8 @@ class _Opening(StreamHandler):
                     self._finish(None)
                     self._let_in(stream, event, events[index + 1 :])
                     return
-                case Refused(code, words, _):
-                    self._finish(_Failure(self._link.refusal_message(code, words), refused=True))
+                case Refused(code, message):
+                    self._finish(_Failure(self._link.refusal_message(code, message), refused=True))
                 case Failed(reason):
                     words = f"{self._link.address} does not speak this protocol: {reason}"
                     self._finish(_Failure(words, refused=True))

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.multiplexer import Multiplexer
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
-from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
 from rsb_bridge.wire.messages import ControlMessage, Shutdown
 from rsb_bridge.wire.sealing import SealError
@@ -52,7 +52,7 @@ class ControlChannel(StreamHandler):
 
     def shut_down(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """Tell the peer that this ends on purpose, and end it."""
-        self.send(Shutdown(reason=plain(reason), retry_after=retry_after))
+        self.send(Shutdown(reason=sanitize_text(reason), retry_after=retry_after))
         self._goodbye, self._code = reason, code
         self.stream.close(reason)
         self._over(reason)
@@ -100,8 +100,8 @@ class ControlChannel(StreamHandler):
                 self._take_data(route_id, frame)
             case Failed(reason):
                 self.abort(f"the peer broke the format: {reason}")
-            case Refused(_, words, _):
-                self.abort(words)
+            case Refused(_, reason):
+                self.abort(reason)
 
     def _take_data(self, route_id: int, frame: memoryview) -> None:
         channel = self.multiplexer.channels.get(route_id)

@@ -18,6 +18,7 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.side import Side
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE, IncomingRoute
 from rsb_bridge.route.latched import LATCHED_LIMIT
@@ -28,7 +29,6 @@ from rsb_bridge.tasks import Tasks
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
 from rsb_bridge.wire.messages import Close, Pause, Report
 
@@ -229,7 +229,7 @@ class Link(Side):
     def remove(self, route: Route, reason: str) -> None:
         """End a route on both sides."""
         if route.id:
-            self.send(Close(route=route.id, reason=plain(reason), removed=True))
+            self.send(Close(route=route.id, reason=sanitize_text(reason), removed=True))
         self.forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def forget(self, route: Route, code: EventCode, reason: str) -> None:
@@ -338,7 +338,7 @@ class Link(Side):
 
     def join_stream(self, shared: SharedStream, frame: bytes) -> None:
         """The peer wants a further route on a stream; raises ProtocolError or Refusal where that can't be."""
-        raise ProtocolError("an opening frame came on an open stream")
+        raise ProtocolError("unexpected preamble frame on an open stream")
 
     def udp_ready(self) -> None:
         """A UDP channel has found its path."""

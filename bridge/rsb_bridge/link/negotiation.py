@@ -11,12 +11,12 @@ from rsb_bridge.link.proposals import same_route, topic_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK, TEXT_LENGTH
 from rsb_bridge.model.snapshot import Level, TopicInfo
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Route, route_key
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.fields import RefuseCode, plain
 from rsb_bridge.wire.messages import (
     Accept,
     Close,
@@ -37,6 +37,7 @@ from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
+    from rsb_bridge.wire.fields import RefuseCode
 
 _ANSWER_WITHIN = 30.0
 """Seconds; a peer that is gone ends the link sooner, and a long list takes its time on a slow one."""
@@ -162,7 +163,7 @@ class Negotiation:
             self._refused[proposal.topic] = reason
             text = f"refused {proposal.topic}: {reason}"
             self._link.log(Level.WARNING, EventCode.ROUTE_REFUSED, text, topic=proposal.topic)
-        self._link.send(Refuse(route=proposal.route, code=code, reason=plain(reason)))
+        self._link.send(Refuse(route=proposal.route, code=code, reason=sanitize_text(reason)))
 
     def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
         match message:

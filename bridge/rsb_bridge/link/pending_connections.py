@@ -9,7 +9,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Attach, Established, Failed, Refused
-from rsb_bridge.wire.opening import Refusal, RefusalCode
+from rsb_bridge.wire.preamble import Refusal, RefusalCode
 
 if TYPE_CHECKING:
     import asyncio
@@ -185,8 +185,8 @@ class _PendingConnection(StreamHandler):
                     self._leave()
                     self._attach(stream, event)
                     return
-                case Refused(code, words, _):
-                    self._refused(stream, _CODES.get(code, EventCode.LINK_REJECTED), self._for_operator(code, words))
+                case Refused(code, message):
+                    self._refused(stream, _CODES.get(code, EventCode.LINK_REJECTED), self._for_operator(code, message))
                 case Failed(reason):
                     self._refused(stream, EventCode.LINK_REJECTED, reason)
                 case _:
@@ -196,9 +196,9 @@ class _PendingConnection(StreamHandler):
         try:
             self._server.attach(stream, self._connection, event)
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
-            self._pending.say(stream, EventCode.LINK_REJECTED, refusal.words)
-            stream.write(self._connection.refuse(refusal.code, refusal.words))
-            stream.close(refusal.words)
+            self._pending.say(stream, EventCode.LINK_REJECTED, refusal.message)
+            stream.write(self._connection.refuse(refusal.code, refusal.message))
+            stream.close(refusal.message)
 
     def _refused(self, stream: Stream, code: EventCode, words: str) -> None:
         self._leave()

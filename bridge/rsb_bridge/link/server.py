@@ -24,7 +24,7 @@ from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
 from rsb_bridge.wire.connection import Credential, ServerConnection
 from rsb_bridge.wire.messages import Hello, Propose, Shutdown, Welcome
-from rsb_bridge.wire.opening import LINK_ID_LENGTH, DataOpening, Refusal, RefusalCode, parse_further
+from rsb_bridge.wire.preamble import LINK_ID_LENGTH, DataPreamble, Refusal, RefusalCode, parse_further
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class ServerLink(Link):
         """How many routes wait for the client to open their stream."""
         return sum(1 for route in self.routes.values() if _stream_awaited(route))
 
-    def waiting_route(self, opening: Attach | DataOpening) -> tuple[Route, StreamTransport]:
+    def waiting_route(self, opening: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
         """The route that a stream is asked for, and its transport; raises Refusal where none waits for a stream."""
         route = self.open_route(opening.route)
         transport = _stream_awaited(route) if route is not None else None
@@ -117,7 +117,7 @@ class ServerLink(Link):
             return  # it was closed here while the frame was under way
         route, transport = self.waiting_route(opening)
         if not transport.multiplexed or route.proposal.port != shared.channel:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} has no place on channel {shared.channel}")
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
         assert self.data_keys is not None
         route.channel = shared.carry(route, self.data_keys)
         route.advance()

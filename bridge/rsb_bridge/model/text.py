@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 
+from rsb_bridge.model.limits import REASON_LENGTH
+
 UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u2028-\\u202e\\u2066-\\u2069"
 """Control characters, and the marks that turn the direction of text; for a regular expression's brackets."""
 
 _unprintable = re.compile(f"[{UNPRINTABLE}]")
 
 
-def sanitize_text(text: str, limit: int) -> str:
+def sanitize_text(text: str, limit: int = REASON_LENGTH) -> str:
     """Replace each unprintable character by U+FFFD, and cut what is longer than `limit` characters."""
     return _unprintable.sub("\N{REPLACEMENT CHARACTER}", text[:limit])

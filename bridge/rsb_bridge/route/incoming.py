@@ -11,12 +11,12 @@ import zstandard
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.latched import LATCHED_LIMIT, Latched
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.route import Peer, Route
-from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -122,7 +122,7 @@ class IncomingRoute(Route):
     def _refuse_type(self, reason: str) -> None:
         route_id = self.id
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
-        self.peer.send(Refuse(route=route_id, code="type_differs", reason=plain(reason)))
+        self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""

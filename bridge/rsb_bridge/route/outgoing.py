@@ -10,6 +10,7 @@ import zstandard
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_SECONDS, Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.route.intake import Intake
@@ -17,7 +18,6 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.transport.transport import DatagramTransport
-from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.framing import ZSTD, Message
 from rsb_bridge.wire.messages import Describe, Propose
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -303,7 +303,7 @@ class OutgoingRoute(Route):
             publishers=len(self._publishers),
             publisher_qos=self._publisher_qos,
             subscribed=self._subscribed,
-            problem=plain(self._failure() or self.problem),
+            problem=sanitize_text(self._failure() or self.problem),
         )
 
     @property

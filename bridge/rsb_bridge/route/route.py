@@ -14,9 +14,9 @@ import msgspec
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.pause import PauseState, Revisions
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
-from rsb_bridge.wire.fields import plain
 from rsb_bridge.wire.messages import Close, ControlMessage, Propose
 
 if TYPE_CHECKING:
@@ -248,7 +248,7 @@ class Route:
         if self.id:
             route_id = self.id
             self.refuse(code, reason)
-            self.peer.send(Close(route=route_id, reason=plain(reason)))
+            self.peer.send(Close(route=route_id, reason=sanitize_text(reason)))
 
     @property
     def paused(self) -> bool:

@@ -1,14 +1,14 @@
-"""What one peer may have this side hold, over all its routes."""
+"""A limit on the memory that one peer can make this side hold, over all its routes."""
 
 from __future__ import annotations
 
 
 class Budget:
-    """Bytes that several holders may hold together. Each gives back what it took.
+    """Bytes that several holders share. Each gives back what it took.
 
     Attributes:
-        limit: the most, bytes.
-        held: now, bytes.
+        limit: bytes.
+        held: bytes, now.
     """
 
     def __init__(self, limit: int) -> None:
@@ -16,12 +16,12 @@ class Budget:
         self.held = 0
 
     def take(self, size: int) -> bool:
-        """Hold `size` bytes more; False: they would be too many, and none was taken."""
+        """Take `size` bytes; False: that would exceed the limit, and nothing was taken."""
         if self.held + size > self.limit:
             return False
         self.held += size
         return True
 
     def give(self, size: int) -> None:
-        """Hold `size` bytes less."""
+        """Give back `size` bytes."""
         self.held -= size

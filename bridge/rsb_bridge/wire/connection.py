@@ -1,7 +1,7 @@
 """The state machines of a stream: bytes in, events out (PROTOCOL.md, 1).
 
-A caller reads a socket and gives what came to `receive_data`, acts on the events, and writes what `data_to_send` and
-`send` return, in the order of the calls. After `Refused` or `Failed` a connection takes nothing in any more.
+The caller reads a socket, passes the bytes to `receive_data`, acts on the events, and writes what `data_to_send` and
+`send` return, in the order of the calls. After `Refused` or `Failed` a connection ignores further bytes.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from rsb_bridge.wire.events import (
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError, pack_frame
 from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
 from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome, decode, decode_hello, decode_welcome, encode
-from rsb_bridge.wire.opening import (
-    ControlOpening,
+from rsb_bridge.wire.preamble import (
+    ControlPreamble,
     Kind,
     Refusal,
     RefusalCode,
     control_header,
     data_header,
-    opening,
     parse_control,
     parse_data,
-    parse_opening,
+    parse_preamble,
     parse_refuse,
     parse_suite,
+    preamble_frame,
     refuse_frame,
     take_frame,
 )
@@ -48,54 +48,54 @@ _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
 class Credential(NamedTuple):
-    """What a server holds for a client's name.
+    """What a client of a certain name has to prove.
 
     Attributes:
-        key: 32 bytes; None: it comes in without encryption.
+        key: 32 bytes that it must have; None: it comes without encryption.
     """
 
     key: bytes | None
 
 
 class _Phase(Enum):
-    OPENING = auto()  # opening frames, one by one
+    PREAMBLE = auto()  # preamble frames, one by one
     SEALED = auto()  # sealed frames
-    HANDED_OVER = auto()  # a data stream: what comes is the caller's
+    HANDED_OVER = auto()  # a data stream, whose bytes go to the caller
     OVER = auto()
 
 
 class _Stream(ABC):
-    """What every end of a stream shares: the opening frames, and how it goes wrong."""
+    """What every end of a stream shares: the preamble, and failures."""
 
     _is_server = False
 
     def __init__(self) -> None:
-        self._phase = _Phase.OPENING
+        self._phase = _Phase.PREAMBLE
         self._inbox = bytearray()
         self._outbox = bytearray()
         self._events: list[Event] = []
 
     def receive_data(self, data: Buffer) -> list[Event]:
-        """Take in the next bytes of the stream; `data` is not to be changed afterwards."""
+        """Take the next bytes of the stream; `data` must not be changed afterwards."""
         self._events = []
         try:
             self._take_in(data)
         except Refusal as refusal:
-            self._refuse(refusal.code, refusal.words)
-            self._end(Refused(refusal.code, refusal.words, by_peer=False))
+            self._refuse(refusal.code, refusal.message)
+            self._end(Refused(refusal.code, refusal.message))
         except (ProtocolError, SealError) as error:
-            if self._is(_Phase.OPENING):
+            if self._is(_Phase.PREAMBLE):
                 self._refuse(RefusalCode.BAD_FORMAT, str(error))
             self._end(Failed(str(error)))
         return self._events
 
     def data_to_send(self) -> bytes:
-        """What is to be written now; it is handed out once."""
+        """The bytes to write now; returned once."""
         data, self._outbox = bytes(self._outbox), bytearray()
         return data
 
     def leftover(self) -> bytes:
-        """What came behind a data stream's opening frame, once it is accepted; it is handed out once."""
+        """What came after a data stream's preamble, once it is accepted; returned once."""
         data, self._inbox = bytes(self._inbox), bytearray()
         return data
 
@@ -103,23 +103,23 @@ class _Stream(ABC):
         if self._is(_Phase.OVER):
             return
         self._inbox += data
-        while self._is(_Phase.OPENING) and (frame := take_frame(self._inbox)) is not None:
-            self._on_opening(*parse_opening(frame), frame)
+        while self._is(_Phase.PREAMBLE) and (frame := take_frame(self._inbox)) is not None:
+            self._on_preamble(*parse_preamble(frame), frame)
 
     def _is(self, phase: _Phase) -> bool:
         return self._phase is phase
 
     @abstractmethod
-    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
-        """Act on one opening frame, whole in `frame`."""
+    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
+        """Act on one preamble frame; `frame` is the whole of it."""
 
-    def _refuse(self, code: RefusalCode, words: str) -> None:
+    def _refuse(self, code: RefusalCode, message: str) -> None:
         if self._is_server:  # a client has no frame for it
-            self._outbox += pack_frame(refuse_frame(code, words))
+            self._outbox += pack_frame(refuse_frame(code, message))
 
     def _refused_by_peer(self, body: bytes) -> None:
-        code, words = parse_refuse(body)
-        self._end(Refused(code, words, by_peer=True))
+        code, message = parse_refuse(body)
+        self._end(Refused(code, message))
 
     def _end(self, event: Event) -> None:
         self._phase = _Phase.OVER
@@ -127,7 +127,7 @@ class _Stream(ABC):
 
 
 class _Control(_Stream):
-    """Either end of a control connection: sealed control frames once the handshake is done."""
+    """Either end of a control connection: sealed control frames after the handshake."""
 
     def __init__(self, *, multiplexed: bool) -> None:
         super().__init__()
@@ -141,7 +141,7 @@ class _Control(_Stream):
         """Seal a control message.
 
         Returns:
-            The bytes to write, whatever `data_to_send` still held before them.
+            The bytes to write; what `data_to_send` still held comes first.
 
         Raises:
             ValueError: the message is longer than a control frame may be.
@@ -177,7 +177,7 @@ class _Control(_Stream):
             elif self._multiplexed and self._unconfirmed is None and len(header) == HEADER.size and header[0] == DATA:
                 self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
             else:
-                raise ProtocolError(f"a frame that begins {header.hex(' ')} has no place on this control connection")
+                raise ProtocolError(f"unexpected frame on the control connection, header {header.hex(' ')}")
 
     def _on_control(self, content: bytes) -> None:
         self._events.append(Received(decode(content)))
@@ -192,7 +192,7 @@ class ClientConnection(_Control):
         Args:
             hello: this side.
             key: 32 bytes; None: without encryption, whatever the suite.
-            suite: AESGCM or CHACHAPOLY: what this machine is fast at. The server may ask for CHACHAPOLY.
+            suite: AESGCM or CHACHAPOLY, whichever is fast on this machine. The server may ask for CHACHAPOLY.
             multiplexed: data frames share the stream (Bluetooth).
         """
         super().__init__(multiplexed=multiplexed)
@@ -211,7 +211,7 @@ class ClientConnection(_Control):
         self._handshake = _handshake(self._suite, self._key, header)
         return pack_frame(header, self._handshake.write(encode(self._hello)))
 
-    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         match kind:
             case Kind.ACCEPT:
                 self._on_accept(body)
@@ -221,21 +221,21 @@ class ClientConnection(_Control):
                 self._suite = Suite.CHACHAPOLY
                 self._outbox += self.start()
             case _:
-                raise ProtocolError(f"an opening frame of kind {kind.name} has no place here")
+                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
 
     def _on_accept(self, message: bytes) -> None:
         try:
             welcome = decode_welcome(self._handshake.read(message))
         except SealError:
-            raise Refusal(RefusalCode.WRONG_KEY, "the server's answer does not open with this side's key") from None
+            raise Refusal(RefusalCode.WRONG_KEY, "this side's key does not open the server's answer") from None
         keys = self._handshake.split()
         self._start_sealing(self._suite, keys.client, keys.server)
-        self._write(b"")  # the confirmation: what a recorded first message, played again, cannot give
+        self._write(b"")  # the confirmation, which a replay of a recorded first message can't give
         self._events.append(Established(welcome, SessionKeys(self._suite, keys.export, welcome.link_id)))
 
 
 class ServerConnection(_Control):
-    """The server's end of any stream that comes in: a control connection, or a data stream to be attached."""
+    """The server's end of an inbound stream: a control connection, or a data stream to be attached."""
 
     _is_server = True
 
@@ -250,10 +250,10 @@ class ServerConnection(_Control):
         """Wait for a client.
 
         Args:
-            identity: the credential for a client's name, which is not proven yet; may raise `Refusal`.
-            make_welcome: this side's answer to a client; may raise `Refusal`. It must change nothing: what it answers
-                may be a recording, and the client is proven only with `Established`.
-            aes: this machine is fast at AES; else a client that offers it is asked for ChaCha20-Poly1305.
+            identity: the credential for a client's name, which is not authenticated yet; may raise `Refusal`.
+            make_welcome: this side's answer to a client; may raise `Refusal`. It must not change anything: the client's
+                message may be a replay, and the client is authenticated only with `Established`.
+            aes: AES is fast on this machine; else a client that offers it is asked for ChaCha20-Poly1305.
             multiplexed: data frames share the stream (Bluetooth).
         """
         super().__init__(multiplexed=multiplexed)
@@ -263,17 +263,17 @@ class ServerConnection(_Control):
         self._retried = False
 
     def accept_attach(self) -> bytes:
-        """Let the data stream in: the bytes to write. What it brought beyond is `leftover`."""
-        self._outbox += pack_frame(opening(Kind.ACCEPT))
+        """Accept the data stream: the bytes to write. What came after the preamble is `leftover`."""
+        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT))
         return self.data_to_send()
 
-    def refuse(self, code: RefusalCode, words: str) -> bytes:
-        """Turn a stream that would attach away: the bytes to write before closing it."""
+    def refuse(self, code: RefusalCode, message: str) -> bytes:
+        """Refuse the stream: the bytes to write before closing it."""
         self._phase = _Phase.OVER
-        self._refuse(code, words)
+        self._refuse(code, message)
         return self.data_to_send()
 
-    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         match kind:
             case Kind.CONTROL:
                 self._on_offer(parse_control(frame))
@@ -282,19 +282,19 @@ class ServerConnection(_Control):
                 self._phase = _Phase.HANDED_OVER
                 self._events.append(Attach(link_id, route, proof, header))
             case _:
-                raise ProtocolError(f"an opening frame of kind {kind.name} has no place here")
+                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
 
-    def _on_offer(self, offer: ControlOpening) -> None:
+    def _on_offer(self, offer: ControlPreamble) -> None:
         key = self._identity(offer.name).key
         if key is None and offer.suite is not Suite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_NOT_POSSIBLE,
-                f"the client encrypts and the server has no key for {offer.name!r}",
+                f"the client encrypts, and the server has no key for {offer.name!r}",
             )
         if key is not None and offer.suite is Suite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_REQUIRED,
-                f"the server requires encryption for {offer.name!r} and the client came without",
+                f"the server requires encryption for {offer.name!r}, and the client came without",
             )
         if offer.suite is Suite.AESGCM and not self._aes:
             self._retry()
@@ -303,20 +303,20 @@ class ServerConnection(_Control):
 
     def _retry(self) -> None:
         if self._retried:
-            raise ProtocolError("the client was asked for ChaCha20-Poly1305 and offers AES-GCM again")
+            raise ProtocolError("the client offers AES-GCM again after a RETRY with ChaCha20-Poly1305")
         self._retried = True
-        self._outbox += pack_frame(opening(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
+        self._outbox += pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
 
-    def _welcome(self, offer: ControlOpening, key: bytes | None) -> None:
+    def _welcome(self, offer: ControlPreamble, key: bytes | None) -> None:
         handshake = _handshake(offer.suite, key, offer.header)
         try:
             hello = decode_hello(handshake.read(offer.message))
         except SealError:
-            raise Refusal(RefusalCode.WRONG_KEY, f"the two sides' keys for {offer.name!r} differ") from None
+            raise Refusal(RefusalCode.WRONG_KEY, f"the two sides have different keys for {offer.name!r}") from None
         if hello.name != offer.name:
-            raise ProtocolError(f"the client calls itself {offer.name!r} first and {hello.name!r} then")
+            raise ProtocolError(f"the client's name is {offer.name!r} in the preamble and {hello.name!r} in its Hello")
         welcome = self._make_welcome(hello)
-        self._outbox += pack_frame(opening(Kind.ACCEPT, handshake.write(encode(welcome))))
+        self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(encode(welcome))))
         keys = handshake.split()
         self._start_sealing(offer.suite, keys.server, keys.client)
         self._unconfirmed = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
@@ -332,7 +332,7 @@ class ServerConnection(_Control):
 
 
 class DataConnection(_Stream):
-    """The client's end of a data stream until the server lets it in; then it is the route's reader's and writer's."""
+    """The client's end of a data stream, until the server accepts it and a route's channel takes over."""
 
     def __init__(self, keys: SessionKeys, route: int) -> None:
         super().__init__()
@@ -344,7 +344,7 @@ class DataConnection(_Stream):
         header = data_header(self._keys.link_id, self._route)
         return pack_frame(header, self._keys.attach_proof(header, self._route))
 
-    def _on_opening(self, kind: Kind, body: bytes, frame: bytes) -> None:
+    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         match kind:
             case Kind.ACCEPT:
                 self._phase = _Phase.HANDED_OVER
@@ -352,7 +352,7 @@ class DataConnection(_Stream):
             case Kind.REFUSE:
                 self._refused_by_peer(body)
             case _:
-                raise ProtocolError(f"an opening frame of kind {kind.name} has no place here")
+                raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
 
 
 def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:

@@ -1,4 +1,4 @@
-"""Datagrams: a message's fragments sealed, opened and put together again (PROTOCOL.md, 2)."""
+"""Datagrams: fragments of messages, sealed, opened and reassembled (PROTOCOL.md, 2)."""
 
 from __future__ import annotations
 
@@ -18,15 +18,14 @@ _HEADER = struct.Struct(">BBHHI8sQIQ")
 _ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
 _FRAGMENT_COST = 400
-"""What Python spends on keeping a message's first fragment beside its bytes: many tiny ones must not cost more than is
-counted."""
+"""Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
 
 
 def addressee(datagram: Buffer) -> tuple[int, bytes] | None:
-    """Whose a datagram says it is, to find its reader by; nothing is authenticated until that opens it.
+    """The route and the link that a datagram names, to find its reader by. Not authenticated.
 
     Returns:
-        Route id (`PROBE_ROUTE` for probes) and link id (8 bytes); None: it is none of ours.
+        Route id (`PROBE_ROUTE` for probes) and link id (8 bytes); None: this is no datagram of the protocol.
     """
     if len(datagram) < _HEADER.size or datagram[0] != MAGIC:
         return None
@@ -35,11 +34,11 @@ def addressee(datagram: Buffer) -> tuple[int, bytes] | None:
 
 
 class Probe(NamedTuple):
-    """What `PROBE_ROUTE` carries: whether datagrams come through, and from where.
+    """The payload of `PROBE_ROUTE`'s messages, which test whether datagrams get through.
 
     Attributes:
-        pong: it answers one.
-        opaque: the asker's, 0 to 2**64 - 1; echoed.
+        pong: this answers a probe.
+        opaque: 0 to 2**64 - 1, chosen by the asker and echoed.
     """
 
     pong: bool
@@ -54,7 +53,7 @@ class Probe(NamedTuple):
         """The probe in a payload.
 
         Raises:
-            ProtocolError: there is none.
+            ProtocolError: the payload is no probe.
         """
         if len(payload) != _PROBE.size:
             raise ProtocolError(f"a probe of {len(payload)} bytes")
@@ -62,10 +61,10 @@ class Probe(NamedTuple):
 
 
 class DatagramWriter:
-    """Makes a route's datagrams.
+    """Seals a route's messages as datagrams.
 
     Attributes:
-        number: of messages written.
+        number: messages written so far.
     """
 
     def __init__(self, sealer: Sealer, link_id: bytes, route: int) -> None:
@@ -85,7 +84,7 @@ class DatagramWriter:
             max_datagram: bytes that a datagram may have.
 
         Raises:
-            ValueError: it would take more than `FRAGMENTS_LIMIT` datagrams; none was written.
+            ValueError: the message needs more than `FRAGMENTS_LIMIT` datagrams; none was written.
         """
         size = max_datagram - self._overhead
         count = max(-(-len(payload) // size), 1)
@@ -119,15 +118,11 @@ class _Incomplete:
 
 
 class DatagramReader:
-    """Opens a route's datagrams and puts their messages together.
+    """Opens a route's datagrams and reassembles their messages.
 
-    A message is handed out as soon as it is whole, in whatever order. Message numbers are counted on past 2**32.
+    A message is returned as soon as it is whole, in any order. Message numbers continue beyond 2**32.
 
     Attributes:
-        authentic: datagrams that came from the peer.
-        rejected: datagrams that did not, or that broke the format.
-        problem: why the last was rejected, in words.
-        received: messages handed out.
         expired: messages given up incomplete.
         newest: the highest message number seen.
     """
@@ -143,52 +138,52 @@ class DatagramReader:
 
         Args:
             opener: of the peer's direction.
-            route: its id.
-            max_message: the longest message.
-            budget: what incomplete messages are held from, the route's oldest giving way; None: one of its own.
+            route: route id.
+            max_message: bytes of the longest message.
+            budget: for incomplete messages; when it is spent, the route's oldest is given up. None: one of its own.
         """
-        self.authentic = 0
-        self.rejected = 0
-        self.problem = ""
-        self.received = 0
         self.expired = 0
         self.newest = 0
         self._open = opener.open
         self._route = route
         self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._max_message = max_message
-        self._incomplete: dict[int, _Incomplete] = {}  # by message number, the longest kept first
-        self._given_up = 0  # the highest number that was: what comes late of those is not kept again
+        self._incomplete: dict[int, _Incomplete] = {}  # by message number, the oldest first
+        self._given_up = 0  # the highest number that was given up: late fragments up to it are not kept
 
     @property
     def pending(self) -> int:
-        """Messages of which some fragments have come and others have not yet."""
+        """Messages that wait for some of their fragments."""
         return len(self._incomplete)
 
-    @property
-    def lost(self) -> int:
-        """Messages before the newest of which nothing has come; one that is only late is taken back."""
-        return max(self.newest - self.received - self.expired - self.pending, 0)
-
     def receive(self, datagram: Buffer, now: float) -> Message | None:
-        """Take in one datagram.
+        """Take one datagram. One that is forged, replayed or against the format is ignored.
 
         Args:
             datagram: as it came.
-            now: s, of any clock that `expire` gets too.
+            now: s, on the same clock as for `expire`.
 
         Returns:
-            The message that it makes whole, if it does.
+            The message that this datagram completes, if any.
         """
-        try:
-            return self._receive(datagram, now)
-        except (ProtocolError, SealError) as error:
-            self.rejected += 1
-            self.problem = str(error)
+        if len(datagram) < _HEADER.size:
             return None
+        header = datagram[: _HEADER.size]
+        magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
+        if magic != MAGIC or flags > ZSTD or index >= count or route != self._route:
+            return None
+        try:
+            content = self._open(sequence, datagram[_HEADER.size :], header)
+        except SealError:
+            return None
+        number = self._unwrap(number)
+        if count == 1:
+            return content, stamp, flags
+        whole = self._gather(number, index, count, content, now)
+        return None if whole is None else (whole, stamp, flags)
 
     def expire(self, now: float, older_than: float = 1.0) -> None:
-        """Give up the messages that are incomplete since more than `older_than` s."""
+        """Give up the messages that have been incomplete for more than `older_than` s."""
         while self._incomplete:
             number, oldest = next(iter(self._incomplete.items()))
             if now - oldest.first_seen <= older_than:
@@ -196,31 +191,12 @@ class DatagramReader:
             self._give_up(number)
 
     def close(self) -> None:
-        """Hold nothing any more: the rest will not come."""
+        """Give up all incomplete messages."""
         for number in tuple(self._incomplete):
             self._forget(number)
 
-    def _receive(self, datagram: Buffer, now: float) -> Message | None:
-        if len(datagram) < _HEADER.size:
-            raise ProtocolError(f"a datagram of {len(datagram)} bytes: its header alone has {_HEADER.size}")
-        header = datagram[: _HEADER.size]
-        magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
-        if magic != MAGIC or flags > ZSTD or index >= count or route != self._route:
-            raise ProtocolError(f"a datagram that begins {header[:10].hex(' ')} has no place on route {self._route}")
-        content = self._open(sequence, datagram[_HEADER.size :], header)
-        self.authentic += 1
-        if count > 1:
-            whole = self._gather(self._unwrap(number), index, count, content, now)
-            if whole is None:
-                return None
-            content = whole
-        else:
-            self._unwrap(number)
-        self.received += 1
-        return content, stamp, flags
-
     def _unwrap(self, number: int) -> int:
-        """The whole message number that is nearest to the newest (RFC 1982)."""
+        """The full message number, the one nearest to the newest (RFC 1982)."""
         number = self.newest + ((number - self.newest + 2**31) & 0xFFFFFFFF) - 2**31
         self.newest = max(self.newest, number)
         return number
@@ -232,8 +208,8 @@ class DatagramReader:
                 return None
             message = self._incomplete[number] = _Incomplete(count, now)
         if count != message.count or index in message.fragments or message.size + len(content) > self._max_message:
-            self._give_up(number)
-            raise ProtocolError(f"the fragments of message {number} do not go together, or are too many")
+            self._give_up(number)  # its fragments contradict each other, or are too many
+            return None
         message.fragments[index] = content
         message.size += len(content)
         if len(message.fragments) == count:
@@ -243,7 +219,7 @@ class DatagramReader:
         return None
 
     def _hold(self, number: int, cost: int) -> None:
-        """Take what a message's next fragment costs from the budget, or give up the message, as the last of all."""
+        """Take a fragment's cost from the budget; to make room, give up older messages, then this one."""
         while not self._budget.take(cost):
             oldest = next(iter(self._incomplete))
             self._give_up(oldest)

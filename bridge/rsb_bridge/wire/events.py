@@ -1,4 +1,4 @@
-"""What a stream's state machine says happened."""
+"""The events of a stream's state machine."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
-    from rsb_bridge.wire.opening import RefusalCode
+    from rsb_bridge.wire.preamble import RefusalCode
     from rsb_bridge.wire.sealing import SessionKeys
 
 
 @dataclass(frozen=True, slots=True)
 class Established:
-    """The control connection stands, and the peer is proven to hold the key.
+    """The control connection is up, and the peer has proven that it has the key.
 
     Attributes:
-        peer: what it says of itself: a `Welcome` on the client, a `Hello` on the server.
+        peer: its `Welcome` on the client, its `Hello` on the server.
         keys: for the link's data.
     """
 
@@ -36,7 +36,7 @@ class DataFrame:
     """A data frame came on a multiplexed control stream.
 
     Attributes:
-        route: as its header says; not authenticated yet.
+        route: route id from its header; not authenticated yet.
         frame: for the route's `rsb_bridge.wire.framing.DataReader.open_frame`.
     """
 
@@ -46,13 +46,13 @@ class DataFrame:
 
 @dataclass(frozen=True, slots=True)
 class Attach:
-    """Server: the stream wants to be a link's data stream. Answer with `ServerConnection.accept_attach` or `refuse`.
+    """Server: the client asks to use the stream for a route. Answer with `ServerConnection.accept_attach` or `refuse`.
 
     Attributes:
         link_id: 8 bytes.
-        route: its id.
+        route: route id.
         proof: for `rsb_bridge.wire.sealing.SessionKeys.check_attach_proof`.
-        header: what the proof is over.
+        header: what the proof authenticates.
     """
 
     link_id: bytes
@@ -63,27 +63,25 @@ class Attach:
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """Client: the server took the data stream."""
+    """Client: the server accepted the data stream."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """The stream is not let in. It is over: send what is to be sent, then close.
+    """One side refused the stream. Send what is left to send, then close it.
 
     Attributes:
         code: why.
-        words: why, in words.
-        by_peer: the peer refused; else this side did.
+        message: why, for an operator.
     """
 
     code: RefusalCode
-    words: str
-    by_peer: bool
+    message: str
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The peer broke the format, or a seal does not hold. It is over: send what is to be sent, then close."""
+    """The peer broke the format, or a seal is invalid. Send what is left to send, then close the stream."""
 
     reason: str
 

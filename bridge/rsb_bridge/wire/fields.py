@@ -1,6 +1,6 @@
-"""The kinds of field that control messages have, each with its bounds (PROTOCOL.md, 3).
+"""The types of control messages' fields, each with its bounds (PROTOCOL.md, 3).
 
-Text ends up in terminals and logs, so it is short, and prints as it reads.
+Text goes to terminals and logs, so it is short and has printable characters only.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta
 
 from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
-from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
+from rsb_bridge.model.text import UNPRINTABLE
 
-_PLAIN = rf"\A[^{UNPRINTABLE}]*\Z"
+_PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
 
-Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=_PLAIN)]
-Words: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=_PLAIN)]
+Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=_PRINTABLE)]
+Reason: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=_PRINTABLE)]
 
 RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
 LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]
@@ -30,9 +30,4 @@ Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
 
 Transport = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]
-RefuseCode = Literal["no_such_type", "type_differs", "denied", "port_taken", "bad_request"]
-
-
-def plain(text: str, limit: int = REASON_LENGTH) -> str:
-    """A text made fit for a field (`rsb_bridge.model.text.sanitize_text`)."""
-    return sanitize_text(text, limit)
+RefuseCode = Literal["type_differs", "denied", "port_taken"]

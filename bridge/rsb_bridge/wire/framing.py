@@ -1,4 +1,4 @@
-"""Streams: frames by length, and data frames sealed and opened (PROTOCOL.md, 1 and 1.5). The hot path is here."""
+"""Streams: frames with a length, and data frames, sealed and opened (PROTOCOL.md, 1 and 1.5). This is the hot path."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
     from rsb_bridge.wire.sealing import Buffer, Sealer, StreamOpener
 
-OPENING_LIMIT = 4096
+PREAMBLE_LIMIT = 4096
 CONTROL_LIMIT = 1 << 20
 MESSAGE_LIMIT = 64 << 20
-"""The longest message that crosses, bytes as sent (compressed, if it is)."""
+"""Bytes of the longest message, as sent (compressed, if it is)."""
 UNFINISHED_LIMIT = 4 * MESSAGE_LIMIT
-"""Bytes that a link's readers hold together of what is not whole yet: 64 messages of 8 MB, each half come."""
+"""Bytes of incomplete messages that all readers of a link hold together: 64 messages of 8 MB, each half received."""
 
 CONTROL = 0
 DATA = 1
@@ -37,38 +37,38 @@ _KNOWN_FLAGS = ZSTD | MORE
 
 
 class ProtocolError(Exception):
-    """The peer broke the format; the message says how, in words."""
+    """The peer broke the format; the message says how."""
 
 
 def pack_frame(*parts: Buffer) -> bytes:
-    """One frame with its length before it."""
+    """One frame, preceded by its length."""
     return b"".join((LENGTH.pack(sum(map(len, parts))), *parts))
 
 
 class FrameReader:
-    """Cuts a stream into frames. No length is believed before it is within the limit.
+    """Cuts a stream into frames. A length beyond the limit is refused before anything is allocated.
 
     Attributes:
-        limit: the longest frame that may come, bytes.
+        limit: bytes of the longest frame.
     """
 
     def __init__(self, limit: int, budget: Budget | None = None) -> None:
         """Begin.
 
         Args:
-            limit: the longest frame that may come, bytes.
-            budget: what the frame that is not whole yet is held from; None: one of its own.
+            limit: bytes of the longest frame.
+            budget: for the frame that is incomplete; None: one of its own.
         """
         self.limit = limit
         self._budget = budget or Budget(UNFINISHED_LIMIT)
-        self._tail = bytearray()  # a frame that is not whole yet
-        self._needed = 0  # bytes the tail must have before it is worth a look
+        self._tail = bytearray()  # an incomplete frame
+        self._needed = 0  # bytes that complete the tail's length, or its frame
 
     def feed(self, data: Buffer) -> list[memoryview]:
-        """Take in the next bytes of the stream.
+        """Take the next bytes of the stream.
 
         Args:
-            data: not to be changed as long as the frames are in use: they are views of it.
+            data: must not be changed while the frames are in use: they are views of it.
 
         Returns:
             Every frame that is whole now, without its length.
@@ -90,7 +90,7 @@ class FrameReader:
         while end - start >= _LENGTH_SIZE:
             (length,) = unpack(view, start)
             if length > limit:
-                raise ProtocolError(f"a frame of {length} bytes, where {limit} are the most")
+                raise ProtocolError(f"a frame of {length} bytes; the limit is {limit}")
             stop = start + _LENGTH_SIZE + length
             if stop > end:
                 self._needed = _LENGTH_SIZE + length
@@ -102,7 +102,7 @@ class FrameReader:
         return frames
 
     def close(self) -> None:
-        """Hold nothing any more."""
+        """Discard the incomplete frame."""
         self._budget.give(len(self._tail))
         self._tail = bytearray()
 
@@ -112,7 +112,7 @@ class FrameReader:
 
 
 class DataWriter:
-    """Makes a route's data frames."""
+    """Seals a route's messages as data frames."""
 
     def __init__(self, sealer: Sealer, route: int) -> None:
         self._sealer = sealer
@@ -129,7 +129,7 @@ class DataWriter:
         return self.write_many(((payload, stamp, flags),))
 
     def write_many(self, messages: Iterable[tuple[Buffer, int, int]]) -> bytes:
-        """Several messages, (payload, stamp, flags) each, as frames in one piece."""
+        """Several messages, each (payload, stamp, flags), as frames in one piece."""
         seal, pack_header, pack_length, route = self._sealer.seal, HEADER.pack, LENGTH.pack, self._route
         parts: list[bytes] = []
         for payload, stamp, flags in messages:
@@ -139,7 +139,7 @@ class DataWriter:
         return b"".join(parts)
 
     def write_chunks(self, payload: Buffer, stamp: int, flags: int, chunk_size: int) -> list[bytes]:
-        """One message as frames that carry at most `chunk_size` bytes of it each, so that others can go between."""
+        """One message as frames of at most `chunk_size` bytes each, so that other frames can go between."""
         view = memoryview(payload)
         last = max(len(view) - 1, 0) // chunk_size * chunk_size
         return [
@@ -149,7 +149,7 @@ class DataWriter:
 
 
 class DataReader:
-    """Opens a route's data frames, and puts chunks together again."""
+    """Opens a route's data frames, and reassembles chunks."""
 
     def __init__(
         self, opener: StreamOpener, route: int, limit: int = MESSAGE_LIMIT, budget: Budget | None = None
@@ -158,9 +158,9 @@ class DataReader:
 
         Args:
             opener: of the peer's direction.
-            route: its id.
-            limit: the longest message, bytes.
-            budget: what messages that are not whole yet are held from; None: one of its own.
+            route: route id.
+            limit: bytes of the longest message.
+            budget: for incomplete messages; None: one of its own.
         """
         self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._open = opener.open
@@ -170,14 +170,14 @@ class DataReader:
         self._chunks = bytearray()
 
     def receive_data(self, data: Buffer) -> list[Message]:
-        """Take in the next bytes of the route's own stream.
+        """Take the next bytes of the route's own stream.
 
         Returns:
             Every message that is whole now.
 
         Raises:
             ProtocolError: the format is broken, or the budget is spent.
-            SealError: a seal does not hold.
+            SealError: a seal is invalid.
         """
         open_frame = self.open_frame
         return [message for frame in self._frames.feed(data) if (message := open_frame(frame)) is not None]
@@ -186,11 +186,11 @@ class DataReader:
         """Open one data frame.
 
         Returns:
-            The message, or None where more chunks of it are to come.
+            The message; None: more chunks of it follow.
 
         Raises:
             ProtocolError: the format is broken, or the budget is spent.
-            SealError: the seal does not hold.
+            SealError: the seal is invalid.
         """
         if len(frame) < _HEADER_SIZE:
             raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {_HEADER_SIZE}")
@@ -215,7 +215,7 @@ class DataReader:
         return content, stamp, flags
 
     def close(self) -> None:
-        """Hold nothing any more: the rest will not come."""
+        """Discard incomplete messages."""
         self._frames.close()
         self._budget.give(len(self._chunks))
         self._chunks = bytearray()
@@ -223,4 +223,4 @@ class DataReader:
 
 def _take(budget: Budget, size: int) -> None:
     if not budget.take(size):
-        raise ProtocolError(f"the messages that this link has begun would hold more than {budget.limit:,} bytes")
+        raise ProtocolError(f"the link's incomplete messages would take more than {budget.limit:,} bytes")

@@ -20,7 +20,7 @@ _HASH_LENGTH = 32
 
 
 class HandshakeKeys(NamedTuple):
-    """What a handshake ends in; all None where nothing is encrypted.
+    """The keys that a handshake gives; all None without encryption.
 
     Attributes:
         client: 32 bytes; seals the control frames from client to server.
@@ -45,28 +45,25 @@ class Handshake(Protocol):
 
         Raises:
             SealError: the other end has another key.
-            ProtocolError: it is no such message.
+            ProtocolError: the message is invalid.
         """
         ...
 
     def split(self) -> HandshakeKeys:
-        """The keys, once both messages are through."""
+        """The keys, after both messages."""
         ...
 
 
 class PlainHandshake:
-    """The handshake of a link without encryption: the payloads as they are."""
+    """The handshake of a link without encryption: its messages are the payloads."""
 
     def write(self, payload: bytes) -> bytes:
-        """The payload."""
         return payload
 
     def read(self, message: bytes) -> bytes:
-        """The message."""
         return message
 
     def split(self) -> HandshakeKeys:
-        """No keys."""
         return HandshakeKeys(None, None, None)
 
 
@@ -83,8 +80,8 @@ class NoiseHandshake:
         Args:
             suite: AESGCM or CHACHAPOLY.
             psk: 32 bytes, the session key.
-            prologue: what both ends must have seen alike.
-            ephemeral: for test vectors; None makes one.
+            prologue: data that both ends must have in common.
+            ephemeral: for test vectors; None: a new one.
 
         Raises:
             ValueError: the psk is not 32 bytes long.
@@ -119,7 +116,7 @@ class NoiseHandshake:
 
         Raises:
             SealError: the other end has another key.
-            ProtocolError: it is no such message.
+            ProtocolError: the message is invalid.
         """
         if len(message) < _DH_LENGTH + self._suite.tag_length:
             raise ProtocolError(f"a handshake message of {len(message)} bytes is too short")
@@ -133,14 +130,14 @@ class NoiseHandshake:
         return payload
 
     def split(self) -> HandshakeKeys:
-        """The control keys, and a third output of the same HKDF for all that is derived later."""
+        """The control keys, and a third output of the same HKDF, from which data keys are derived."""
         return HandshakeKeys(*_hkdf(self._ck, b""))
 
     def _dh(self, remote: bytes) -> bytes:
         try:
             return self._ephemeral.exchange(X25519PublicKey.from_public_bytes(remote))
         except ValueError:  # a point of low order: the secret would be all zeros
-            raise ProtocolError("the peer's ephemeral key is not a usable one") from None
+            raise ProtocolError("the peer's ephemeral key is invalid") from None
 
     def _mix_hash(self, data: bytes) -> None:
         self._h = hashlib.sha256(self._h + data).digest()
@@ -154,7 +151,7 @@ class NoiseHandshake:
 
 
 def _hkdf(chaining_key: bytes, material: bytes) -> tuple[bytes, bytes, bytes]:
-    """HKDF of section 4.3; of three outputs the first two are what two would be."""
+    """HKDF of section 4.3 with three outputs; the first two equal those of HKDF with two."""
     temporary = hmac.digest(chaining_key, material, "sha256")
     first = hmac.digest(temporary, b"\x01", "sha256")
     second = hmac.digest(temporary, first + b"\x02", "sha256")

@@ -17,12 +17,12 @@ from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annot
     Name,
     Nanoseconds,
     Port,
+    Reason,
     RefuseCode,
     RouteId,
     Seconds,
     StaleAfter,
     Transport,
-    Words,
 )
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.records import ReceivedReport, SentReport, TopicEntry, check_qos
@@ -37,10 +37,10 @@ class Hello(_Message, frozen=True):
 
     Attributes:
         version: of its software.
-        name: of the session; the one in the opening frame.
+        name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can beyond version 1; none yet.
+        features: what it can do beyond version 1; none yet.
     """
 
     version: Name
@@ -59,8 +59,8 @@ class Welcome(_Message, frozen=True):
         link_id: 8 random bytes that name this link.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can beyond version 1; none yet.
-        use_name: its names of this client's topics have the client's before them.
+        features: what it can do beyond version 1; none yet.
+        use_name: it puts the client's name before the names of this client's topics.
     """
 
     version: Name
@@ -76,7 +76,7 @@ class Propose(_Message, frozen=True, kw_only=True):
     """Either side: bridge this topic. Answered by `Accept` or `Refuse`.
 
     Attributes:
-        route: its id from here on; a client's are odd, a server's even, and none is used twice in a link's life.
+        route: its id from now on; a client's are odd, a server's even, and none is used twice in a link's life.
         topic: its name on the sending side.
         remote_topic: its name on the receiving side.
         from_client: the client sends; else the server does.
@@ -85,9 +85,9 @@ class Propose(_Message, frozen=True, kw_only=True):
         port: a socket of its own; 0: the shared one.
         qos: None: as the topic's publishers offer.
         compression: of each message, by the sender.
-        max_rate: Hz; 0 is all.
-        expected_rate: Hz, for the operator's eye; 0: learn it.
-        stale_after: s; 0 never warns; None: each side's own.
+        max_rate: Hz; 0: unlimited.
+        expected_rate: Hz, shown to operators; 0: each side learns it.
+        stale_after: s; 0: never warn; None: each side's own default.
         paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
     """
@@ -116,11 +116,11 @@ class Propose(_Message, frozen=True, kw_only=True):
 
 
 class Accept(_Message, frozen=True):
-    """A `Propose` is taken up.
+    """A `Propose` is accepted.
 
     Attributes:
-        route: which.
-        topic: its name on the acceptor's side, which may put a prefix before what was proposed.
+        route: route id.
+        topic: its name on the acceptor's side, which may add a prefix to the proposed one.
     """
 
     route: RouteId
@@ -128,24 +128,24 @@ class Accept(_Message, frozen=True):
 
 
 class Refuse(_Message, frozen=True):
-    """A `Propose` is not taken up, or an accepted route turned out impossible.
+    """A `Propose` is refused, or an accepted route turns out to be impossible.
 
     Attributes:
-        route: which.
+        route: route id.
         code: why.
-        reason: why, in words.
+        reason: why, for an operator.
     """
 
     route: RouteId
     code: RefuseCode
-    reason: Words
+    reason: Reason
 
 
 class Describe(_Message, frozen=True):
-    """The sending side: what will be sent.
+    """The sending side describes the messages that it will send.
 
     Attributes:
-        route: which.
+        route: route id.
         type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``; may be empty.
         qos: to publish with.
@@ -161,12 +161,12 @@ class Describe(_Message, frozen=True):
 
 
 class Ready(_Message, frozen=True):
-    """The receiving side: the publisher is made, send.
+    """The receiving side has a publisher, and the sending side may send.
 
     Attributes:
-        route: which.
-        before: what was counted in the last opening in which anything came from this process of the peer; its route id
-            names that opening.
+        route: route id.
+        before: counts of the last incarnation in which anything came from this process of the peer; its route id names
+            that incarnation.
     """
 
     route: RouteId
@@ -177,22 +177,22 @@ class Close(_Message, frozen=True):
     """Either side: the route ends.
 
     Attributes:
-        route: which.
-        reason: why, in words.
+        route: route id.
+        reason: why, for an operator.
         removed: for good; else its proposer opens it again.
     """
 
     route: RouteId
-    reason: Words
+    reason: Reason
     removed: bool = False
 
 
 class Pause(_Message, frozen=True):
-    """Either side: the route pauses or goes on.
+    """Either side: the route pauses or resumes.
 
     Attributes:
-        route: which.
-        paused: it pauses; else it goes on.
+        route: route id.
+        paused: it pauses; else it resumes.
         revision: of the change that led to this state: above all that the side that made it had seen. The higher one
             counts on both sides, and of two equal ones the client's.
     """
@@ -203,7 +203,7 @@ class Pause(_Message, frozen=True):
 
 
 class Ping(_Message, frozen=True):
-    """Either side: are you there, and what time is it there.
+    """Either side asks whether the peer is alive, and what time it has.
 
     Attributes:
         n: counts up.
@@ -215,13 +215,13 @@ class Ping(_Message, frozen=True):
 
 
 class Pong(_Message, frozen=True):
-    """The answer to a `Ping`; all four times of an exchange (RFC 5905, section 8) but the last.
+    """The answer to a `Ping`: the first three of an exchange's four times (RFC 5905, section 8).
 
     Attributes:
-        n: the ping's.
-        sent: the ping's.
+        n: from the ping.
+        sent: from the ping.
         received: ns since the epoch on the answerer's clock, when the ping came.
-        answered: when this was sent.
+        answered: likewise, when this was sent.
     """
 
     n: Count
@@ -231,7 +231,7 @@ class Pong(_Message, frozen=True):
 
 
 class Report(_Message, frozen=True):
-    """Either side: its counts, every second.
+    """Either side: its counts, once a second.
 
     Attributes:
         sent: of the routes that it sends on.
@@ -243,7 +243,7 @@ class Report(_Message, frozen=True):
 
 
 class ListTopics(_Message, frozen=True):
-    """Either side: what topics have you. Answered by a `TopicList` of the same request."""
+    """Either side asks for the peer's topics. Answered by a `TopicList` with the same request number."""
 
     request: Count
 
@@ -259,11 +259,11 @@ class Shutdown(_Message, frozen=True):
     """Either side: this link ends on purpose.
 
     Attributes:
-        reason: why, in words.
-        retry_after: s until the client may come back by itself; None: it waits for its operator.
+        reason: why, for an operator.
+        retry_after: s until the client may call again; None: it waits for its operator.
     """
 
-    reason: Words
+    reason: Reason
     retry_after: Seconds | None = 0.0
 
 
@@ -300,7 +300,7 @@ def decode(data: bytes) -> ControlMessage:
     """A control message from msgpack.
 
     Raises:
-        ProtocolError: it is none, or a field is out of its range.
+        ProtocolError: the message is invalid, or a field is out of its range.
     """
     return _decode(_control, data)
 
@@ -319,4 +319,4 @@ def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
     try:
         return decoder.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ProtocolError(f"a control message does not read: {error}") from None
+        raise ProtocolError(f"invalid control message: {error}") from None

@@ -11,25 +11,25 @@ import msgspec
 from rsb_bridge.model.qos import Qos, qos_problem
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Causes, Count, Name, RouteId, Words  # noqa: TC001
+from rsb_bridge.wire.fields import Causes, Count, Name, Reason, RouteId  # noqa: TC001
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The sending side's ledger of a route: offered = delivered + throttled + expired + dropped + in flight.
 
     Attributes:
-        route: which.
-        offered: messages taken from ROS, since the route was made; so for all counts here.
-        delivered: published by the receiver, as it last said.
-        throttled: left out for `Propose.max_rate`.
+        route: route id.
+        offered: messages taken from ROS since the route was made; so for all counts here.
+        delivered: published by the receiver, according to its last report.
+        throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
         in_flight: not accounted for yet.
         dropped: by cause.
         lost_in_dds: lost before they could be taken.
         publishers: on its topic.
-        publisher_qos: what they offer, as one; None: none.
+        publisher_qos: what they offer together; None: there are none.
         subscribed: messages are being taken.
-        problem: what keeps it from flowing on this side, in words; empty: nothing.
+        problem: what keeps messages from flowing on this side, for an operator; empty: nothing.
     """
 
     route: RouteId
@@ -43,17 +43,17 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     publishers: int = 0
     publisher_qos: Qos | None = None
     subscribed: bool = False
-    problem: Words = ""
+    problem: Reason = ""
 
     def __post_init__(self) -> None:
         check_qos(self.publisher_qos)
 
 
 class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What the receiving side counted of a route since it was opened.
+    """The receiving side's counts of one incarnation of a route.
 
     Attributes:
-        route: which.
+        route: route id, which names the incarnation.
         received: whole messages that arrived.
         delivered: published.
         expired: datagram messages given up incomplete.
@@ -61,10 +61,10 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         newest: the highest message number seen on datagrams.
         dropped: by cause.
         subscribers: on its topic.
-        subscriber_qos: what they ask for, as one; None: none.
-        type: what the receiver's graph knows of the topic's type, as long as the sender has described none.
+        subscriber_qos: what they ask for together; None: there are none.
+        type: the topic's type in the receiver's graph, while the sender has described none.
         type_hash: likewise.
-        latency_p50: s, one way, the clock offset taken off; None: no figure.
+        latency_p50: s, one way, corrected by the clock offset; None: no figure.
         latency_p99: likewise.
         jitter: s (RFC 3550, 6.4.1); None: no figure.
     """

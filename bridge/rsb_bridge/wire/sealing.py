@@ -19,13 +19,13 @@ KEY_LENGTH = 32
 EPOCH_BITS = 20
 """An epoch is 2**20 sequence numbers, far inside what one AES-GCM key may seal (NIST SP 800-38D, 8.3)."""
 EPOCHS_AHEAD = 256
-"""How far a datagram may lead the newest that was authenticated: bounds what a forged one makes us derive."""
+"""Epochs by which a datagram may be ahead of the newest authentic one: limits how many keys a forged one costs."""
 
 _REKEY_SEQUENCE = 2**64 - 1
 
 
 class Suite(IntEnum):
-    """What seals a link."""
+    """A cipher suite."""
 
     PLAIN = 0
     AESGCM = 1
@@ -38,7 +38,7 @@ class Suite(IntEnum):
 
 
 class SealError(Exception):
-    """A seal does not hold: forged, damaged, out of order or replayed; the message says what is known."""
+    """A seal is invalid: forged, damaged, out of order or replayed; the message says what is known."""
 
 
 class _Cipher(Protocol):
@@ -48,7 +48,7 @@ class _Cipher(Protocol):
 
 
 class _Checksum:
-    """Stands where the AEAD does on a link without encryption: CRC-32 against damage, nothing against malice."""
+    """Takes the AEAD's place on a link without encryption: CRC-32 detects damage, but no attack."""
 
     def encrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
         return b"".join((data, self._tag(nonce, data, associated_data)))
@@ -80,7 +80,7 @@ def _cipher(suite: Suite, key: bytes | None) -> _Cipher:
 
 
 class _Epochs:
-    """The ciphers of one key, an epoch each; the next one's key is REKEY of this one's (Noise, 4.2)."""
+    """The ciphers of one key, one for each epoch; the next epoch's key is REKEY of this one's (Noise, 4.2)."""
 
     def __init__(self, suite: Suite, key: bytes | None) -> None:
         self._suite = suite
@@ -88,21 +88,21 @@ class _Epochs:
         self._ciphers = [_cipher(suite, key)]
 
     def cipher(self, epoch: int) -> _Cipher:
-        """The cipher of an epoch that is not forgotten.
+        """The cipher of an epoch.
 
         Raises:
-            SealError: it is more than `EPOCHS_AHEAD` from the oldest that is kept.
+            SealError: the epoch is more than `EPOCHS_AHEAD` ahead of the oldest one kept.
         """
         ciphers = self._ciphers
         index = epoch - self._first
         if index > EPOCHS_AHEAD:
-            raise SealError(f"its key epoch, {epoch}, is too far ahead")
+            raise SealError(f"key epoch {epoch} is too far ahead")
         while index >= len(ciphers):
             ciphers.append(self._rekeyed(ciphers[-1]))
         return ciphers[index]
 
     def forget_before(self, epoch: int) -> None:
-        """Forget the keys of earlier epochs: what they sealed stays sealed, whoever takes this process over."""
+        """Forget the keys of earlier epochs, so that nobody who takes over this process can open what they sealed."""
         del self._ciphers[: epoch - self._first]
         self._first = epoch
 
@@ -112,7 +112,7 @@ class _Epochs:
 
 
 class _StreamState:
-    """What sealing and opening in order share: the implied sequence number and its epoch's cipher."""
+    """What sealing and opening in order have in common: the implied sequence number and its epoch's cipher."""
 
     def __init__(self, suite: Suite, key: bytes | None) -> None:
         self.suite = suite
@@ -132,18 +132,18 @@ class Sealer(_StreamState):
     """Seals in one direction under one key.
 
     Attributes:
-        sequence: the number that seals next.
+        sequence: the next sequence number.
     """
 
     def seal(self, content: Buffer, associated: Buffer) -> bytes:
         """Seal under the next sequence number.
 
         Args:
-            content: to be encrypted and authenticated.
-            associated: to be authenticated only; it travels beside.
+            content: is encrypted and authenticated.
+            associated: is authenticated only, and sent beside.
 
         Returns:
-            The content sealed, `Suite.tag_length` bytes longer.
+            The sealed content, `Suite.tag_length` bytes longer.
         """
         sequence = self.sequence
         self.sequence = sequence + 1
@@ -153,17 +153,17 @@ class Sealer(_StreamState):
 
 
 class StreamOpener(_StreamState):
-    """Opens what a `Sealer` sealed, in order and without a gap.
+    """Opens what a `Sealer` sealed, in order and without gaps.
 
     Attributes:
-        sequence: the number that is due next.
+        sequence: the next sequence number.
     """
 
     def open(self, sealed: Buffer, associated: Buffer) -> bytes:
-        """Open what comes next.
+        """Open the next content.
 
         Raises:
-            SealError: it is not what the peer sealed next; the stream is of no more use.
+            SealError: the peer did not seal this next; the stream can't be used any more.
         """
         sequence = self.sequence
         if sequence >> EPOCH_BITS != self._epoch:
@@ -171,17 +171,15 @@ class StreamOpener(_StreamState):
         try:
             content = self._current.decrypt(self._nonce(sequence), sealed, associated)
         except InvalidTag:
-            raise SealError(
-                f"sequence {sequence} is not what the peer sealed with this key: damaged or forged"
-            ) from None
+            raise SealError(f"sequence {sequence} was not sealed with this key: damaged or forged") from None
         self.sequence = sequence + 1
         return content
 
 
 class DatagramOpener:
-    """Opens what a `Sealer` sealed, in any order, each once.
+    """Opens what a `Sealer` sealed, in any order, each number once.
 
-    Only what is authentic moves the replay window (RFC 4303, 3.4.3) and the epoch.
+    Only authentic datagrams move the replay window (RFC 4303, 3.4.3) and the epoch.
     """
 
     def __init__(self, suite: Suite, key: bytes | None, window: int = 1024) -> None:
@@ -191,14 +189,14 @@ class DatagramOpener:
         self._mask = (1 << window) - 1
         self._epoch = 0
         self._newest = -1
-        self._seen = 0  # bit n: the n-th before the newest has come
+        self._seen = 0  # bit n: the n-th before the newest was received
 
     def open(self, sequence: int, sealed: Buffer, associated: Buffer) -> bytes:
         """Open one datagram's content.
 
         Args:
-            sequence: as the datagram says; authenticated with it.
-            sealed: the content, sealed.
+            sequence: from the datagram; authenticated with it.
+            sealed: the sealed content.
             associated: what was authenticated beside it.
 
         Raises:
@@ -207,7 +205,7 @@ class DatagramOpener:
         ahead = sequence - self._newest
         if ahead <= 0:
             if ahead <= -self._window:
-                raise SealError(f"sequence {sequence} is too old: replayed, or {-ahead} datagrams late")
+                raise SealError(f"sequence {sequence} is {-ahead} datagrams late: replayed, or delayed too long")
             if self._seen >> -ahead & 1:
                 raise SealError(f"sequence {sequence} is replayed")
         epoch = sequence >> EPOCH_BITS
@@ -215,13 +213,11 @@ class DatagramOpener:
         try:
             content = cipher.decrypt(self._nonce(sequence), sealed, associated)
         except InvalidTag:
-            raise SealError(
-                f"sequence {sequence} is not what the peer sealed with this key: damaged or forged"
-            ) from None
+            raise SealError(f"sequence {sequence} was not sealed with this key: damaged or forged") from None
         if ahead <= 0:
             self._seen |= 1 << -ahead
             return content
-        # A leap is not shifted by: it would make an integer as long as the leap.
+        # Not shifted by more than the window: that would make an integer as long as the leap.
         self._seen = ((self._seen << ahead) & self._mask) | 1 if ahead < self._window else 1
         if epoch != self._epoch:
             self._epochs.forget_before(epoch - 1)
@@ -231,11 +227,11 @@ class DatagramOpener:
 
 
 class SessionKeys:
-    """What a handshake leaves to the data of its link: a key for each route and direction (PROTOCOL.md, 1.3).
+    """The data keys of a link, one for each route and direction, derived from its handshake (PROTOCOL.md, 1.3).
 
     Attributes:
-        suite: what seals the link.
-        link_id: 8 bytes; names the link in opening frames and datagrams.
+        suite: of the link.
+        link_id: 8 bytes; names the link in preambles and datagrams.
     """
 
     def __init__(self, suite: Suite, export: bytes | None, link_id: bytes) -> None:
@@ -245,33 +241,33 @@ class SessionKeys:
         self._sealing: set[tuple[int, Role]] = set()
 
     def route_sealer(self, route: int, sending_role: Role) -> Sealer:
-        """What seals a route's data in one direction. There is one in a link's life: a second would repeat nonces.
+        """Seals a route's data in one direction. There is only one, because a second would repeat nonces.
 
         Raises:
-            ValueError: it was given out before.
+            ValueError: it was requested before.
         """
         if (route, sending_role) in self._sealing:
-            raise ValueError(f"route {route} has had its sealer: a route id is used once in a link's life")
+            raise ValueError(f"route {route} has a sealer already: a route id is used once in a link's life")
         self._sealing.add((route, sending_role))
         return Sealer(self.suite, self._data_key(route, sending_role))
 
     def stream_opener(self, route: int, sending_role: Role) -> StreamOpener:
-        """What opens a route's data on a stream; `sending_role` is the peer's."""
+        """Opens a route's data on a stream; `sending_role` is the peer's."""
         return StreamOpener(self.suite, self._data_key(route, sending_role))
 
     def datagram_opener(self, route: int, sending_role: Role) -> DatagramOpener:
-        """What opens a route's datagrams; `sending_role` is the peer's."""
+        """Opens a route's datagrams; `sending_role` is the peer's."""
         return DatagramOpener(self.suite, self._data_key(route, sending_role))
 
     def attach_proof(self, header: bytes, route: int) -> bytes:
-        """A client's proof, over the opening frame before it, that a data stream is its own."""
+        """A client's proof that a data stream is its own, over the preamble frame up to the proof."""
         return Sealer(self.suite, self._attach_key(route)).seal(b"", header)
 
     def check_attach_proof(self, header: bytes, route: int, proof: bytes) -> None:
-        """Check what `attach_proof` made.
+        """Check a client's `attach_proof`.
 
         Raises:
-            SealError: it is another's.
+            SealError: the proof is not this client's.
         """
         StreamOpener(self.suite, self._attach_key(route)).open(proof, header)
 
