@@ -1,0 +1,13 @@
+"""The engine on a clock, a network and a ROS of its own: days in seconds, and a seed is a world.
+
+Read in this order:
+
+- `loop`: time.
+- `network`: what lies between the machines; `machine`: they and their processes; `streams` and `sockets`: what a
+  program sees of all that.
+- `ros`: a ROS domain; `station`: a machine with an engine in a domain.
+- `flows`: topics, with what is counted at both ends; `world`: all of these from a seed.
+- `climate`, `faults` and `operators`: what happens; `invariants` and `tables`: what must hold all along.
+
+``python -m tests.simulation SEED`` plays a world.
+"""

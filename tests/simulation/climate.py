@@ -1,0 +1,59 @@
+"""How much happens in a world, and how much it carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from random import Random
+
+
+@dataclass(frozen=True)
+class Climate:
+    """How much there is of everything.
+
+    Attributes:
+        name: of the climate.
+        robots: how many there may be.
+        topics: how many each robot's session may have.
+        periods: s, between which the average time from one message of a topic to the next is.
+        latched: part of the topics that are latched.
+        size: bytes of a message, at most, on average.
+        faults: s from one fault of a robot to the next, on average; 0: there are none. Its topics have as many, and the
+            server a fifth.
+        commands: s from one command of an operator to the next, on average; 0: there are none.
+        nights: part of the time that the robots are switched off, for hours.
+        checks: s, between which everything is checked.
+    """
+
+    name: str
+    robots: Sequence[int] = (1,)
+    topics: Sequence[int] = (1, 2, 3)
+    periods: tuple[float, float] = (2.0, 60.0)
+    latched: float = 0.2
+    size: int = 400
+    faults: float = 120.0
+    commands: float = 300.0
+    nights: float = 0.0
+    checks: tuple[float, float] = (1.0, 5.0)
+
+
+QUIET = Climate("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, commands=900.0, nights=0.5)
+"""A robot that is used by day, where something happens a few times an hour."""
+LIVELY = Climate("lively", robots=(1, 1, 2))
+"""A robot or two, where something happens every minute."""
+STORM = Climate("storm", robots=(1, 1, 2), periods=(0.2, 20.0), faults=15.0, commands=30.0)
+"""Where something happens every few seconds."""
+FLEET = Climate("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
+"""Many robots on one server."""
+STILL = Climate(
+    "still", topics=(1,), periods=(600.0, 600.0), faults=0.0, commands=0.0, latched=0.0, checks=(60.0, 60.0)
+)
+"""Where nothing happens but what is made to happen."""
+
+
+def climate_of(random: Random) -> Climate:
+    """A climate."""
+    return random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]

@@ -1,0 +1,252 @@
+"""What must hold all along, whatever happens.
+
+Each check looks at the engines' own state from outside and at what the flows have counted, every few seconds. It says
+nothing as long as an explanation is left: a robot in trouble need not be linked, a topic whose publisher is away need
+not flow. What has had no explanation for longer than an engine is allowed to take is wrong, and ends the world.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from tests.simulation.tables import tables
+
+if TYPE_CHECKING:
+    from tests.simulation.flows import Account, Flow
+    from tests.simulation.station import Run
+    from tests.simulation.world import Robot, World
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.route.outgoing import OutgoingRoute
+    from rsb_bridge.route.route import Route
+
+LINKED_WITHIN = 15.0
+"""s from the end of what kept a robot from being linked."""
+AGREED_WITHIN = 25.0
+"""s from then, or from the last command: a route that was refused is tried again after up to 10 s, and one that nobody
+asks for any more is forgotten up to 13 s after it was closed."""
+FLOWS_WITHIN = 15.0
+"""s from when nothing keeps a topic from flowing until its messages come out, and from a message to the other end."""
+SETTLED_WITHIN = 6.0
+"""s after the last message until both sides have counted it."""
+_SWEEP_EVERY = 600.0
+_ITEMS, _ITEMS_EACH = 100, 20
+"""In one table: so many, and so many more for each route and each link."""
+_TASKS, _DESCRIPTORS, _TIMERS = 10, 10, 20
+"""Of one engine: so many, and four more for each route and each link."""
+
+
+class Invariants:
+    """Watches a world.
+
+    Attributes:
+        checks: how often everything was looked at.
+        worst_recovery: s, the longest that a robot took to be linked once it could be.
+    """
+
+    def __init__(self, world: World) -> None:
+        self.checks = 0
+        self.worst_recovery = 0.0
+        self._world = world
+        self._random = world.random("invariants")
+        self._linked: set[Robot] = set()
+        self._agreed: dict[Robot, float] = {}
+        self._can_flow: dict[Flow, float] = {}
+        self._next_sweep = _SWEEP_EVERY
+
+    async def watch(self) -> None:
+        """Check everything, again and again."""
+        while True:
+            await asyncio.sleep(self._random.uniform(*self._world.climate.checks))
+            self.check()
+
+    def check(self) -> None:
+        """Check everything once."""
+        self.checks += 1
+        world = self._world
+        for robot in world.robots:
+            self._check_linked(robot)
+            self._check_agreement(robot)
+            for flow in robot.flows:
+                self._check_flow(robot, flow)
+        self._check_ledgers()
+        sweep = world.loop.time() >= self._next_sweep
+        for run in world.runs():
+            self._check_tasks(run)
+            if sweep:
+                self._check_tables(run)
+        if sweep:
+            self._next_sweep = world.loop.time() + _SWEEP_EVERY
+            self._check_timers()
+
+    # --- links
+
+    def _check_linked(self, robot: Robot) -> None:
+        """Whoever can be linked is linked within 15 s, and stays so."""
+        world, now = self._world, self._world.loop.time()
+        ends = world.link_ends(robot)
+        if ends is None or robot.troubles:
+            self._linked.discard(robot)
+            return
+        waited = now - world.clear_since(robot)
+        if all(link.linked for link in ends):
+            if robot not in self._linked:
+                self._linked.add(robot)
+                self.worst_recovery = max(self.worst_recovery, waited)
+        elif waited > LINKED_WITHIN:
+            here, there = ends
+            world.wrong(
+                f"{robot.name} can be linked since {waited:.1f} s, and is not: it says {here.down_reason!r}, "
+                f"the server {there.down_reason!r}"
+            )
+
+    # --- routes
+
+    def _check_agreement(self, robot: Robot) -> None:
+        """Both sides have the same routes, and the same ones paused."""
+        world, now = self._world, self._world.loop.time()
+        ends = world.link_ends(robot)
+        if ends is None or robot.troubles or not all(link.linked for link in ends):
+            self._agreed[robot] = now
+            return
+        here, there = (
+            {(route.topic, route.remote_topic): route.paused for route in link.routes.values() if not route.refusal}
+            for link in ends
+        )
+        refused = {
+            names
+            for link in ends
+            for route in link.routes.values()
+            if route.refusal
+            for names in ((route.topic, route.remote_topic),)
+        }
+        wrong = {
+            names: (here.get(names), there.get(names))
+            for names in here.keys() | there.keys()
+            if here.get(names) != there.get(names) and names not in refused
+        }
+        if not wrong:
+            self._agreed[robot] = now
+        elif now - max(self._agreed.get(robot, 0.0), world.clear_since(robot), robot.commanded) > AGREED_WITHIN:
+            world.wrong(f"{robot.name} and the server disagree on which routes there are, and paused: {wrong}")
+
+    def _check_flow(self, robot: Robot, flow: Flow) -> None:
+        """A topic that can flow flows."""
+        world, now = self._world, self._world.loop.time()
+        if not self._can_flow_now(robot, flow):
+            self._can_flow.pop(flow, None)
+            return
+        began = (self._can_flow.setdefault(flow, now), flow.changed, robot.commanded, world.clear_since(robot))
+        since = max(began) + FLOWS_WITHIN
+        if flow.latched:
+            if flow.topic.max_rate or not flow.ordered:
+                return  # the newest may be left out, or overtaken
+            waited = now - max(since, flow.last_sent)
+            wrong = flow.sent > flow.newest.get(flow.life, 0) and waited > FLOWS_WITHIN
+        else:
+            waited = now - max(since, flow.last_heard)
+            wrong = waited > FLOWS_WITHIN + 1.5 * flow.period
+        if wrong:
+            world.wrong(
+                f"{flow} could flow for {waited:.1f} s, and does not: message {flow.sent} of life {flow.life} went in "
+                f"{now - flow.last_sent:.1f} s ago, the newest that came out are {flow.newest}; {world.state(flow)}"
+            )
+
+    def _can_flow_now(self, robot: Robot, flow: Flow) -> bool:
+        ends = self._world.link_ends(robot)
+        if ends is None or robot.troubles or flow.troubles or not all(link.linked for link in ends):
+            return False
+        if flow.writer is None or flow.reader is None:
+            return False
+        routes = [route_of(link, flow) for link in ends]
+        return all(route is not None and not route.paused for route in routes)
+
+    # --- the ledger
+
+    def _check_ledgers(self) -> None:
+        """The parts of each ledger sum up, none is negative, and they are what was counted outside."""
+        world = self._world
+        current = {id(route) for run in world.runs() for link in run.links() for route in link.routes.values()}
+        for route, account in tuple(world.accounts.items()):
+            if id(route) in current:
+                self._check_ledger(route, account)
+            else:
+                del world.accounts[route]
+
+    def _check_ledger(self, route: OutgoingRoute, account: Account) -> None:
+        world, now = self._world, self._world.loop.time()
+        ledger = route.ledger()
+        parts = (
+            ledger.delivered,
+            ledger.throttled,
+            ledger.expired,
+            ledger.in_flight,
+            *ledger.dropped.values(),
+        )
+        wrong = ""
+        if min(parts) < 0:
+            wrong = "a part of it is negative"
+        elif sum(parts) != ledger.offered:
+            wrong = f"its parts sum up to {sum(parts)}"
+        elif ledger.offered != account.offered:
+            wrong = f"{account.offered} messages were taken"
+        elif ledger.delivered > account.published:
+            wrong = f"{account.published} messages were published"
+        else:
+            robot = world.robot(route.peer.name)
+            last = max(account.last_offered, route.opened_at, world.clear_since(robot))
+            if not robot.troubles and route.flowing and now - last > SETTLED_WITHIN:
+                if ledger.delivered < account.published - account.unreported:
+                    wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
+                elif ledger.in_flight:
+                    wrong = f"nothing was sent for {now - last:.1f} s, and something is in flight"
+        if wrong:
+            side = "client" if route.peer.is_client else "server"
+            world.wrong(f"the ledger of {route.key} on the {side} is wrong: {wrong}: {ledger}")
+
+    # --- bounds
+
+    def _check_tasks(self, run: Run) -> None:
+        """No task dies unseen, and there are not more tasks and descriptors than topics explain."""
+        world, name, process = self._world, run.station.name, run.process
+        for task in process.failed:
+            world.wrong(f"{name}: a task has died of {task._exception!r}: {task}")
+        links = run.links()
+        most = 4 * (len(links) + sum(len(link.routes) for link in links))
+        if len(process.tasks) > _TASKS + most:
+            world.wrong(f"{name} has {len(process.tasks)} tasks: {list(process.tasks)}")
+        if len(process.descriptors) > _DESCRIPTORS + most:
+            world.wrong(f"{name} has {len(process.descriptors)} descriptors: {list(process.descriptors)}")
+
+    def _check_tables(self, run: Run) -> None:
+        links = run.links()
+        most = _ITEMS + _ITEMS_EACH * (len(links) + sum(len(link.routes) for link in links))
+        for way, length in tables(run.bridge).items():
+            if length > most:
+                self._world.wrong(f"{run.station.name} keeps {length} items in {way}")
+        for link in links:
+            if not link.routes and (link.unfinished.held or link.latched.held):
+                self._world.wrong(
+                    f"{run.station.name}: without a route, {link.name} is said to hold {link.unfinished.held} bytes "
+                    f"of unfinished messages and {link.latched.held} of latched ones"
+                )
+
+    def _check_timers(self) -> None:
+        world = self._world
+        timers = Counter(handle.program() for handle in world.loop.timers())
+        for run in world.runs():
+            links = run.links()
+            most = _TIMERS + 4 * (len(links) + sum(len(link.routes) for link in links))
+            if timers[run.process] > most:
+                callbacks = Counter(str(each) for each in world.loop.timers() if each.program() is run.process)
+                world.wrong(f"{run.station.name} has {timers[run.process]} timers: {callbacks.most_common(5)}")
+
+
+def route_of(link: Link, flow: Flow) -> Route | None:
+    """A link's route that carries a flow."""
+    for route in link.routes.values():
+        if route.topic == flow.source_topic and route.from_client == (flow.topic.direction == "transmit"):
+            return route
+    return None

@@ -1,0 +1,165 @@
+"""Computers and the programs that run on them, as their kernels know them."""
+
+from __future__ import annotations
+
+import contextvars
+import errno
+import os
+import socket
+from typing import TYPE_CHECKING, Any, Protocol
+
+from tests.simulation.loop import PROGRAM
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable
+
+    from tests.simulation.loop import SimulatedLoop
+    from tests.simulation.network import Network
+    from tests.simulation.sockets import Socket
+
+ANY = "0.0.0.0"
+_FIRST_EPHEMERAL, _EPHEMERAL_PORTS = 32_768, 28_000
+
+
+class Descriptor(Protocol):
+    """What a process has open."""
+
+    def killed(self) -> None:
+        """Its process was killed: the kernel closes it."""
+        ...
+
+    def vanished(self) -> None:
+        """Its machine lost its power: nobody closes it."""
+        ...
+
+
+class Machine:
+    """A computer: its address, its ports, and whether it is switched on.
+
+    Attributes:
+        name: in failures.
+        network: it is on.
+        address: its IPv4 address.
+        up: it is switched on.
+        refuses: a firewall here answers connects with a refusal.
+        bound: sockets by their type and port.
+        processes: those that run.
+    """
+
+    def __init__(self, name: str, network: Network, address: str) -> None:
+        self.name = name
+        self.network = network
+        self.address = address
+        self.up = True
+        self.refuses = False
+        self.bound: dict[tuple[int, int], Socket] = {}
+        self.processes: list[Process] = []
+        self._last_port = 0
+        network.join(self, address)
+
+    def __repr__(self) -> str:
+        return f"<{self.name} {self.address}>"
+
+    def free_port(self, kind: int) -> int:
+        """A port that no socket of that type has had for long."""
+        while True:
+            self._last_port = (self._last_port + 1) % _EPHEMERAL_PORTS
+            port = _FIRST_EPHEMERAL + self._last_port
+            if (kind, port) not in self.bound:
+                return port
+
+    def move(self, address: str) -> None:
+        """Get another address. Connections from the old one hear nothing any more."""
+        self.network.leave(self.address)
+        self.address = address
+        self.network.join(self, address)
+
+    def power_off(self) -> None:
+        """Lose everything, without a word to anybody."""
+        self.up = False
+        for process in tuple(self.processes):
+            process.end(lambda descriptor: descriptor.vanished())
+
+    def power_on(self) -> None:
+        """Be there again, with nothing running."""
+        self.up = True
+        self.network.woke(self)
+
+
+class Process:
+    """One run of a program, as its kernel knows it.
+
+    Attributes:
+        machine: it runs on.
+        network: its machine's.
+        loop: the world's.
+        context: to run its code in; tasks and timers inherit it.
+        descriptors: its sockets and connections.
+        tasks: those that have not ended.
+        failed: those that ended with an exception.
+        most_descriptors: as `ulimit -n` has it.
+        alive: it has not been killed. What is left of its code may still run, but reaches nobody.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.network = machine.network
+        self.loop: SimulatedLoop = machine.network.loop
+        self.descriptors: dict[Descriptor, None] = {}
+        self.tasks: dict[asyncio.Task[Any], None] = {}
+        self.failed: list[asyncio.Task[Any]] = []
+        self.most_descriptors = 1024
+        self.alive = True
+        self.context = contextvars.copy_context()
+        self.context.run(PROGRAM.set, self)
+        machine.processes.append(self)
+
+    def kill(self) -> None:
+        """End at once, as by kill -9: the kernel closes what is open."""
+        self.end(lambda descriptor: descriptor.killed())
+
+    def exit(self) -> None:
+        """End in good order, with nothing left to close."""
+        assert not self.descriptors, f"left open: {list(self.descriptors)}"
+        self.end(lambda descriptor: None)
+
+    def end(self, free: Callable[[Descriptor], None]) -> None:
+        """End at once, and free each descriptor in some way."""
+        if self.alive:
+            self.alive = False
+            self.machine.processes.remove(self)
+            for descriptor in tuple(self.descriptors):
+                free(descriptor)
+            self.descriptors.clear()
+
+    def add_task(self, task: asyncio.Task[Any]) -> None:
+        """One of its tasks begins."""
+        self.tasks[task] = None
+        task.add_done_callback(self._task_ended)
+
+    def _task_ended(self, task: asyncio.Task[Any]) -> None:
+        del self.tasks[task]
+        if not task.cancelled() and task._exception is not None:  # without asking for it, which would make it seen
+            self.failed.append(task)
+
+    def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]:
+        """Look a name up, as `socket.getaddrinfo` does.
+
+        Raises:
+            socket.gaierror: the name is not known.
+        """
+        found = self.network.look_up(host or ANY) or ()
+        return [(socket.AF_INET, kind, 0, "", (address, port or 0)) for address in found]
+
+    def check_own(self, host: str) -> None:
+        """Raise OSError where an address is not this machine's."""
+        if not self.alive:
+            raise os_error(errno.ENETDOWN)
+        if host not in (self.machine.address, ANY):
+            raise os_error(errno.EADDRNOTAVAIL)
+
+
+def os_error(number: int) -> OSError:
+    """The error that a system call fails with."""
+    return OSError(number, os.strerror(number))

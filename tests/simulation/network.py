@@ -1,0 +1,150 @@
+"""What lies between the machines: which addresses there are, and what happens to what is sent.
+
+A `Path` is one direction between two machines. It knows nothing of connections: it says how long a packet takes and
+whether it arrives, and whoever sent it (`tests.simulation.sockets`) does as a kernel would. A path that is cut swallows
+everything without a word, as a pulled cable or a firewall that drops does.
+"""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from random import Random
+
+    from tests.simulation.loop import SimulatedLoop
+    from tests.simulation.machine import Machine
+
+
+_GOOD = (0.0005, 0.005)
+
+
+@dataclass(slots=True, eq=False)
+class Path:
+    """One direction between two machines.
+
+    Attributes:
+        latency: s, between which each packet takes; datagrams overtake each other within it.
+        loss: part of the datagrams that are lost; a stream's bytes come 0.2 s later instead.
+        duplicates: part of the datagrams that come twice.
+        bandwidth: bytes/s; None: no limit that matters.
+        mtu: bytes of the largest packet.
+        cut: nothing arrives.
+    """
+
+    latency: tuple[float, float] = _GOOD
+    loss: float = 0.0
+    duplicates: float = 0.0
+    bandwidth: float | None = None
+    mtu: int = 1500
+    cut: bool = False
+    _busy_until: float = 0.0
+    _when_healed: dict[Callable[[], None], None] = field(default_factory=dict)
+
+    def delay(self, size: int, now: float, random: Random) -> float:
+        """How long (s) a packet of `size` bytes takes that is sent at `now` (s)."""
+        latency = random.uniform(*self.latency)
+        if self.bandwidth is None:
+            return latency
+        self._busy_until = max(self._busy_until, now) + size / self.bandwidth
+        return self._busy_until - now + latency
+
+    def on_healed(self, call: Callable[[], None]) -> None:
+        """Call something once the path is no longer cut."""
+        self._when_healed[call] = None
+
+    def forget(self, call: Callable[[], None]) -> None:
+        """Do not call it any more."""
+        self._when_healed.pop(call, None)
+
+    def mend(self) -> None:
+        """Be a good network again; whether it is cut is another matter."""
+        self.latency, self.loss, self.duplicates, self.bandwidth, self.mtu = _GOOD, 0.0, 0.0, None, 1500
+
+    def healed(self) -> None:
+        """Tell those who wait that packets may arrive again."""
+        waiting, self._when_healed = self._when_healed, {}
+        for call in waiting:
+            call()
+
+
+class Network:
+    """All machines, the paths between them, and the names that they have.
+
+    Attributes:
+        loop: the world's.
+        random: decides what each packet meets.
+        names: what name servers say; None: they do not answer at all. A name that is not listed is not known.
+    """
+
+    def __init__(self, loop: SimulatedLoop, random: Random) -> None:
+        self.loop = loop
+        self.random = random
+        self.names: dict[str, list[str] | None] = {}
+        self._machines: dict[str, Machine] = {}
+        self._paths: dict[tuple[Machine, Machine], Path] = {}
+
+    def join(self, machine: Machine, address: str) -> None:
+        """Give a machine an address."""
+        assert address not in self._machines, f"{address} is {self._machines[address].name}'s"
+        self._machines[address] = machine
+
+    def leave(self, address: str) -> None:
+        """Take an address away."""
+        del self._machines[address]
+
+    def machine_at(self, address: str) -> Machine | None:
+        """Who has an address."""
+        return self._machines.get(address)
+
+    def look_up(self, host: str) -> list[str] | None:
+        """The addresses of a host; an address in numbers needs no name server. None: nobody answers.
+
+        Raises:
+            socket.gaierror: the name is not known.
+        """
+        if is_numeric(host):
+            return [host]
+        if host not in self.names:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return self.names[host]
+
+    def path(self, source: Machine, destination: Machine) -> Path:
+        """One direction between two machines."""
+        path = self._paths.get((source, destination))
+        if path is None:
+            path = self._paths[source, destination] = Path()
+        return path
+
+    def both_ways(self, one: Machine, other: Machine) -> tuple[Path, Path]:
+        """Both directions between two machines."""
+        return self.path(one, other), self.path(other, one)
+
+    def cut(self, one: Machine, other: Machine) -> None:
+        """Let nothing through between two machines."""
+        for path in self.both_ways(one, other):
+            path.cut = True
+
+    def heal(self, one: Machine, other: Machine) -> None:
+        """Let everything through again."""
+        for path in self.both_ways(one, other):
+            path.cut = False
+            path.healed()
+
+    def passes(self, source: Machine, destination: Machine) -> bool:
+        """Whether a packet gets from one machine to another now."""
+        return source.up and destination.up and not self.path(source, destination).cut
+
+    def woke(self, machine: Machine) -> None:
+        """A machine is up again: what was on its way there may arrive."""
+        for ends, path in tuple(self._paths.items()):
+            if machine in ends:
+                path.healed()
+
+
+def is_numeric(host: str) -> bool:
+    """Whether a host is an address in numbers."""
+    return host.replace(".", "").isdecimal()

@@ -1,0 +1,389 @@
+"""A ROS domain without ROS: publishers and subscriptions, as far as a bridge can tell them from DDS's.
+
+- Endpoints find each other a moment after they are made, and until then messages do not reach.
+- A publisher that is transient_local keeps its last `depth` messages for subscriptions that come later.
+- A subscription keeps `depth` messages until they are taken; when more come, the oldest are lost.
+- Messages are taken in batches, a moment after they came, on the loop instead of a thread.
+- The endpoints of a process that was killed are seen for up to 40 s more.
+"""
+
+from __future__ import annotations
+
+import contextvars
+import itertools
+from collections import defaultdict, deque
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rsb_bridge.model.qos import Qos, incompatible
+from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+    from random import Random
+
+    from tests.simulation.loop import SimulatedLoop
+
+    from rsb_bridge.ros.api import OnFailure, Sink
+
+STRING = "std_msgs/msg/String"
+_DISCOVERY = (0.001, 0.05)
+_TAKING = (0.0001, 0.002)
+_LEASE = (10.0, 40.0)
+"""s, between which a process that has died is still seen."""
+_BATCH = 64
+_KEEP_ALL = 5000
+_OF_NOBODY = contextvars.Context()
+
+
+def hash_of(type_name: str, version: int = 0) -> str:
+    """The hash of a version of a type."""
+    number = version
+    for letter in type_name:
+        number = number * 131 + ord(letter)
+    return f"RIHS01_{number % (1 << 256):064x}"
+
+
+class Domain:
+    """One ROS domain.
+
+    Attributes:
+        loop: the world's.
+        random: how long discovery and taking take.
+        taking: s, between which messages wait until they are taken: more where the ROS thread is busy.
+        installed: hash by type name, of the types that nodes here were built with.
+    """
+
+    def __init__(self, loop: SimulatedLoop, random: Random, wall_ns: Callable[[], int]) -> None:
+        """Make an empty one.
+
+        Args:
+            loop: the world's.
+            random: how long discovery and taking take.
+            wall_ns: the wall clock of the machine.
+        """
+        self.loop = loop
+        self.random = random
+        self.wall_ns = wall_ns
+        self.taking = _TAKING
+        self.installed = {STRING: hash_of(STRING)}
+        self._gids = itertools.count(1)
+        self._writers: defaultdict[str, list[Writer]] = defaultdict(list)
+        self._readers: defaultdict[str, list[Reader]] = defaultdict(list)
+
+    def new_gid(self) -> bytes:
+        """An id for an endpoint."""
+        return next(self._gids).to_bytes(16, "big")
+
+    def topics(self) -> dict[str, set[str]]:
+        """Types by topic."""
+        found: dict[str, set[str]] = {}
+        for writer in (each for writers in self._writers.values() for each in writers):
+            found.setdefault(writer.topic, set()).add(writer.type_name)
+        for reader in (each for readers in self._readers.values() for each in readers):
+            found.setdefault(reader.topic, set()).add(reader.type_name)
+        return found
+
+    def writers(self, topic: str) -> list[Writer]:
+        """A topic's publishers."""
+        return self._writers.get(topic, [])
+
+    def readers(self, topic: str) -> list[Reader]:
+        """A topic's subscriptions."""
+        return self._readers.get(topic, [])
+
+    def add_writer(self, writer: Writer) -> None:
+        """A publisher is there."""
+        self._writers[writer.topic].append(writer)
+        for reader in self.readers(writer.topic):
+            self._match_soon(writer, reader)
+
+    def add_reader(self, reader: Reader) -> None:
+        """A subscription is there."""
+        self._readers[reader.topic].append(reader)
+        for writer in self.writers(reader.topic):
+            self._match_soon(writer, reader)
+
+    def remove_writer(self, writer: Writer) -> None:
+        """A publisher is gone."""
+        if writer in self.writers(writer.topic):
+            self._writers[writer.topic].remove(writer)
+
+    def remove_reader(self, reader: Reader) -> None:
+        """A subscription is gone."""
+        if reader in self.readers(reader.topic):
+            self._readers[reader.topic].remove(reader)
+            for writer in self.writers(reader.topic):
+                writer.matched.pop(reader, None)
+
+    def forget_later(self, end: Writer | Reader) -> None:
+        """Drop an endpoint whose process has died, once its lease is over."""
+        self.loop.call_later(self.random.uniform(*_LEASE), self._forget, end, context=_OF_NOBODY)
+
+    def _forget(self, end: Writer | Reader) -> None:
+        if isinstance(end, Writer):
+            self.remove_writer(end)
+        else:
+            self.remove_reader(end)
+
+    def _match_soon(self, writer: Writer, reader: Reader) -> None:
+        if (writer.type_name, writer.type_hash) == (reader.type_name, reader.type_hash):
+            self.loop.call_later(self.random.uniform(*_DISCOVERY), self._match, writer, reader, context=_OF_NOBODY)
+
+    def _match(self, writer: Writer, reader: Reader) -> None:
+        if writer.closed or reader.closed or incompatible(writer.qos, reader.qos):
+            return
+        writer.matched[reader] = None
+        if reader.qos.durability == "transient_local":
+            for sample in writer.kept:
+                reader.put(writer, sample)
+
+
+class Writer:
+    """A publisher of any node's: `rsb_bridge.ros.api.Publisher`.
+
+    Attributes:
+        node: its node's name.
+        seen_qos: as others see it: without the depth.
+        matched: the subscriptions that it reaches.
+        kept: its messages for subscriptions that come later.
+        published: messages so far.
+        on_publish: told of each message.
+    """
+
+    def __init__(
+        self, domain: Domain, node: str, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable = None
+    ) -> None:
+        self.gid = domain.new_gid()
+        self.node = node
+        self.topic = topic
+        self.type_name = type_name
+        self.type_hash = type_hash
+        self.qos = qos
+        self.seen_qos = msgspec.structs.replace(qos, depth=0)
+        self.origin = (node, origin)
+        self.matched: dict[Reader, None] = {}
+        latched = qos.durability == "transient_local"
+        depth = _KEEP_ALL if qos.history == "keep_all" else qos.depth
+        self.kept: deque[RawMessage] = deque(maxlen=depth if latched else 0)
+        self.published = 0
+        self.closed = False
+        self.on_publish: Callable[[bytes], None] | None = None
+        self._domain = domain
+        domain.add_writer(self)
+
+    def publish(self, payload: bytes) -> None:
+        if self.closed:
+            return
+        self.published += 1
+        sample = RawMessage(payload, self._domain.wall_ns(), self.gid)
+        self.kept.append(sample)
+        if self.on_publish is not None:
+            self.on_publish(payload)
+        for reader in self.matched:
+            if not reader.closed:
+                reader.put(self, sample)
+
+    @property
+    def subscriber_count(self) -> int:
+        return sum(reader.node != self.node for reader in self.matched)
+
+    def close(self) -> None:
+        if not self.closed:
+            self.closed = True
+            self.matched.clear()
+            self._domain.remove_writer(self)
+
+
+class Reader:
+    """A subscription of any node's: `rsb_bridge.ros.api.Subscription`.
+
+    Attributes:
+        node: its node's name.
+        seen_qos: as others see it: without the depth.
+        lost: messages that came and could not be kept until they were taken.
+        taken: messages so far.
+        on_take: told of each batch, before the sink.
+    """
+
+    def __init__(
+        self,
+        domain: Domain,
+        node: str,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable = None,
+        on_failure: OnFailure | None = None,
+    ) -> None:
+        self.gid = domain.new_gid()
+        self.node = node
+        self.topic = topic
+        self.type_name = type_name
+        self.type_hash = type_hash
+        self.qos = qos
+        self.seen_qos = msgspec.structs.replace(qos, depth=0)
+        self.lost = 0
+        self.taken = 0
+        self.closed = False
+        self.on_take: Callable[[list[RawMessage]], None] | None = None
+        self._origin = (node, origin)
+        self._sink = sink
+        self._on_failure = on_failure
+        self._pending: deque[RawMessage] = deque()
+        self._depth = _KEEP_ALL if qos.history == "keep_all" else max(1, qos.depth)
+        self._draining = False
+        self._domain = domain
+        self._context = contextvars.copy_context()
+        domain.add_reader(self)
+
+    def put(self, writer: Writer, sample: RawMessage) -> None:
+        """A message came."""
+        if writer.origin == self._origin:
+            return
+        if len(self._pending) >= self._depth:
+            self._pending.popleft()
+            self.lost += 1
+        self._pending.append(sample)
+        self._drain_soon()
+
+    def _drain_soon(self) -> None:
+        if not self._draining:
+            self._draining = True
+            domain = self._domain
+            domain.loop.call_later(domain.random.uniform(*domain.taking), self._drain, context=self._context)
+
+    def _drain(self) -> None:
+        self._draining = False
+        if self.closed:
+            return
+        batch = list(itertools.islice(self._pending, _BATCH))
+        for _ in batch:
+            self._pending.popleft()
+        if self._pending:
+            self._drain_soon()
+        self.taken += len(batch)
+        if self.on_take is not None:
+            self.on_take(batch)
+        self._sink(batch)
+
+    def close(self) -> None:
+        if not self.closed:
+            self.closed = True
+            self._domain.remove_reader(self)
+
+    def fail(self) -> None:
+        """Let the next take fail: the subscription is over."""
+        if not self.closed:
+            self.close()
+            if self._on_failure is not None:
+                self._context.run(self._on_failure, RosError(f"{self.topic}: taking failed"))
+
+
+class Node:
+    """The engine's node in a domain: `rsb_bridge.ros.api.RosInterface`.
+
+    Attributes:
+        instance_id: as a real node's.
+        node_name: as a real node's.
+        writers: what it publishes with.
+        readers: what it subscribes with.
+        on_writer: told of each publisher made.
+        on_reader: told of each subscription made.
+    """
+
+    def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
+        self.instance_id = instance_id
+        self.writers: dict[Writer, None] = {}
+        self.readers: dict[Reader, None] = {}
+        self.on_writer: Callable[[Writer, Hashable], None] | None = None
+        self.on_reader: Callable[[Reader, Hashable], None] | None = None
+        self._domain = domain
+        self.node_name = f"rsb_{name}_{instance_id}"
+        self._name = f"/{self.node_name}"
+        self._stopped = False
+
+    def start(self) -> None:
+        """It is in the domain already."""
+
+    def stop(self) -> None:
+        self._stopped = True
+        for end in self._ends():
+            end.close()
+
+    def die(self) -> None:
+        """The node's process is gone without a word: nobody hears of it any more, but others see its endpoints on."""
+        self._stopped = True
+        for end in self._ends():
+            if not end.closed:
+                end.closed = True
+                self._domain.forget_later(end)
+
+    def _ends(self) -> list[Writer | Reader]:
+        return [*self.writers, *self.readers]
+
+    def topics(self) -> dict[str, list[str]]:
+        found = self._domain.topics()
+        return {
+            topic: sorted(types)
+            for topic, types in found.items()
+            if self.publishers(topic) or self.subscriptions(topic)
+        }
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        self._check_running()
+        return [_endpoint(each) for each in self._domain.writers(topic) if each.node != self._name]
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        self._check_running()
+        return [_endpoint(each) for each in self._domain.readers(topic) if each.node != self._name]
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return self._domain.installed.get(type_name)
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Reader:
+        self._check_type(type_name, type_hash)
+        reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, sink, origin, on_failure)
+        _keep(self.readers, reader)
+        if self.on_reader is not None:
+            self.on_reader(reader, origin)
+        return reader
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Writer:
+        self._check_type(type_name, type_hash)
+        writer = Writer(self._domain, self._name, topic, type_name, type_hash, qos, origin)
+        _keep(self.writers, writer)
+        if self.on_writer is not None:
+            self.on_writer(writer, origin)
+        return writer
+
+    def _check_running(self) -> None:
+        if self._stopped:
+            raise RosError("the ROS node is not running")
+
+    def _check_type(self, type_name: str, type_hash: str) -> None:
+        self._check_running()
+        if not type_hash and type_name not in self._domain.installed:
+            raise RosError(f"{type_name} is not installed here, and its hash is not known")
+
+
+def _keep(kept: dict[Any, None], end: Any) -> None:
+    for other in [each for each in kept if each.closed]:
+        del kept[other]
+    kept[end] = None
+
+
+def _endpoint(end: Writer | Reader) -> Endpoint:
+    return Endpoint(end.node, end.type_name, end.type_hash, end.seen_qos, end.gid)

@@ -1,0 +1,230 @@
+"""A computer that runs an engine in a ROS domain: a robot, or the PC that controls robots."""
+
+from __future__ import annotations
+
+import asyncio
+from random import Random
+from typing import TYPE_CHECKING, TypeVar
+
+from tests.simulation.machine import Machine, Process
+from tests.simulation.ros import Domain, Node
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.bridge import Bridge
+from rsb_bridge.context import Context
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.snapshot import Snapshot
+from rsb_bridge.ros.queue import Receiver, RosToLoopQueue
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Sequence
+
+    from tests.simulation.loop import SimulatedLoop
+    from tests.simulation.network import Network
+
+    from rsb_bridge.config.keys import Key
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.ros.api import RawMessage
+
+_EPOCH = 1_700_000_000
+T = TypeVar("T")
+
+
+class WallClock(Clock):
+    """A machine's wall clock: it may be wrong, drift, and be set.
+
+    Attributes:
+        offset: s ahead of the truth at time 0.
+        drift: s that it gains a second.
+    """
+
+    def __init__(self, loop: SimulatedLoop, random: Random) -> None:
+        self.offset = random.uniform(-5.0, 5.0)
+        self.drift = random.uniform(-50e-6, 50e-6)
+        self._loop = loop
+
+    def time_ns(self) -> int:
+        return int((_EPOCH + self.offset + self._loop.time() * (1 + self.drift)) * 1e9)
+
+
+class _Queue(RosToLoopQueue):
+    """Messages from the ROS side, whose thread never has to wait: it is the loop's own."""
+
+    def put(self, receiver: Receiver, batch: Sequence[RawMessage]) -> None:
+        self._loop.call_soon(receiver.offer, batch)
+
+
+class _Events(EventLog):
+    """An event log that tells each event to the world as well."""
+
+    def __init__(self, clock: Clock, told: Callable[[Level, EventCode, str, str], None]) -> None:
+        super().__init__(clock)
+        self._told = told
+
+    def add(self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "") -> None:
+        super().add(level, code, text, link=link, topic=topic)
+        self._told(level, code, text, link)
+
+
+class Station:
+    """A computer, its ROS domain, and the session that its engine runs.
+
+    Attributes:
+        name: in failures, and of the machine.
+        machine: in the network.
+        clock: its wall clock.
+        domain: its ROS domain.
+        session: what the next engine will run.
+        keys: by client's name.
+        run: the engine that runs; None: none does.
+        on_run: told of each engine that begins to run.
+        on_end: told of each engine that is about to end.
+        on_event: told of each event.
+    """
+
+    def __init__(self, network: Network, name: str, address: str, random: Random) -> None:
+        self.name = name
+        self.machine = Machine(name, network, address)
+        self.clock = WallClock(network.loop, random)
+        self.domain = Domain(network.loop, Random(random.random()), self.clock.time_ns)
+        self.session: Session
+        self.keys: dict[str, Key | None] = {}
+        self.run: Run | None = None
+        self.on_run: Callable[[Run], None] = _ignore
+        self.on_end: Callable[[Run], None] = _ignore
+        self.on_event: Callable[[Station, Level, EventCode, str, str], None] = _ignore
+        self.random = random
+
+    def start(self) -> Run:
+        """Run an engine."""
+        assert self.run is None, f"{self.name} runs one"
+        run = self.run = Run(self)
+        self.on_run(run)
+        run.begin()
+        return run
+
+    async def stop(self) -> None:
+        """Stop the engine as an operator does."""
+        run = self._ending()
+        if run is not None:
+            await run.stop()
+
+    def kill(self) -> None:
+        """End the engine's process as kill -9 does."""
+        run = self._ending()
+        if run is not None:
+            run.process.kill()
+            run.die()
+
+    def power_off(self) -> None:
+        """Switch the machine off at the wall."""
+        run = self._ending()
+        self.machine.power_off()
+        if run is not None:
+            run.die()
+
+    def _ending(self) -> Run | None:
+        if self.run is not None:
+            self.on_end(self.run)
+        run, self.run = self.run, None
+        return run
+
+
+class Run:
+    """One engine process.
+
+    Attributes:
+        station: where.
+        process: as its kernel knows it.
+        node: in its ROS domain.
+        events: what it says.
+        bridge: the engine.
+        began: s, when.
+        over: it was stopped, or died.
+    """
+
+    def __init__(self, station: Station) -> None:
+        self.station = station
+        self.process = Process(station.machine)
+        self.loop = self.process.loop
+        self.node = Node(station.domain, station.session.name, f"{station.random.getrandbits(32):08x}")
+        self.events = _Events(station.clock, lambda *event: station.on_event(station, *event))
+        self.began = self.loop.time()
+        self.over = False
+        self.bridge = self.process.context.run(self._make)
+        self._task: asyncio.Task[None] | None = None
+
+    def _make(self) -> Bridge:
+        station = self.station
+        context = Context(
+            station.session,
+            station.session.domain_id or 0,
+            self.node,
+            self.events,
+            _Queue(self.loop),
+            self.loop,
+            station.clock,
+            Random(station.random.random()),
+        )
+        session = station.session
+        blank = Snapshot(0.0, session.name, session.role, "", session.domain_id or 0, running=False)
+        return Bridge(context, station.keys, SnapshotPublisher(blank, self.events, station.clock))
+
+    def begin(self) -> None:
+        """Start the engine."""
+        self._task = self.loop.create_task(self._main(), context=self.process.context)
+
+    async def _main(self) -> None:
+        await self.bridge.start()
+        await self.bridge.run()
+
+    def links(self) -> list[Link]:
+        """Its links."""
+        return self.bridge.links()
+
+    async def command(self, work: Coroutine[None, None, T]) -> T | None:
+        """Carry out an operator's command, in the engine's process; None: that died before it was done.
+
+        Raises:
+            EngineError: it cannot be carried out.
+        """
+
+        async def carry_out() -> T | EngineError:
+            try:
+                return await work
+            except EngineError as error:
+                return error
+
+        task = self.loop.create_task(carry_out(), context=self.process.context)
+        await asyncio.wait([task])
+        if task.cancelled():
+            return None
+        result = task.result()
+        if isinstance(result, EngineError):
+            raise result
+        return result
+
+    async def stop(self) -> None:
+        """Stop, and leave nothing behind."""
+        self.over = True
+        assert self._task is not None
+        self.bridge.stop()
+        await self._task
+        self.node.stop()
+        self.process.exit()
+
+    def die(self) -> None:
+        """The process is gone. What is left of its code is told to end, and reaches nobody any more."""
+        self.over = True
+        self.node.die()
+        for task in tuple(self.process.tasks):
+            task.cancel()
+
+
+def _ignore(*_: object) -> None:
+    """Nobody wants to know."""

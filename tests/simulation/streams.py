@@ -1,0 +1,349 @@
+"""TCP, as far as a bridge can tell it from the real one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import errno
+import socket
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from tests.simulation.machine import os_error
+
+if TYPE_CHECKING:
+    from tests.simulation.machine import Process
+    from tests.simulation.network import Path
+    from tests.simulation.sockets import Address, Socket
+
+_SOCKET_BUFFER = 200_000
+"""Bytes that a kernel takes before the peer's has acknowledged them."""
+_SHORTEST_RETRANSMISSION = 0.2
+_USER_TIMEOUT_MS = 924_600
+"""How long what is not acknowledged is sent again, where the program does not say (tcp(7), tcp_retries2)."""
+_TCP_RTO_MAX_MS = 44
+_PIECES = 0.02
+"""Part of what arrives that arrives in two pieces."""
+_RESET = 0.3
+"""Part of the processes killed whose kernel resets their connections: bytes had come that nobody had read."""
+
+
+class _Segment:
+    """What was written in one moment, on its way.
+
+    Attributes:
+        pieces: as they were written; None: the end of the stream.
+        size: bytes.
+        sent: s, when.
+    """
+
+    __slots__ = ("pieces", "sent", "size")
+
+    def __init__(self, pieces: list[bytes] | None, size: int, sent: float) -> None:
+        self.pieces = pieces
+        self.size = size
+        self.sent = sent
+
+
+class StreamTransport(asyncio.Transport):
+    """One end of a connection: the asyncio transport and the kernel's half under it.
+
+    Attributes:
+        process: whose end it is.
+        peer: the other end.
+    """
+
+    peer: StreamTransport
+
+    def __init__(self, process: Process, local: Address, remote: Address) -> None:
+        super().__init__()
+        self.process = process
+        self._sock: Socket
+        self._local, self._remote = local, remote
+        self._loop = process.loop
+        self._random = process.network.random
+        self._protocol: asyncio.Protocol | None = None
+        self._context = contextvars.copy_context()
+        self._path: Path
+        self._on_its_way: deque[_Segment] = deque()
+        self._unacknowledged = 0
+        self._arrives = 0.0
+        self._stuck = False
+        self._timeout: asyncio.TimerHandle | None = None
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._high = 65_536
+        self._paused = False
+        self._reading = True
+        self._closing = False
+        self._gone = False  # the program has let it go, or has lost it
+        self._sent_end = False
+        self._begun = False
+        self._early: deque[bytes | None] = deque()
+
+    @classmethod
+    def pair(cls, near: Socket, far: Process, own: Address, remote: Address) -> tuple[StreamTransport, StreamTransport]:
+        """Both ends of a new connection, a socket's and a listening process's; neither has a protocol yet."""
+        one, other = cls(near.process, own, remote), cls(far, remote, own)
+        one._sock = other._sock = near  # for its options, until the other end is accepted
+        one.peer, other.peer = other, one
+        one._path, other._path = far.network.both_ways(near.process.machine, far.machine)
+        return one, other
+
+    def begin(self, sock: Socket, protocol: asyncio.Protocol) -> None:
+        """Tell a protocol of the connection, and of whatever comes on it."""
+        self._sock = sock
+        self._context = contextvars.copy_context()
+        self._protocol = protocol
+        self._loop.call_soon(self._begin, context=self._context)
+
+    def _begin(self) -> None:
+        assert self._protocol is not None
+        self._protocol.connection_made(self)
+        self._begun = True
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        """Take what came before anybody wanted it."""
+        while self._early and self._reading and not self._gone:
+            data = self._early.popleft()
+            self.peer._acknowledged(len(data) if data else 0)
+            self._take(data)
+
+    # --- what asyncio's transports do
+
+    def get_extra_info(self, name: str, default: Any = None) -> Any:
+        return {"socket": self._sock, "sockname": self._local, "peername": self._remote}.get(name, default)
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        if self._closing or self._gone or not data:
+            return
+        if self._waiting or self._unacknowledged >= _SOCKET_BUFFER:
+            self._waiting.append(bytes(data))
+            self._waiting_bytes += len(data)
+            if self._waiting_bytes > self._high and not self._paused:
+                self._paused = True
+                assert self._protocol is not None
+                self._protocol.pause_writing()
+        else:
+            self._send(bytes(data))
+
+    def get_write_buffer_size(self) -> int:
+        return self._waiting_bytes
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        self._high = 65_536 if high is None else high
+
+    def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        assert isinstance(protocol, asyncio.Protocol)
+        self._protocol = protocol
+
+    def get_protocol(self) -> asyncio.BaseProtocol:
+        assert self._protocol is not None
+        return self._protocol
+
+    def pause_reading(self) -> None:
+        self._reading = False
+
+    def resume_reading(self) -> None:
+        if not self._reading:
+            self._reading = True
+            self._loop.call_soon(self._catch_up, context=self._context)
+
+    def is_closing(self) -> bool:
+        return self._closing
+
+    def close(self) -> None:
+        if not self._closing:
+            self._closing = True
+            if not self._waiting:
+                self._close_descriptor(None)
+
+    def abort(self) -> None:
+        self._waiting.clear()
+        self._waiting_bytes = 0
+        if not self._closing or not self._gone:
+            self._closing = True
+            self._close_descriptor(None)
+
+    # --- the kernel: sending
+
+    def _send(self, data: bytes) -> None:
+        now = self._loop.time()
+        size = len(data)
+        self._unacknowledged += size
+        last = self._on_its_way[-1] if self._on_its_way else None
+        if last is not None and last.sent == now and last.pieces is not None:
+            last.pieces.append(data)
+            last.size += size
+        else:
+            self._dispatch(_Segment([data], size, now))
+
+    def _dispatch(self, segment: _Segment) -> None:
+        self._on_its_way.append(segment)
+        now, random = self._loop.time(), self._random
+        delay = self._path.delay(segment.size, now, random)
+        if self._path.loss and random.random() < self._path.loss:
+            delay += _SHORTEST_RETRANSMISSION
+        self._arrives = max(self._arrives, now + delay)
+        self._loop.call_at(self._arrives, self._arrive, segment, context=_OF_NOBODY)
+
+    def _arrive(self, segment: _Segment) -> None:
+        """A segment is due at the peer, and with it those before it."""
+        way = self._on_its_way
+        if self._stuck or not way or segment.sent < way[0].sent:
+            return
+        if not self._passes():
+            self._stuck = True
+            self._path.on_healed(self._healed)
+            timeout = self._sock.options.get((socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT), _USER_TIMEOUT_MS) / 1000
+            self._timeout = self._loop.call_at(way[0].sent + timeout, self._time_out, context=_OF_NOBODY)
+            return
+        while way and way[0].sent <= segment.sent:
+            self._deliver(way.popleft())
+
+    def _passes(self) -> bool:
+        ends = (self, self.peer)
+        return not self._path.cut and all(
+            end.process.machine.up and end.process.machine.address == end._local[0] for end in ends
+        )
+
+    def _healed(self) -> None:
+        """The path takes packets again: the next retransmission gets through."""
+        if self._stuck and self._on_its_way:
+            waited = max(_SHORTEST_RETRANSMISSION, self._loop.time() - self._on_its_way[0].sent)
+            longest = self._sock.options.get((socket.IPPROTO_TCP, _TCP_RTO_MAX_MS), 120_000) / 1000
+            self._loop.call_later(self._random.uniform(0.0, min(waited, longest)), self._retransmit, context=_OF_NOBODY)
+
+    def _retransmit(self) -> None:
+        if self._stuck and self._on_its_way:
+            self._unstick()
+            self._arrive(self._on_its_way[-1])
+
+    def _unstick(self) -> None:
+        self._stuck = False
+        self._path.forget(self._healed)
+        if self._timeout is not None:
+            self._timeout.cancel()
+            self._timeout = None
+
+    def _time_out(self) -> None:
+        if self._stuck:
+            self._lose(os_error(errno.ETIMEDOUT))
+
+    def _deliver(self, segment: _Segment) -> None:
+        peer = self.peer
+        if peer._gone:
+            if segment.pieces is not None:
+                self._refused()
+        elif segment.pieces is None:
+            peer._hand(None)
+        else:
+            data = segment.pieces[0] if len(segment.pieces) == 1 else b"".join(segment.pieces)
+            if len(data) > 1 and self._random.random() < _PIECES:
+                cut = self._random.randrange(1, len(data))
+                peer._hand(data[:cut])
+                data = data[cut:]
+            peer._hand(data)
+
+    def _acknowledged(self, size: int) -> None:
+        """The other program has taken bytes: there is room again for as many."""
+        self._unacknowledged -= size
+        while self._waiting and self._unacknowledged < _SOCKET_BUFFER:
+            data = self._waiting.popleft()
+            self._waiting_bytes -= len(data)
+            self._send(data)
+        if self._waiting or self._gone:
+            return
+        if self._closing:
+            self._close_descriptor(None)
+        elif self._paused:
+            self._paused = False
+            assert self._protocol is not None
+            self._context.run(self._protocol.resume_writing)
+
+    def _refused(self) -> None:
+        """The other kernel knows of no such connection, and says so."""
+        back = self._loop.time() + self.peer._path.delay(40, self._loop.time(), self._random)
+
+        def reset() -> None:
+            if self.peer._passes():
+                self._lose(os_error(errno.ECONNRESET))
+
+        self._loop.call_at(back, reset, context=_OF_NOBODY)
+
+    # --- the kernel: receiving
+
+    def _hand(self, data: bytes | None) -> None:
+        """Give the program what came; None: the end."""
+        if self._gone or self._closing:
+            if data is not None and self._gone:
+                self.peer._refused()
+        elif not self._begun or not self._reading or self._early:
+            self._early.append(data)
+        else:
+            self.peer._acknowledged(len(data) if data else 0)
+            self._context.run(self._take, data)
+
+    def _take(self, data: bytes | None) -> None:
+        if self._closing or self._protocol is None:
+            return
+        if data is not None:
+            self._protocol.data_received(data)
+        elif not self._protocol.eof_received():
+            self.close()
+
+    # --- how it ends
+
+    def _close_descriptor(self, error: OSError | None) -> None:
+        """The program lets go of it: what is in the kernel's buffer still goes out, and then the end."""
+        if self._gone:
+            return
+        self._gone = True
+        self._free()
+        if not self._sent_end:
+            self._sent_end = True
+            self._dispatch(_Segment(None, 0, self._loop.time()))
+        if self._protocol is not None:
+            self._loop.call_soon(self._protocol.connection_lost, error, context=self._context)
+
+    def _lose(self, error: OSError) -> None:
+        """The connection is over, whatever the program thinks of it."""
+        self._on_its_way.clear()
+        self._unstick()
+        self._waiting.clear()
+        self._waiting_bytes = 0
+        self._sent_end = True
+        if not self._gone:
+            self._closing = True
+            self._close_descriptor(error)
+
+    def killed(self) -> None:
+        """The program was killed while it was writing: its last words may be cut off anywhere."""
+        if self._gone:
+            return
+        self._gone = self._closing = True
+        self._free()
+        last = self._on_its_way[-1] if self._on_its_way else None
+        if last is not None and last.pieces is not None:
+            data = b"".join(last.pieces)
+            last.pieces = [data[: self._random.randrange(len(data) + 1)]]
+        if self._random.random() < _RESET:
+            self.peer._refused()
+        else:
+            self._sent_end = True
+            self._dispatch(_Segment(None, 0, self._loop.time()))
+
+    def vanished(self) -> None:
+        """The machine lost its power: nothing of it is left, and nobody is told."""
+        self._gone = self._closing = True
+        self._free()
+        self._on_its_way.clear()
+        self._unstick()
+
+    def _free(self) -> None:
+        self.process.descriptors.pop(self, None)
+
+
+_OF_NOBODY = contextvars.Context()
+"""The network's own work is no program's."""

@@ -1,0 +1,56 @@
+"""How much an engine holds: every table that can be reached from it, by the way that leads there.
+
+A table that is never cleared shows here whatever it is called, so nothing has to be listed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+_OWN = ("rsb_bridge.", "tests.simulation.station")
+_NOT_HELD = (asyncio.Future, asyncio.AbstractEventLoop, type)
+
+
+def tables(root: object, name: str = "engine") -> dict[str, int]:
+    """The length of each table, by its way from `root`; all elements of a table share the way that leads through it."""
+    found: dict[str, int] = {}
+    seen: set[int] = set()
+    waiting: deque[tuple[str, object]] = deque([(name, root)])
+    while waiting:
+        way, each = waiting.popleft()
+        if id(each) in seen or isinstance(each, _NOT_HELD):
+            continue
+        seen.add(id(each))
+        if isinstance(each, (dict, list, tuple, set, frozenset, deque)):
+            bounded = isinstance(each, deque) and each.maxlen is not None
+            if not bounded and not isinstance(each, tuple):
+                found[way] = max(found.get(way, 0), len(each))
+            waiting.extend((f"{way}[]", element) for element in _elements(each) if _is_own(element))
+        elif isinstance(each, (bytearray,)):
+            found[way] = max(found.get(way, 0), len(each) // 1000)
+        else:
+            waiting.extend((f"{way}.{attribute}", value) for attribute, value in _attributes(each))
+    return found
+
+
+def _elements(table: Any) -> Iterable[object]:
+    return [*table.keys(), *table.values()] if isinstance(table, dict) else table
+
+
+def _is_own(each: object) -> bool:
+    return isinstance(each, (dict, list, set, deque, tuple, bytearray)) or type(each).__module__.startswith(_OWN)
+
+
+def _attributes(each: object) -> Iterator[tuple[str, object]]:
+    if not type(each).__module__.startswith(_OWN):
+        return
+    yield from getattr(each, "__dict__", {}).items()
+    for kind in type(each).__mro__:
+        for slot in getattr(kind, "__slots__", ()):
+            if not slot.startswith("__") and hasattr(each, slot):
+                yield slot, getattr(each, slot)

@@ -1,0 +1,406 @@
+"""A world from a seed: one server, up to eight robots, their topics, and all that happens to them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import zlib
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from random import Random
+from typing import TYPE_CHECKING
+
+from tests.simulation import faults, operators
+from tests.simulation.climate import Climate, climate_of
+from tests.simulation.flows import Account, Flow, label_of
+from tests.simulation.invariants import Invariants, route_of
+from tests.simulation.loop import SimulatedLoop
+from tests.simulation.network import Network
+from tests.simulation.sockets import simulated
+from tests.simulation.station import Run, Station
+
+from rsb_bridge.config.keys import Key
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Client, Protocol, Session, Topic
+from rsb_bridge.route.outgoing import OutgoingRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine, Iterator, Sequence
+
+    from tests.simulation.ros import Reader, Writer
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.ros.api import RawMessage
+
+PORT = 49_152
+SERVER_NAME = "control-pc"
+_REMEMBERED = 300
+
+
+class Violation(AssertionError):  # noqa: N818 — it is what was found, not what went wrong here
+    """Something happened in a world that must never happen."""
+
+
+@dataclass(eq=False)
+class Robot:
+    """A client, and what keeps it from being linked.
+
+    Attributes:
+        name: the client's, unless somebody has started it with a wrong one.
+        station: its computer.
+        flows: its topics.
+        troubles: what goes on that may keep it from being linked, each with how often.
+        clear_since: s, since when there is nothing.
+        commanded: s, when an operator last changed something.
+    """
+
+    name: str
+    station: Station
+    flows: list[Flow] = field(default_factory=list)
+    troubles: Counter[str] = field(default_factory=Counter)
+    clear_since: float = 0.0
+    commanded: float = 0.0
+
+
+class World:
+    """Everything, from a seed.
+
+    Attributes:
+        seed: of all that is left to chance.
+        loop: whose time it is.
+        network: between the machines.
+        server: the PC that the robots call.
+        robots: the clients.
+        flows: by number.
+        accounts: what each route's sending half did, by the route.
+        counts: what happened, by name: faults, commands, links.
+        log: the last things that happened, for whoever has to understand a failure.
+    """
+
+    def __init__(self, seed: int, climate: Climate | None = None) -> None:
+        """Make it.
+
+        Args:
+            seed: of all that is left to chance.
+            climate: how much there is of everything; None: the seed decides that, too.
+        """
+        self.seed = seed
+        self.climate = climate or climate_of(self.random("climate"))
+        self.loop = SimulatedLoop(self.random("executor"))  # type: ignore[abstract]  # what is not simulated raises
+        self.loop.on_error = self._failed
+        self.network = Network(self.loop, self.random("network"))
+        self.flows: dict[int, Flow] = {}
+        self.accounts: dict[OutgoingRoute, Account] = {}
+        self.counts: Counter[str] = Counter()
+        self.log: deque[str] = deque(maxlen=_REMEMBERED)
+        self.stations: list[Station] = []
+        self.digest = 0
+        self.invariants = Invariants(self)
+        self._violation: Violation | None = None
+        random = self.random("world")
+        encrypted = random.random() < 0.7
+        names = [f"robot{number}" for number in range(1, random.choice(self.climate.robots) + 1)]
+        secret = {name: Key(random.randbytes(32)) if encrypted else None for name in names}
+        self.network.names[SERVER_NAME] = ["10.0.0.1"]
+        self.server = self._station("pc", "10.0.0.1", self._server_session(names, random, encrypted=encrypted), secret)
+        self.robots = [self._robot(name, 2 + index, {name: secret[name]}, random) for index, name in enumerate(names)]
+
+    def random(self, purpose: str) -> Random:
+        """Numbers for one purpose, so that what is asked for another one changes nothing here."""
+        return Random(f"{self.seed} {purpose}")
+
+    # --- how it is made
+
+    def _server_session(self, names: list[str], random: Random, *, encrypted: bool) -> Session:
+        if len(names) == 1 and random.random() < 0.5:
+            name = names[0]
+            clients: tuple[Client, ...] = ()
+        else:
+            name = "pc"
+            clients = tuple(Client(name=each) for each in names)
+        return Session(
+            name=name,
+            role="server",
+            server_ip=random.choice(("0.0.0.0", "10.0.0.1")),
+            server_port=PORT,
+            domain_id=1,
+            use_name=True,
+            use_encryption=encrypted,
+            clients=clients,
+        )
+
+    def _robot(self, name: str, number: int, keys: dict[str, Key | None], random: Random) -> Robot:
+        topics = tuple(self._topic(name, index, random) for index in range(random.choice(self.climate.topics)))
+        session = Session(
+            name=name,
+            role="client",
+            server_ip=random.choice((SERVER_NAME, "10.0.0.1")),
+            server_port=PORT,
+            domain_id=number,
+            use_name=True,
+            use_encryption=None not in keys.values(),
+            topics=topics,
+        )
+        robot = Robot(name, self._station(name, f"10.0.0.{number}", session, keys))
+        for topic in topics:
+            self.add_flow(robot, topic, random)
+        return robot
+
+    def new_topic(self, robot: Robot, random: Random) -> Topic:
+        """A further topic of a robot's."""
+        return self._topic(robot.name, len(robot.flows), random)
+
+    def _topic(self, robot: str, index: int, random: Random) -> Topic:
+        protocols: tuple[Protocol | None, ...] = ("tcp", "tcp", "udp", None)
+        return Topic(
+            topic=f"/topic{index}",
+            direction=random.choice(("transmit", "receive")),
+            type="auto",
+            protocol=random.choice(protocols),
+            port=random.choice((None, None, None, 20_000 + index)),
+            qos=random.choice(("auto", "auto", 10)),
+            remote_topic=random.choice((None, None, f"/{robot}/elsewhere{index}")),
+            compression=random.choice((None, None, "zstd")),
+            max_rate=random.choice((None, None, None, 5.0)),
+            paused=random.random() < 0.05,
+        )
+
+    def add_flow(self, robot: Robot, topic: Topic, random: Random) -> Flow:
+        """Have a publisher at one end of a topic and a subscription at the other."""
+        here, there = robot.station.domain, self.server.domain
+        on_server = topic.remote_topic or f"/{robot.name}{topic.topic}"
+        transmit = topic.direction == "transmit"
+        climate = self.climate
+        latched = topic.qos == "auto" and random.random() < climate.latched
+        shortest, longest = climate.periods
+        flow = Flow(
+            len(self.flows) + 1,
+            topic,
+            robot.name,
+            (here, there) if transmit else (there, here),
+            (topic.topic, on_server) if transmit else (on_server, topic.topic),
+            random=self.random(f"flow {len(self.flows) + 1}"),
+            qos=Qos(durability="transient_local", depth=random.choice((1, 1, 5))) if latched else Qos(),
+            period=random.uniform(60.0, 600.0) if latched else shortest * (longest / shortest) ** random.random(),
+            size=random.randrange(1, climate.size),
+            on_wrong=self.wrong,
+        )
+        self.flows[flow.number] = flow
+        robot.flows.append(flow)
+        return flow
+
+    @contextlib.contextmanager
+    def twin(self, robot: Robot) -> Iterator[Station]:
+        """Another computer that runs the same session, in a ROS domain of its own where nobody publishes."""
+        original = robot.station
+        address = f"10.254.0.{original.machine.address.rpartition('.')[2]}"
+        station = self._station(f"{robot.name}'s twin", address, original.session, original.keys)
+        try:
+            yield station
+        finally:
+            self.stations.remove(station)
+            self.network.leave(address)
+
+    def _station(self, name: str, address: str, session: Session, keys: dict[str, Key | None]) -> Station:
+        station = Station(self.network, name, address, self.random(f"station {name}"))
+        station.session, station.keys = session, keys
+        station.on_run = self._begins
+        station.on_end = self.forget
+        station.on_event = self._event
+        self.stations.append(station)
+        return station
+
+    # --- what happens
+
+    def play(self, seconds: float, *doings: Coroutine[None, None, None]) -> None:
+        """Let it live, with all the faults and commands of its climate.
+
+        Args:
+            seconds: simulated.
+            doings: what else happens in it.
+
+        Raises:
+            Violation: something happened that must not.
+        """
+        with simulated():
+            try:
+                self.loop.run_until_complete(self._play(seconds, doings))
+            finally:
+                self._clean_up()
+                self.loop.close()
+
+    def _clean_up(self) -> None:
+        """Have whatever still runs end, as after a failure."""
+        self.loop.on_error = lambda _: None
+        for station in self.stations:
+            station.kill()
+        tasks = asyncio.all_tasks(self.loop)
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            self.loop.run_until_complete(asyncio.wait(tasks, timeout=60.0))
+
+    async def _play(self, seconds: float, doings: Sequence[Coroutine[None, None, None]]) -> None:
+        doings = (*doings, self.invariants.watch(), *faults.of(self), *operators.of(self))
+        tasks = [self.loop.create_task(doing) for doing in doings]
+        self.server.start()
+        for robot in self.robots:
+            robot.station.start()
+            for flow in robot.flows:
+                flow.listen()
+                flow.appear()
+        await asyncio.sleep(seconds)
+        for task in tasks:
+            task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.gather(*tasks)
+        for station in self.stations:
+            await station.stop()
+
+    def wrong(self, what: str) -> None:
+        """Something is as it must not be: the world ends."""
+        if self._violation is None:
+            self._violation = Violation(f"{self.stamp()} {what}")
+            self.loop.fail(self._violation)
+
+    def tell(self, what: str) -> None:
+        """Note what happens."""
+        line = f"{self.stamp()} {what}"
+        self.log.append(line)
+        self.digest = zlib.crc32(line.encode(), self.digest)
+
+    def stamp(self) -> str:
+        """The time, as days and time of day."""
+        minutes, seconds = divmod(self.loop.time(), 60)
+        hours, minutes = divmod(int(minutes), 60)
+        return f"day {hours // 24} {hours % 24:02}:{minutes:02}:{seconds:06.3f}"
+
+    def command(self) -> str:
+        """What plays it again, up to now."""
+        return f"python -m tests.simulation {self.seed} --days {self.loop.time() / 86_400 + 0.001:.3f}"
+
+    def summary(self) -> str:
+        """What it was, in a few lines."""
+        events = {code.value for code in EventCode}
+        done = ", ".join(f"{count} {what}" for what, count in sorted(self.counts.items()) if what not in events)
+        messages = sum(flow.heard for flow in self.flows.values())
+        return (
+            f"world {self.seed} ({self.climate.name}): {len(self.robots)} robots, {len(self.flows)} topics, "
+            f"{self.stamp()}, {self.invariants.checks} checks, {messages} messages came out, "
+            f"{self.counts[EventCode.LINK_UP]} ends linked, "
+            f"at most {self.invariants.worst_recovery:.1f} s after it was possible, digest {self.digest:08x}\n{done}"
+        )
+
+    @contextlib.contextmanager
+    def trouble(self, what: str, *robots: Robot) -> Iterator[None]:
+        """While this lasts, the robots need not be linked."""
+        self.counts[what] += 1
+        self.tell(f"{what} begins: {', '.join(robot.name for robot in robots)}")
+        for robot in robots:
+            robot.troubles[what] += 1
+        try:
+            yield
+        finally:
+            for robot in robots:
+                robot.troubles[what] -= 1
+                if not robot.troubles[what]:
+                    del robot.troubles[what]
+                robot.clear_since = self.loop.time()
+            self.tell(f"{what} is over: {', '.join(robot.name for robot in robots)}")
+
+    @contextlib.contextmanager
+    def flow_trouble(self, flow: Flow, what: str) -> Iterator[None]:
+        """While this lasts, a topic need not flow."""
+        self.counts[what] += 1
+        self.tell(f"{flow}: {what}")
+        flow.troubles[what] += 1
+        try:
+            yield
+        finally:
+            flow.troubles[what] -= 1
+            if not flow.troubles[what]:
+                del flow.troubles[what]
+            flow.changed = self.loop.time()
+            self.tell(f"{flow}: {what} no more")
+
+    def _failed(self, details: dict[str, object]) -> None:
+        error = details.get("exception")
+        if isinstance(error, Violation):
+            self._violation = self._violation or error
+        self.loop.fail(error if isinstance(error, BaseException) else Violation(str(details)))
+
+    def _event(self, station: Station, level: Level, code: EventCode, text: str, link: str) -> None:
+        self.tell(f"{station.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
+        self.counts[code] += 1
+        if code == EventCode.ENGINE_ERROR:
+            self.wrong(f"{station.name}: {text}")
+
+    # --- what there is
+
+    def runs(self) -> list[Run]:
+        """The engines that run."""
+        return [station.run for station in self.stations if station.run is not None]
+
+    def robot(self, name: str) -> Robot:
+        """A robot by its name."""
+        return next((robot for robot in self.robots if robot.name == name), self.robots[0])
+
+    def link_ends(self, robot: Robot) -> tuple[Link, Link] | None:
+        """Both ends of a robot's link, its own first; None: one of the engines does not run, or under another name."""
+        run, server = robot.station.run, self.server.run
+        if run is None or server is None:
+            return None
+        there = next((link for link in server.links() if link.name == robot.name), None)
+        (here,) = run.links()
+        return None if there is None or here.name != robot.name else (here, there)
+
+    def clear_since(self, robot: Robot) -> float:
+        """Since when (s) nothing keeps a robot from being linked."""
+        began = [run.began for run in (robot.station.run, self.server.run) if run is not None]
+        return max(robot.clear_since, *began)
+
+    def state(self, flow: Flow) -> str:
+        """What both sides say of a flow, its robot's first."""
+        told = []
+        for link in self.link_ends(self.robot(flow.robot)) or ():
+            route = route_of(link, flow)
+            snapshot = route.snapshot() if route is not None else None
+            told.append(f"{snapshot.state} {snapshot.reason!r} {snapshot.ledger}" if snapshot else "no route")
+        return "; ".join(told)
+
+    # --- the outside truth
+
+    def forget(self, run: Run) -> None:
+        """An engine ends: what it published and has not reported yet, nobody will hear of."""
+        for route, account in self.accounts.items():
+            if run is self.server.run or route.peer.name == run.station.session.name:
+                account.unreported = account.published - route.ledger().delivered
+
+    def _begins(self, run: Run) -> None:
+        self.tell(f"{run.station.name}: an engine begins")
+        run.node.on_reader = lambda reader, origin: self._subscribed(run, reader, origin)
+        run.node.on_writer = lambda writer, _: self._advertised(writer)
+
+    def _subscribed(self, run: Run, reader: Reader, origin: object) -> None:
+        routes = [route for link in run.links() if link.name == origin for route in link.routes.values()]
+        route = next((each for each in routes if isinstance(each, OutgoingRoute) and each.topic == reader.topic), None)
+        if route is None:
+            return
+        account = self.accounts.setdefault(route, Account())
+
+        def took(batch: Sequence[RawMessage]) -> None:
+            label = label_of(batch[0].payload)
+            if label is not None:
+                self.flows[label.flow].took(account, batch)
+
+        reader.on_take = took
+
+    def _advertised(self, writer: Writer) -> None:
+        def published(payload: bytes) -> None:
+            label = label_of(payload)
+            if label is not None:
+                self.flows[label.flow].published(payload)
+
+        writer.on_publish = published
