@@ -25,7 +25,7 @@ test-programs: $(STAMP)
 	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/engine tests/network tests/ros tests/session tests/system
 
 test-people: $(STAMP)
-	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console
+	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console tests/simulation
 
 # Those of the tests that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md); `test` has them too.
 test-bluetooth: $(STAMP) system
