@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from rich.cells import cell_len
 
-from rsb_bridge.config.session_file import SessionError, read_yaml, validate, validate_topic
+from rsb_bridge.config.session_file import SessionError, validate, validate_topic
+from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Session, Topic

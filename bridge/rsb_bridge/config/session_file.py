@@ -1,54 +1,37 @@
-"""Read session files, with the line of every mistake, and write them atomically."""
+"""Read session files, with the line of every mistake, and save them with what the operator wrote."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import msgspec
-import yaml
 
 from rsb_bridge.config.bringup import bridge_nodes
-from rsb_bridge.config.decoding import join
 from rsb_bridge.config.files import kind_of_file, replace_file
-from rsb_bridge.config.keys import conceal, is_key_file
 from rsb_bridge.config.validation import build, validate, validate_topic
+from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
 from rsb_bridge.model.session import Problem, Session
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
     from pathlib import Path
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
-MAX_FILE = 1 << 20  # bytes; a thousand topics are a tenth of it
-MAX_DEPTH = 20
 
-_MAPPING = "tag:yaml.org,2002:map"
-_SEQUENCE = "tag:yaml.org,2002:seq"
-# Scalars as YAML 1.2 has them (core schema, section 10.3.2): in 1.1 a MAC of digits is a number and `no` is false.
-_SCALARS: dict[str, tuple[re.Pattern[str], Callable[[str], Any]]] = {
-    "tag:yaml.org,2002:null": (re.compile(r"~|null|Null|NULL|"), lambda text: None),
-    "tag:yaml.org,2002:bool": (re.compile(r"true|True|TRUE|false|False|FALSE"), lambda text: text.lower() == "true"),
-    "tag:yaml.org,2002:int": (re.compile(r"[-+]?[0-9]{1,300}"), int),
-    "tag:yaml.org,2002:float": (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
-    "tag:yaml.org,2002:str": (re.compile(r".*", re.DOTALL), str),
-}
-
-
-class SessionError(Exception):
-    """A session is refused. Its text has a line for each problem: ``robot1.yaml:14: topics[2].protocol: ...``.
+@dataclass(frozen=True, slots=True)
+class SessionFile:
+    """A session file as it was read or saved.
 
     Attributes:
-        path: the file.
-        problems: what is wrong, in the file's order; at least one.
+        path: of the file.
+        text: all of it.
+        session: what it says.
     """
 
-    def __init__(self, path: Path, problems: Iterable[Problem]) -> None:
-        self.path = path
-        self.problems = tuple(sorted(problems, key=lambda problem: problem.line or 0))
-        super().__init__("\n".join(f"{path}:{f'{each.line}:' if each.line else ''} {each}" for each in self.problems))
+    path: Path
+    text: str
+    session: Session
 
 
 def load(path: Path) -> Session:
@@ -57,7 +40,13 @@ def load(path: Path) -> Session:
     Raises:
         SessionError: it cannot be read, or has mistakes: all of them.
     """
-    return parse(read_text(path), path)
+    return load_file(path).session
+
+
+def load_file(path: Path) -> SessionFile:
+    """As `load`; what comes back can be saved with changes."""
+    text = read_text(path)
+    return SessionFile(path, text, parse(text, path))
 
 
 def parse(text: str, path: Path) -> Session:
@@ -84,32 +73,63 @@ def parse(text: str, path: Path) -> Session:
 
 def dump(session: Session) -> str:
     """The text of a new session file, without the values that are at their defaults."""
-    return yaml.dump(
-        msgspec.to_builtins(session), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=MAX_FILE,
-        default_flow_style=None,
-    )  # fmt: skip
+    return dump_yaml(msgspec.to_builtins(session))
 
 
-def save(session: Session, path: Path) -> None:
+def same(one: Session, other: Session) -> bool:
+    """Whether two sessions differ in nothing but the order of their topics and clients."""
+    return _in_order(one) == _in_order(other)
+
+
+def _in_order(session: Session) -> Session:
+    topics = tuple(sorted(session.topics, key=lambda topic: (topic.topic, topic.direction)))
+    clients = tuple(sorted(session.clients, key=lambda client: client.name))
+    return msgspec.structs.replace(session, topics=topics, clients=clients)
+
+
+def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:
     """Write a session file, mode 0600: whole, or not at all.
 
+    Args:
+        session: what the file is to say.
+        path: of the file.
+        opened: the file that the session came from. What did not change since stays as it is there: comments, order and
+            layout. None: the file is written anew.
+
+    Returns:
+        The file as it is now.
+
     Raises:
-        SessionError: the session has mistakes, or the file could not be written. The old file is as it was.
+        SessionError: the session has mistakes, the file was changed on disk since it was opened, or it could not be
+            written. The old file is as it was.
     """
     problems = validate(session)
     if problems:
         raise SessionError(path, problems)
-    text = dump(session)
-    if parse(text, path) != session:
+    if opened is not None:
+        if path.exists() and path.resolve() == opened.path.resolve() and read_text(path) != opened.text:
+            message = "was changed on disk after it was opened: open it again, or save under another name"
+            raise SessionError(path, [Problem("", message)])
+        text = _merged(opened, session)
+    else:
+        text = dump(session)
+    if not same(parse(text, path), session):
         raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
     try:
         replace_file(path, text.encode())
     except OSError as error:
         raise SessionError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
+    return SessionFile(path, text, session)
+
+
+def _merged(opened: SessionFile, session: Session) -> str:
+    from rsb_bridge.config.merge import merge  # noqa: PLC0415 -- only saving needs it
+
+    return merge(opened.text, read_yaml(opened.text, opened.path).root, opened.session, session)
 
 
 def read_text(path: Path) -> str:
-    """A file's text.
+    """A file's text, with the byte order mark if it has one.
 
     Raises:
         SessionError: there is none.
@@ -125,133 +145,7 @@ def read_text(path: Path) -> str:
     if len(content) > MAX_FILE:
         raise SessionError(path, [Problem("", f"larger than {MAX_FILE} bytes: not a session file")])
     try:
-        return content.decode("utf-8-sig")
+        return content.decode()
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise SessionError(path, [Problem("", "is not UTF-8 text", line)]) from None
-
-
-class Document(NamedTuple):
-    """YAML as plain data that knows its lines.
-
-    Attributes:
-        data: mappings, lists and scalars.
-        lines: the line of each location, from 1.
-        problems: what YAML allows and a session file does not.
-    """
-
-    data: Any
-    lines: dict[str, int]
-    problems: list[Problem]
-
-    def locate(self, problem: Problem) -> Problem:
-        """Give a problem the line of its location, or of the closest mapping or list around it."""
-        location = problem.location
-        while location and location not in self.lines:
-            location = location[: max(location.rfind("."), location.rfind("["), 0)]
-        return replace(problem, line=self.lines.get(location))
-
-
-def read_yaml(text: str, path: Path) -> Document:
-    """Read YAML without its surprises: no YAML 1.1 scalars, no aliases, no tags, no key twice.
-
-    Raises:
-        SessionError: it is not YAML at all.
-    """
-    if is_key_file(text):
-        raise SessionError(path, [Problem("", "this is a key file, not a session")])
-    loader = None
-    try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
-    except yaml.reader.ReaderError as error:
-        line = text.count("\n", 0, error.position) + 1
-        raise SessionError(path, [Problem("", f"character U+{error.character:04X} is not allowed", line)]) from None
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        message = conceal(", ".join(part for part in (error.context, error.problem) if part))
-        if mark is not None and _begins_with_tab(text, mark.line):
-            message = "begins with a tab: use spaces"
-        raise SessionError(path, [Problem("", message, mark.line + 1 if mark else None)]) from None
-    finally:
-        if loader is not None:
-            loader.dispose()
-    if node is None:
-        raise SessionError(path, [Problem("", "the file is empty")])
-    document = Document(None, {"": node.start_mark.line + 1}, [])
-    return document._replace(data=_plain(node, "", document))
-
-
-def _begins_with_tab(text: str, line: int) -> bool:
-    """Whether a line, counted from 0, is indented with a tab."""
-    indented = text.split("\n")[line : line + 1]
-    return any("\t" in each[: len(each) - len(each.lstrip())] for each in indented)
-
-
-def _plain(node: yaml.Node, location: str, document: Document) -> Any:
-    """What a node says, with its lines and problems noted in the document."""
-    if node.tag not in (_MAPPING, _SEQUENCE, *_SCALARS):
-        document.problems.append(
-            Problem(location, f"the tag {conceal(node.tag)} is not allowed", node.start_mark.line + 1)
-        )
-    if isinstance(node, yaml.MappingNode):
-        return _mapping(node, location, document)
-    if isinstance(node, yaml.SequenceNode):
-        locations = [join(location, at) for at in range(len(node.value))]
-        document.lines.update((at, each.start_mark.line + 1) for at, each in zip(locations, node.value, strict=True))
-        return [_plain(each, at, document) for at, each in zip(locations, node.value, strict=True)]
-    pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
-    return convert(node.value) if pattern.fullmatch(node.value) else node.value
-
-
-def _mapping(node: yaml.MappingNode, location: str, document: Document) -> dict[str, Any]:
-    data: dict[str, Any] = {}
-    for key_node, value_node in node.value:
-        key = conceal(key_node.value) if isinstance(key_node, yaml.ScalarNode) else "?"
-        here = join(location, key)
-        line = key_node.start_mark.line + 1
-        if key in data:
-            document.problems.append(Problem(here, f"duplicate key, first on line {document.lines[here]}", line))
-            continue
-        document.lines[here] = line
-        data[key] = _plain(value_node, here, document)
-    return data
-
-
-class _Loader(yaml.SafeLoader):
-    """Composes nodes only, with a bound on their depth."""
-
-    yaml_implicit_resolvers: dict[str | None, Any] = {}  # noqa: RUF012 (PyYAML's own attribute, filled below)
-    _depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        if isinstance(event, yaml.AliasEvent):
-            message = "aliases (*) are not allowed: write the value out"
-            raise yaml.MarkedYAMLError(problem=message, problem_mark=event.start_mark)  # type: ignore[arg-type]
-        if self._depth >= MAX_DEPTH:
-            raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=event.start_mark)
-        self._depth += 1
-        node = super().compose_node(parent, index)
-        self._depth -= 1
-        return node
-
-
-class _Dumper(yaml.SafeDumper):
-    """Puts in quotes what either YAML 1.1 or 1.2 would not read as text."""
-
-    yaml_implicit_resolvers = {first: list(each) for first, each in yaml.SafeDumper.yaml_implicit_resolvers.items()}  # noqa: RUF012 (as above)
-
-    def serialize(self, node: yaml.Node) -> None:
-        if isinstance(node, yaml.MappingNode):
-            node.flow_style = False  # the root, even where it holds nothing but scalars; what is in it as it is
-        super().serialize(node)
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
-for _tag, (_pattern, _) in list(_SCALARS.items())[:-1]:
-    _anchored = re.compile(rf"(?:{_pattern.pattern})$")
-    _Loader.add_implicit_resolver(_tag, _anchored, None)
-    _Dumper.add_implicit_resolver(_tag, _anchored, None)

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.config.bringup import bridge_nodes
 from rsb_bridge.config.decoding import join, show
-from rsb_bridge.config.session_file import SessionError, read_text, read_yaml
+from rsb_bridge.config.session_file import read_text
 from rsb_bridge.config.validation import build
+from rsb_bridge.config.yaml_text import SessionError, read_yaml
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.session import Direction, Problem, Role, Session, is_mac
 from rsb_bridge.model.type_names import SHORT_NAMES
