@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from textual.screen import Screen
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
 
@@ -81,6 +82,7 @@ class ConsoleApp(App[None]):
         self.engine: EngineApi | None = None
         self.base = Path()
         self.saved: Session | None = None
+        self.file: SessionFile | None = None
         self._belongings = ExitStack()
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
@@ -156,7 +158,7 @@ class ConsoleApp(App[None]):
             self.base = Path() if path is None else path.parent
             self.temporary = temporary
             if temporary:
-                self.path = self.saved = None
+                self.path = self.saved = self.file = None
             else:
                 self.saved_to(session, path)
             await self._start(session)
@@ -193,8 +195,10 @@ class ConsoleApp(App[None]):
     def saved_to(self, session: Session, path: Path | None) -> None:
         """What the session's file is, and what is in it."""
         from rsb_console.recents import remember  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
         self.path, self.saved = path, session
+        self.file = None if path is None else file_of(path, session)
         if path is not None and path.is_file():
             try:
                 remember(path)

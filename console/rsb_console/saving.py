@@ -11,7 +11,7 @@ import msgspec
 
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_path, read_key
-from rsb_bridge.config.session_file import SessionError, load, save
+from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same, save
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -121,12 +121,13 @@ def topics_note(session: Session) -> str:
     return "\nIt holds no topics: they are in the clients' files; those added here last until this server ends."
 
 
-def holds(path: Path, session: Session) -> bool:
-    """Whether a file says just this session already; False where it is no session file."""
+def file_of(path: Path, session: Session) -> SessionFile | None:
+    """The file at a path if it says just this session; None: it says something else, or is no session file."""
     try:
-        return load(path) == session
+        file = load_file(path)
     except SessionError:
-        return False
+        return None
+    return file if same(file.session, session) else None
 
 
 async def save_elsewhere(app: ConsoleApp, session: Session, path: Path) -> bool:
@@ -142,7 +143,7 @@ async def save_elsewhere(app: ConsoleApp, session: Session, path: Path) -> bool:
     """
     note = topics_note(session)
     if not app.temporary:
-        return await save_asking(app, moved(session, app.base, path.parent), path, note=note)
+        return await save_asking(app, moved(session, app.base, path.parent), path, note=note, opened=app.file)
     try:
         session, files = rescued(session, app.base, path.parent)
         if not await save_asking(app, session, path, note=note):
@@ -156,29 +157,36 @@ async def save_elsewhere(app: ConsoleApp, session: Session, path: Path) -> bool:
     return True
 
 
-async def save_asking(app: ConsoleApp, session: Session, path: Path, *, note: str = "") -> bool:
-    """Write a session file; ask before one is overwritten, and tell the operator how it went.
+async def save_asking(
+    app: ConsoleApp, session: Session, path: Path, *, note: str = "", opened: SessionFile | None = None
+) -> bool:
+    """Write a session file; ask before one is changed or overwritten, and tell the operator how it went.
 
     Args:
         app: asks and tells.
         session: with its key files named as from `path`.
-        path: of the file. One that says the same already is left alone, with its comments.
+        path: of the file. One that says the same already is left alone.
         note: what to tell besides.
+        opened: the file that the session came from: its comments and layout are kept.
 
     Returns:
         Whether the file holds the session now.
     """
     from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
-    if holds(path, session):
+    if file_of(path, session) is not None:
         app.notify(f"nothing has changed: {path} is as it would be saved{note}", markup=False, timeout=8 if note else 3)
         return True
-    if path.exists():  # noqa: ASYNC240 -- one stat
-        words = "What is in the file now is replaced, comments too."
-        if not await app.push_screen_wait(ConfirmScreen(f"Overwrite {path.name}?", words, "Overwrite")):
-            return False
     try:
-        save(session, path)
+        if path.exists():  # noqa: ASYNC240 -- one stat
+            title, words, yes = f"Overwrite {path.name}?", "What is in the file now is replaced.", "Overwrite"
+            if opened is not None and opened.is_at(path):
+                opened.check_unchanged()
+                words = f"Changes: {unsaved(opened.session, session)}. The rest of the file stays, comments too."
+                title, yes = f"Save {path.name}?", "Save"
+            if not await app.push_screen_wait(ConfirmScreen(title, words, yes)):
+                return False
+        save(session, path, opened)
     except SessionError as error:
         app.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
         return False

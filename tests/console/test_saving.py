@@ -38,7 +38,7 @@ def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
         await shown(pilot, "/robot2/scan")
         now = changed(app, Topic("/new", "transmit"))
         await pilot.press("w")
-        await shown(pilot, "Overwrite nav2.yaml?")
+        await shown(pilot, "Save nav2.yaml?")
         await pilot.press("n")
         await shut(pilot)
         assert load(path) == SESSION
@@ -60,9 +60,49 @@ def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: 
         await shown(pilot, "nothing has changed:")
         assert "no topics" not in text(app), "a client's session holds them"
         assert path.read_text().startswith("# mine")
-        path.write_text("name: [\n")  # somebody broke it meanwhile
+
+    drive(app, steps)
+
+
+def test_comments_and_layout_survive_a_save(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    head = dump(SESSION)
+    text = f"# mine\n{head}topics:\n- {{ topic: /a, direction: transmit }}   # ours\n# not yet: /b\n"
+    path.write_text(text)
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        changed(app, Topic("/a", "transmit", protocol="udp"), Topic("/new", "transmit"))
         await pilot.press("w")
-        await shown(pilot, "Overwrite nav2.yaml?")
+        await shown(pilot, "added /new; changed /a")
+        await pilot.press("y")
+        await shown(pilot, "saved:")
+        changed(app, Topic("/a", "transmit", protocol="udp"))
+        await pilot.press("w", "y")
+        await until(pilot, lambda: "/new" not in path.read_text(), "the second save")
+
+    drive(app, steps)
+    assert path.read_text() == text.replace("transmit }", "transmit, protocol: udp }")
+
+
+@pytest.mark.parametrize("edited", ["name: [\n", "# mine, later\n{}"])
+def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path, edited: str) -> None:
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    app = scripted_app(path=path)
+    edited = edited.format(dump(SESSION))
+
+    async def steps(pilot: Pilot) -> None:
+        await shown(pilot, "/robot2/scan")
+        changed(app, Topic("/new", "transmit"))
+        path.write_text(edited)
+        await pilot.press("w")
+        await shown(pilot, "changed on disk")
+        assert path.read_text() == edited
+        await save_as(pilot, "other.yaml")
+        await shown(pilot, "saved: other.yaml")
+        assert load(folder / "other.yaml").topics == (Topic("/new", "transmit"),)
 
     drive(app, steps)
 

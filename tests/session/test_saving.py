@@ -233,8 +233,8 @@ def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None
 class Written:
     """A file on the way: its lines, each with what it stands for.
 
-    An owner is a key of the session, or an entry's number, or that and a key. A line changes only when one of its owners
-    does; a line without any never does.
+    An owner is a key of the session, or an entry's number, or that and a key. A line changes only when one of its
+    owners does; a line without any never does.
     """
 
     lines: list[tuple[str, frozenset[Any]]] = field(default_factory=list)

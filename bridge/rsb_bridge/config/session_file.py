@@ -33,6 +33,20 @@ class SessionFile:
     text: str
     session: Session
 
+    def is_at(self, path: Path) -> bool:
+        """Whether a path leads to this file."""
+        return path.resolve() == self.path.resolve()
+
+    def check_unchanged(self) -> None:
+        """Check that the file on disk is still as it was.
+
+        Raises:
+            SessionError: it is not. A file that is gone is no change: saving writes it again.
+        """
+        if self.path.exists() and read_text(self.path) != self.text:
+            message = "was changed on disk after it was opened: open it again, or save under another name"
+            raise SessionError(self.path, [Problem("", message)])
+
 
 def load(path: Path) -> Session:
     """Read a session file.
@@ -107,9 +121,8 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
     if problems:
         raise SessionError(path, problems)
     if opened is not None:
-        if path.exists() and path.resolve() == opened.path.resolve() and read_text(path) != opened.text:
-            message = "was changed on disk after it was opened: open it again, or save under another name"
-            raise SessionError(path, [Problem("", message)])
+        if opened.is_at(path):
+            opened.check_unchanged()
         text = _merged(opened, session)
     else:
         text = dump(session)
