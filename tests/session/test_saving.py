@@ -380,7 +380,9 @@ servers_sessions = st.builds(
 @st.composite
 def changed(draw: st.DrawFn, session: Session) -> tuple[Session, set[Any]]:
     """A session after an operator's edits, and the owners of the lines that may change."""
-    kinds = (fields_of_a_topic, some_topics) if session.role == "client" else (fields_of_a_client, some_clients)
+    kinds: tuple[Any, Any] = (
+        (fields_of_a_topic, some_topics) if session.role == "client" else (fields_of_a_client, some_clients)
+    )
     which = "topics" if session.role == "client" else "clients"
     entries, owners, made = getattr(session, which), set[Any](), list[Topic | Client]()
     for at, each in enumerate(entries):
