@@ -14,17 +14,20 @@ from tests.wire.links import (
     key_for,
     make_server,
     ready_to_accept,
+    the,
 )
 
-from rsb_bridge.wire.connection import DataConnection
-from rsb_bridge.wire.events import DataFrame, Failed, Received, Refused
+from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
+from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
 from rsb_bridge.wire.messages import Ping, encode
 from rsb_bridge.wire.preamble import Kind, RefusalCode, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
 
+End = ClientConnection | ServerConnection | DataConnection
 
-def control(body):
+
+def control(body: bytes) -> bytes:
     return pack_frame(preamble_frame(Kind.CONTROL, body))
 
 
@@ -46,21 +49,21 @@ def control(body):
         (pack_frame(preamble_frame(Kind.DATA, bytes(11))), "ends before its route does"),
     ],
 )
-def test_what_is_no_preamble_is_refused_in_words(stream, words):
+def test_what_is_no_preamble_is_refused_in_words(stream: bytes, words: str) -> None:
     server = make_server()
-    (event,) = server.receive_data(stream)
+    event = the(Failed, server.receive_data(stream))
     assert isinstance(event, Failed)
     assert words in event.reason
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.BAD_FORMAT, event.reason))
 
 
 @pytest.mark.parametrize("hello", [b"", b"\xc1", encode(Ping(1, 1)), encode(WELCOME)])
-def test_a_first_message_that_holds_no_hello(hello):
-    (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello))
+def test_a_first_message_that_holds_no_hello(hello: bytes) -> None:
+    event = the(Failed, make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot1"), hello)))
     assert "invalid control message" in event.reason
 
 
-def test_a_client_with_two_names():
+def test_a_client_with_two_names() -> None:
     (event,) = make_server(Suite.PLAIN).receive_data(pack_frame(control_header(Suite.PLAIN, "robot2"), encode(HELLO)))
     assert event == Failed("the client's name is 'robot2' in the preamble and 'robot1' in its Hello")
 
@@ -75,36 +78,36 @@ def test_a_client_with_two_names():
         (b"SSH-2.0-OpenSSH", "not an rsb-console"),
     ],
 )
-def test_a_client_hears_nonsense(frame, words):
+def test_a_client_hears_nonsense(frame: bytes, words: str) -> None:
     client, _ = ready_to_accept()
-    (event,) = client.receive_data(pack_frame(frame))
+    event = the(Failed, client.receive_data(pack_frame(frame)))
     assert words in event.reason
     assert client.data_to_send() == b""
 
 
-def test_a_refusal_s_message_is_bounded_and_printable():
+def test_a_refusal_s_message_is_bounded_and_printable() -> None:
     client, _ = ready_to_accept()
     words = "\x1b[2J" + "ü" * 400
     assert len(refuse_frame(RefusalCode.BUSY, words)) == 6 + 512
-    (event,) = client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words)))
+    event = the(Refused, client.receive_data(pack_frame(refuse_frame(RefusalCode.BUSY, words))))
     assert event.code is RefusalCode.BUSY
     assert event.message.startswith("\N{REPLACEMENT CHARACTER}[2Jü")
     assert len(event.message.encode()) <= 512 + 4
 
 
 @SUITES
-def test_damage_to_a_sealed_frame_ends_the_connection(suite):
+def test_damage_to_a_sealed_frame_ends_the_connection(suite: Suite) -> None:
     client, server, _, _ = established(suite)
     frame = bytearray(client.send(Ping(1, 1)))
     frame[-1] ^= 1
-    (event,) = server.receive_data(frame)
+    event = the(Failed, server.receive_data(frame))
     assert "damaged or forged" in event.reason
     assert server.data_to_send() == b""
     assert server.receive_data(client.send(Ping(2, 2))) == []
 
 
 @SUITES
-def test_a_sealed_frame_played_again_ends_the_connection(suite):
+def test_a_sealed_frame_played_again_ends_the_connection(suite: Suite) -> None:
     client, server, _, _ = established(suite)
     frame = client.send(Ping(1, 1))
     events = server.receive_data(frame + frame)
@@ -113,39 +116,40 @@ def test_a_sealed_frame_played_again_ends_the_connection(suite):
 
 @pytest.mark.parametrize("frame", [b"", b"\x00", bytes(13), b"\x02" + bytes(30), bytes((0, 1)) + bytes(30)])
 @pytest.mark.parametrize("multiplexed", [True, False])
-def test_a_sealed_frame_that_is_neither_control_nor_data(frame, multiplexed):
+def test_a_sealed_frame_that_is_neither_control_nor_data(frame: bytes, multiplexed: bool) -> None:
     _, server, _, _ = established(multiplexed=multiplexed)
-    (event,) = server.receive_data(pack_frame(frame))
+    event = the(Failed, server.receive_data(pack_frame(frame)))
     assert "unexpected frame on the control connection" in event.reason
 
 
-def test_a_control_frame_too_long_is_refused_before_it_comes():
+def test_a_control_frame_too_long_is_refused_before_it_comes() -> None:
     _, server, _, _ = established()
     (event,) = server.receive_data(struct.pack(">I", CONTROL_LIMIT + 1))
     assert event == Failed(f"a frame of {CONTROL_LIMIT + 1} bytes; the limit is {CONTROL_LIMIT}")
 
 
-def test_an_empty_control_frame_later_is_no_message():
+def test_an_empty_control_frame_later_is_no_message() -> None:
     _, server, _, _ = established(Suite.PLAIN)
     sealer = Sealer(Suite.PLAIN, None)
     sealer.sequence = 1
-    (event,) = server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER)))
+    event = the(Failed, server.receive_data(pack_frame(CONTROL_HEADER, sealer.seal(b"", CONTROL_HEADER))))
     assert "invalid control message" in event.reason
 
 
 @st.composite
-def any_end(draw):
+def any_end(draw: st.DrawFn) -> End:
     """Either end of any stream, in any state it may be met in."""
     suite = draw(st.sampled_from(Suite))
     client, server = ready_to_accept(suite)
     data = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), 1)
     live_client, live_server, _, _ = established(suite, multiplexed=draw(st.booleans()))
-    return draw(st.sampled_from([make_server(suite), client, server, data, live_client, live_server]))
+    ends: list[End] = [make_server(suite), client, server, data, live_client, live_server]
+    return draw(st.sampled_from(ends))
 
 
 @given(end=any_end(), garbage=st.lists(st.binary(max_size=200), max_size=5), framed=st.booleans())
-def test_garbage_gives_events_not_exceptions(end, garbage, framed):
-    events = []
+def test_garbage_gives_events_not_exceptions(end: End, garbage: list[bytes], framed: bool) -> None:
+    events: list[Event] = []
     for piece in garbage:
         events += end.receive_data(pack_frame(piece) if framed else piece)
     assert all(isinstance(event, Failed | Refused | DataFrame) for event in events)

@@ -18,33 +18,37 @@ from tests.wire.links import (
     make_server,
     ready_to_accept,
     shake_hands,
+    the,
 )
 
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
-from rsb_bridge.wire.events import Established, Failed, Received, Refused
+from rsb_bridge.wire.events import Established, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
-from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, encode
+from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome, encode
 from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, preamble_frame, refuse_frame
 from rsb_bridge.wire.records import TopicEntry
-from rsb_bridge.wire.sealing import Sealer, Suite
+from rsb_bridge.wire.sealing import Role, Sealer, Suite
+
+ROLES: tuple[Role, ...] = ("client", "server")
 
 
 @SUITES
 @pytest.mark.parametrize("aes", [True, False])
-def test_both_sides_establish_and_hold_the_same_keys(suite, aes):
-    (client_event,), (server_event,) = shake_hands(make_client(suite), make_server(suite, aes=aes))
+def test_both_sides_establish_and_hold_the_same_keys(suite: Suite, aes: bool) -> None:
+    client_events, server_events = shake_hands(make_client(suite), make_server(suite, aes=aes))
+    client, server = the(Established, client_events), the(Established, server_events)
     expected = Suite.CHACHAPOLY if suite is Suite.AESGCM and not aes else suite
-    for event, peer in ((client_event, WELCOME), (server_event, HELLO)):
-        assert event == Established(peer, event.keys)
+    assert (client.peer, server.peer) == (WELCOME, HELLO)
+    for event in (client, server):
         assert (event.keys.suite, event.keys.link_id) == (expected, WELCOME.link_id)
-    for role, sender, receiver in (("client", client_event, server_event), ("server", server_event, client_event)):
+    for role, sender, receiver in zip(ROLES, (client, server), (server, client), strict=True):
         sealed = sender.keys.route_sealer(1, role).seal(b"content", b"header")
         assert receiver.keys.stream_opener(1, role).open(sealed, b"header") == b"content"
 
 
 @SUITES
-def test_messages_cross_both_ways(suite):
+def test_messages_cross_both_ways(suite: Suite) -> None:
     client, server, _, _ = established(suite)
     for n in range(3):
         assert server.receive_data(client.send(Ping(n, 1))) == [Received(Ping(n, 1))]
@@ -53,11 +57,12 @@ def test_messages_cross_both_ways(suite):
 
 @SUITES
 @given(data=st.data())
-def test_however_the_streams_are_cut_the_events_are_the_same(suite, data):
+def test_however_the_streams_are_cut_the_events_are_the_same(suite: Suite, data: st.DataObject) -> None:
     client, server = make_client(suite), make_server(suite, aes=data.draw(st.booleans()))
-    client_events, server_events = [], []
+    client_events: list[Event] = []
+    server_events: list[Event] = []
 
-    def carry(stream, receiver, events):
+    def carry(stream: bytes, receiver: ClientConnection | ServerConnection, events: list[Event]) -> None:
         cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
         for start, stop in itertools.pairwise([0, *cuts, len(stream)]):
             events += receiver.receive_data(stream[start:stop])
@@ -73,7 +78,7 @@ def test_however_the_streams_are_cut_the_events_are_the_same(suite, data):
     assert server_events[1:] == [Received(message) for message in messages]
 
 
-def test_send_keeps_the_order_of_what_was_not_fetched_yet():
+def test_send_keeps_the_order_of_what_was_not_fetched_yet() -> None:
     client, server = ready_to_accept()
     client.receive_data(server.data_to_send())
     events = server.receive_data(client.send(Ready(route=1)))
@@ -84,69 +89,69 @@ def test_send_keeps_the_order_of_what_was_not_fetched_yet():
 # --- keys that do not fit: both sides say so in words
 
 
-def refused(client, server):
+def refused(client: ClientConnection, server: ServerConnection) -> Refused:
     """The one event on each side of a refusal by the server."""
     client_events, server_events = shake_hands(client, server)
-    (ours,), (theirs,) = server_events, client_events
+    ours, theirs = the(Refused, server_events), the(Refused, client_events)
     assert (ours.code, ours.message) == (theirs.code, theirs.message)
     return ours
 
 
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
-def test_another_key(suite):
+def test_another_key(suite: Suite) -> None:
     refusal = refused(make_client(suite), make_server(suite, key=OTHER_KEY))
     assert refusal == Refused(RefusalCode.WRONG_KEY, "the two sides have different keys for 'robot1'")
 
 
-def test_no_key_against_a_key():
+def test_no_key_against_a_key() -> None:
     refusal = refused(make_client(Suite.PLAIN), make_server())
     assert refusal.code is RefusalCode.ENCRYPTION_REQUIRED
     assert refusal.message == "the server requires encryption for 'robot1', and the client came without"
 
 
-def test_a_key_against_none():
+def test_a_key_against_none() -> None:
     refusal = refused(make_client(), make_server(Suite.PLAIN))
     assert refusal.code is RefusalCode.ENCRYPTION_NOT_POSSIBLE
     assert refusal.message == "the client encrypts, and the server has no key for 'robot1'"
 
 
-def test_an_unknown_name():
-    def identity(name):
+def test_an_unknown_name() -> None:
+    def identity(name: str) -> Credential:
         raise Refusal(RefusalCode.UNKNOWN_NAME, f"no client {name} is known here")
 
     refusal = refused(make_client(), ServerConnection(identity, lambda hello: WELCOME, aes=True))
     assert (refusal.code, refusal.message) == (RefusalCode.UNKNOWN_NAME, "no client robot1 is known here")
 
 
-def test_a_busy_server():
-    def make_welcome(hello):
+def test_a_busy_server() -> None:
+    def make_welcome(hello: Hello) -> Welcome:
         raise Refusal(RefusalCode.BUSY, f"{hello.name} is linked already")
 
     server = ServerConnection(lambda name: Credential(KEY), make_welcome, aes=True)
     assert refused(make_client(), server).code is RefusalCode.BUSY
 
 
-def test_a_server_that_answers_with_another_key():
+def test_a_server_that_answers_with_another_key() -> None:
     client, _ = ready_to_accept()
     answer = pack_frame(preamble_frame(Kind.ACCEPT, NoiseHandshake(Suite.AESGCM, OTHER_KEY, b"").write(b"")))
     words = "this side's key does not open the server's answer"
     assert client.receive_data(answer) == [Refused(RefusalCode.WRONG_KEY, words)]
 
 
-def test_a_plain_answer_to_an_encrypting_client_is_not_taken():
+def test_a_plain_answer_to_an_encrypting_client_is_not_taken() -> None:
     client, _ = ready_to_accept()
-    (event,) = client.receive_data(pack_frame(preamble_frame(Kind.ACCEPT, encode(WELCOME))))
+    event = the(Refused, client.receive_data(pack_frame(preamble_frame(Kind.ACCEPT, encode(WELCOME)))))
     assert event.code is RefusalCode.WRONG_KEY
 
 
 # --- another version
 
 
-def other_version(frame):
+def other_version(frame: bytes) -> bytes:
     return pack_frame(b"rsb\x09" + frame[4:])
 
 
-def test_a_client_of_another_version():
+def test_a_client_of_another_version() -> None:
     server = make_server()
     words = "this side speaks version 1, the peer version 9"
     (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever that means in version 9")))
@@ -155,7 +160,7 @@ def test_a_client_of_another_version():
 
 
 @pytest.mark.parametrize("kind", [Kind.ACCEPT, Kind.REFUSE])
-def test_a_server_of_another_version(kind):
+def test_a_server_of_another_version(kind: Kind) -> None:
     client = make_client()
     client.start()
     words = "this side speaks version 1, the peer version 9"
@@ -168,7 +173,7 @@ def test_a_server_of_another_version(kind):
 
 
 @pytest.mark.parametrize("body", [b"", b"\x00", b"\x01", b"\x07"])
-def test_a_forged_retry_does_not_take_the_encryption_away(body):
+def test_a_forged_retry_does_not_take_the_encryption_away(body: bytes) -> None:
     client, _ = ready_to_accept()
     (event,) = client.receive_data(pack_frame(preamble_frame(Kind.RETRY, body)))
     assert isinstance(event, Failed)
@@ -176,13 +181,13 @@ def test_a_forged_retry_does_not_take_the_encryption_away(body):
 
 
 @pytest.mark.parametrize("suite", [Suite.PLAIN, Suite.CHACHAPOLY])
-def test_a_retry_without_cause_is_a_format_error(suite):
+def test_a_retry_without_cause_is_a_format_error(suite: Suite) -> None:
     client, _ = ready_to_accept(suite)
     retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
     assert client.receive_data(retry) == [Failed("unexpected RETRY frame in the preamble")]
 
 
-def test_a_client_takes_one_retry():
+def test_a_client_takes_one_retry() -> None:
     client, _ = ready_to_accept()
     retry = pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
     assert client.receive_data(retry) == []
@@ -190,7 +195,7 @@ def test_a_client_takes_one_retry():
     assert [type(event) for event in client.receive_data(retry)] == [Failed]
 
 
-def test_a_client_that_does_not_follow_a_retry():
+def test_a_client_that_does_not_follow_a_retry() -> None:
     client, server = make_client(), make_server(aes=False)
     assert server.receive_data(client.start()) == []
     (event,) = server.receive_data(client.start())
@@ -201,19 +206,19 @@ def test_a_client_that_does_not_follow_a_retry():
 
 
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
-def test_a_recorded_first_message_played_again_establishes_nothing(suite):
+def test_a_recorded_first_message_played_again_establishes_nothing(suite: Suite) -> None:
     client, server = make_client(suite), make_server(suite)
     recording = client.start()
     assert server.receive_data(recording) == []
     client.receive_data(server.data_to_send())
     recording += client.data_to_send()
 
-    (event,) = make_server(suite).receive_data(recording)
+    event = the(Failed, make_server(suite).receive_data(recording))
     assert isinstance(event, Failed)
     assert "damaged or forged" in event.reason
 
 
-def test_a_first_frame_with_content_confirms_nothing():
+def test_a_first_frame_with_content_confirms_nothing() -> None:
     client, server = ready_to_accept(Suite.PLAIN)
     client.receive_data(server.data_to_send())
     sealed = Sealer(Suite.PLAIN, None).seal(encode(Ping(1, 1)), CONTROL_HEADER)
@@ -221,28 +226,28 @@ def test_a_first_frame_with_content_confirms_nothing():
     assert event == Failed("the client did not confirm the handshake")
 
 
-def test_data_before_the_confirmation_have_no_place():
+def test_data_before_the_confirmation_have_no_place() -> None:
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
-    (event,) = server.receive_data(DataWriter(Sealer(Suite.AESGCM, KEY), 1).write(b"x", 0))
+    event = the(Failed, server.receive_data(DataWriter(Sealer(Suite.AESGCM, KEY), 1).write(b"x", 0)))
     assert "unexpected frame on the control connection" in event.reason
 
 
 # --- sending
 
 
-def test_a_name_too_long_is_refused_with_the_remedy():
+def test_a_name_too_long_is_refused_with_the_remedy() -> None:
     client = ClientConnection(Hello("0.1.0", "ü" * 128, "abc", 0), KEY, Suite.AESGCM)
     with pytest.raises(ValueError, match="256 bytes in UTF-8, and at most 255 are allowed: choose a shorter one"):
         client.start()
 
 
-def test_nothing_is_sent_before_the_connection_is_established():
+def test_nothing_is_sent_before_the_connection_is_established() -> None:
     with pytest.raises(RuntimeError, match="before the connection is established"):
         make_client().send(Ping(1, 1))
 
 
-def topic_list_of(size):
+def topic_list_of(size: int) -> TopicList:
     """A TopicList that takes so many bytes: many long names, and the last ones as long as is left."""
     entry = TopicEntry("x" * 255, "", "", None, 0, 0)
     one = len(encode(TopicList(1, (entry,) * 1000))) - len(encode(TopicList(1, (entry,) * 999)))
@@ -253,7 +258,7 @@ def topic_list_of(size):
 
 
 @SUITES
-def test_a_message_may_fill_a_control_frame_and_no_more(suite):
+def test_a_message_may_fill_a_control_frame_and_no_more(suite: Suite) -> None:
     client, server, _, _ = established(suite)
     room = CONTROL_LIMIT - 14 - 16
     message = topic_list_of(room)

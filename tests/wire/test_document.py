@@ -36,25 +36,25 @@ def documented_fields() -> dict[str, set[str]]:
     return fields
 
 
-def test_every_message_is_documented_and_no_other():
+def test_every_message_is_documented_and_no_other() -> None:
     assert documented_fields().keys() == STRUCTS.keys()
 
 
 @pytest.mark.parametrize("name", STRUCTS)
-def test_every_field_is_documented_and_no_other(name):
+def test_every_field_is_documented_and_no_other(name: str) -> None:
     assert documented_fields()[name] == {field.name for field in msgspec.structs.fields(STRUCTS[name])}
 
 
 @pytest.mark.parametrize("kind", list(preamble.Kind))
-def test_every_preamble_frame_is_documented(kind):
+def test_every_preamble_frame_is_documented(kind: preamble.Kind) -> None:
     assert re.search(rf"^\| {kind.value} {kind.name} \| (client|server) \|", DOCUMENT, re.MULTILINE)
 
 
 @pytest.mark.parametrize("code", list(preamble.RefusalCode))
-def test_every_refusal_code_is_documented(code):
+def test_every_refusal_code_is_documented(code: preamble.RefusalCode) -> None:
     assert f"| {code.value} | {code.name.replace('_', ' ').lower()} |" in DOCUMENT
 
 
-def test_every_code_of_a_refused_route_is_documented_and_no_other():
+def test_every_code_of_a_refused_route_is_documented_and_no_other() -> None:
     (row,) = re.findall(r"^\| \| code \| (.*?) \|", DOCUMENT, re.MULTILINE)
     assert set(re.findall(r'"(\w+)"', row)) == set(typing.get_args(RefuseCode))

@@ -8,7 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import DATA, MORE, ZSTD, DataReader, DataWriter, FrameReader, ProtocolError, pack_frame
+from rsb_bridge.wire.framing import (
+    DATA,
+    MORE,
+    ZSTD,
+    DataReader,
+    DataWriter,
+    FrameReader,
+    Message,
+    ProtocolError,
+    pack_frame,
+)
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
 KEY = bytes(range(32))
@@ -21,13 +31,15 @@ messages = st.lists(
 
 
 @st.composite
-def pieces(draw, stream):
+def pieces(draw: st.DrawFn, stream: bytes) -> list[bytes]:
     """The stream, cut anywhere."""
     cuts = sorted(draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     return [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
 
 
-def data_ends(suite, route=ROUTE, limit=1 << 20, key=KEY, budget=None):
+def data_ends(
+    suite: Suite, route: int = ROUTE, limit: int = 1 << 20, key: bytes = KEY, budget: Budget | None = None
+) -> tuple[DataWriter, DataReader]:
     return (
         DataWriter(Sealer(suite, None if suite is Suite.PLAIN else KEY), route),
         DataReader(StreamOpener(suite, None if suite is Suite.PLAIN else key), route, limit, budget),
@@ -35,7 +47,7 @@ def data_ends(suite, route=ROUTE, limit=1 << 20, key=KEY, budget=None):
 
 
 @given(st.data(), st.lists(st.binary(max_size=50), max_size=8))
-def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data, frames):
+def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data: st.DataObject, frames: list[bytes]) -> None:
     reader = FrameReader(50)
     stream = b"".join(pack_frame(frame) for frame in frames)
     out = [bytes(frame) for piece in data.draw(pieces(stream)) for frame in reader.feed(piece)]
@@ -44,7 +56,7 @@ def test_frames_come_out_as_they_went_in_however_the_stream_is_cut(data, frames)
 
 
 @given(st.data(), st.binary(max_size=200))
-def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data, garbage):
+def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data: st.DataObject, garbage: bytes) -> None:
     reader = FrameReader(50)
     whole, words = 0, ""
     try:
@@ -62,7 +74,7 @@ def test_garbage_gives_frames_or_words_and_keeps_no_more_than_a_frame(data, garb
         assert whole + len(reader._tail) == len(garbage)
 
 
-def test_a_length_is_refused_before_its_content_comes():
+def test_a_length_is_refused_before_its_content_comes() -> None:
     reader = FrameReader(100)
     assert [bytes(frame) for frame in reader.feed(pack_frame(bytes(100)))] == [bytes(100)]
     assert reader.feed(b"\x00\x00\x00") == []
@@ -72,13 +84,13 @@ def test_a_length_is_refused_before_its_content_comes():
         FrameReader(100).feed(b"\xff\xff\xff\xff")
 
 
-def test_the_limit_can_be_changed():
+def test_the_limit_can_be_changed() -> None:
     reader = FrameReader(10)
     reader.limit = 20
     assert len(reader.feed(pack_frame(bytes(20)))) == 1
 
 
-def test_a_large_frame_in_small_pieces_takes_linear_time():
+def test_a_large_frame_in_small_pieces_takes_linear_time() -> None:
     size, piece = 32 << 20, bytes(1 << 14)
     reader = FrameReader(size)
     began = time.process_time()
@@ -89,7 +101,7 @@ def test_a_large_frame_in_small_pieces_takes_linear_time():
     assert [len(frame) for frame in frames] == [size]
 
 
-def test_a_data_frame_is_as_the_document_says():
+def test_a_data_frame_is_as_the_document_says() -> None:
     writer, _ = data_ends(Suite.PLAIN)
     header = bytes((1, 1)) + struct.pack(">IQ", ROUTE, 1234)
     content = b"payload"
@@ -99,7 +111,9 @@ def test_a_data_frame_is_as_the_document_says():
 
 @SUITES
 @given(data=st.data(), sent=messages)
-def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(suite, data, sent):
+def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(
+    suite: Suite, data: st.DataObject, sent: list[Message]
+) -> None:
     writer, reader = data_ends(suite)
     stream = writer.write_many(sent[:4]) + b"".join(writer.write(*message) for message in sent[4:])
     assert [message for piece in data.draw(pieces(stream)) for message in reader.receive_data(piece)] == sent
@@ -107,7 +121,7 @@ def test_messages_come_out_as_they_went_in_however_the_stream_is_cut(suite, data
 
 @SUITES
 @given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
-def test_chunks_are_put_together_again(suite, data, sent, chunk_size):
+def test_chunks_are_put_together_again(suite: Suite, data: st.DataObject, sent: list[Message], chunk_size: int) -> None:
     writer, reader = data_ends(suite)
     chunked = [writer.write_chunks(*message, chunk_size) for message in sent]
     for (payload, _, _), chunks in zip(sent, chunked, strict=True):
@@ -117,7 +131,7 @@ def test_chunks_are_put_together_again(suite, data, sent, chunk_size):
     assert [message for piece in data.draw(pieces(stream)) for message in reader.receive_data(piece)] == sent
 
 
-def test_chunks_of_two_routes_may_alternate():
+def test_chunks_of_two_routes_may_alternate() -> None:
     ends = [data_ends(Suite.AESGCM, route) for route in (1, 3)]
     chunks = [writer.write_chunks(bytes((n,)) * 100, n, 0, 30) for n, (writer, _) in enumerate(ends)]
     out = []
@@ -128,7 +142,7 @@ def test_chunks_of_two_routes_may_alternate():
 
 
 @SUITES
-def test_a_message_may_have_the_limit_and_no_byte_more(suite):
+def test_a_message_may_have_the_limit_and_no_byte_more(suite: Suite) -> None:
     writer, reader = data_ends(suite, limit=100)
     assert reader.receive_data(writer.write(bytes(100), 0)) == [(bytes(100), 0, 0)]
     with pytest.raises(ProtocolError, match="a frame of"):
@@ -141,7 +155,9 @@ def test_a_message_may_have_the_limit_and_no_byte_more(suite):
 
 @SUITES
 @given(data=st.data(), sent=messages, chunk_size=st.integers(1, 100))
-def test_what_is_held_is_what_has_come_of_the_unfinished(suite, data, sent, chunk_size):
+def test_what_is_held_is_what_has_come_of_the_unfinished(
+    suite: Suite, data: st.DataObject, sent: list[Message], chunk_size: int
+) -> None:
     """Chunks beside a frame that is cut; whatever came, nothing is held once the reader is closed."""
     budget = Budget(1 << 20)
     writer, reader = data_ends(suite, budget=budget)
@@ -154,7 +170,7 @@ def test_what_is_held_is_what_has_come_of_the_unfinished(suite, data, sent, chun
 
 
 @pytest.mark.parametrize("began", ["a frame", "chunks"])
-def test_readers_hold_no_more_than_their_budget_together(began):
+def test_readers_hold_no_more_than_their_budget_together(began: str) -> None:
     budget = Budget(1000)
     ends = [data_ends(Suite.AESGCM, route, budget=budget) for route in (1, 3)]
     if began == "a frame":
@@ -171,12 +187,12 @@ def test_readers_hold_no_more_than_their_budget_together(began):
     assert budget.held == 0
 
 
-def test_a_message_that_comes_at_once_costs_the_budget_nothing():
+def test_a_message_that_comes_at_once_costs_the_budget_nothing() -> None:
     writer, reader = data_ends(Suite.AESGCM, budget=Budget(0))
     assert reader.receive_data(writer.write(bytes(5000), 0)) == [(bytes(5000), 0, 0)]
 
 
-def test_empty_chunks_are_harmless():
+def test_empty_chunks_are_harmless() -> None:
     writer, reader = data_ends(Suite.AESGCM)
     stream = writer.write(b"", 0, MORE) + writer.write(b"a", 0, MORE) + writer.write(b"", 5)
     assert reader.receive_data(stream) == [(b"a", 5, 0)]
@@ -190,20 +206,20 @@ def test_empty_chunks_are_harmless():
         (struct.pack(">BBIQ", DATA, 0, ROUTE + 2, 0), "route 9 on the stream of route 7"),
     ],
 )
-def test_a_frame_that_has_no_place_is_refused_in_words(header, words):
+def test_a_frame_that_has_no_place_is_refused_in_words(header: bytes, words: str) -> None:
     _, reader = data_ends(Suite.AESGCM)
     sealed = Sealer(Suite.AESGCM, KEY).seal(b"content", header)
     with pytest.raises(ProtocolError, match=words):
         reader.receive_data(pack_frame(header, sealed))
 
 
-def test_a_frame_shorter_than_its_header_is_refused_in_words():
+def test_a_frame_shorter_than_its_header_is_refused_in_words() -> None:
     _, reader = data_ends(Suite.AESGCM)
     with pytest.raises(ProtocolError, match="a data frame of 13 bytes"):
         reader.receive_data(pack_frame(bytes(13)))
 
 
-def test_a_replayed_missing_or_foreign_frame_does_not_open():
+def test_a_replayed_missing_or_foreign_frame_does_not_open() -> None:
     writer, reader = data_ends(Suite.AESGCM)
     first, second = writer.write(b"1", 0), writer.write(b"2", 0)
     reader.receive_data(first)
@@ -219,7 +235,7 @@ def test_a_replayed_missing_or_foreign_frame_does_not_open():
 
 @SUITES
 @given(data=st.data())
-def test_damage_anywhere_is_never_delivered(suite, data):
+def test_damage_anywhere_is_never_delivered(suite: Suite, data: st.DataObject) -> None:
     writer, reader = data_ends(suite)
     stream = bytearray(writer.write_many([(b"first", 1, 0), (b"second", 2, ZSTD)]))
     at = data.draw(st.integers(0, len(stream) - 1))

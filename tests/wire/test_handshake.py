@@ -67,7 +67,7 @@ def ends(suite: Suite) -> tuple[NoiseHandshake, NoiseHandshake]:
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_published_vector(suite):
+def test_published_vector(suite: Suite) -> None:
     client, server = ends(suite)
     expected = [bytes.fromhex(ciphertext) for ciphertext in CIPHERTEXTS[suite]]
 
@@ -89,7 +89,7 @@ def test_published_vector(suite):
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_keys_are_new_each_time(suite):
+def test_keys_are_new_each_time(suite: Suite) -> None:
     links = set()
     for _ in range(3):
         client, server = NoiseHandshake(suite, PSK, b""), NoiseHandshake(suite, PSK, b"")
@@ -102,7 +102,7 @@ def test_keys_are_new_each_time(suite):
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_another_key_or_another_prologue_does_not_open(suite):
+def test_another_key_or_another_prologue_does_not_open(suite: Suite) -> None:
     message = NoiseHandshake(suite, PSK, PROLOGUE).write(b"hello")
     with pytest.raises(SealError):
         NoiseHandshake(suite, bytes(32), PROLOGUE).read(message)
@@ -111,7 +111,7 @@ def test_another_key_or_another_prologue_does_not_open(suite):
 
 
 @pytest.mark.parametrize("suite", ENCRYPTED)
-def test_every_byte_of_a_message_counts(suite):
+def test_every_byte_of_a_message_counts(suite: Suite) -> None:
     message = NoiseHandshake(suite, PSK, PROLOGUE).write(b"hello")
     for at in range(len(message)):
         damaged = bytearray(message)
@@ -120,25 +120,25 @@ def test_every_byte_of_a_message_counts(suite):
             NoiseHandshake(suite, PSK, PROLOGUE).read(bytes(damaged))
 
 
-def test_a_message_too_short_is_a_format_error():
+def test_a_message_too_short_is_a_format_error() -> None:
     for length in range(48):
         with pytest.raises(ProtocolError, match=f"of {length} bytes is too short"):
             NoiseHandshake(Suite.AESGCM, PSK, b"").read(bytes(length))
 
 
-def test_a_low_order_ephemeral_is_refused():
+def test_a_low_order_ephemeral_is_refused() -> None:
     client = NoiseHandshake(Suite.AESGCM, PSK, b"")
     client.write(b"")
     with pytest.raises(ProtocolError, match="ephemeral key is invalid"):
         client.read(bytes(48))
 
 
-def test_a_key_of_another_length_is_refused():
+def test_a_key_of_another_length_is_refused() -> None:
     with pytest.raises(ValueError, match="32 bytes, not 0"):
         NoiseHandshake(Suite.AESGCM, b"", b"")
 
 
-def test_plain_passes_payloads_through_and_has_no_keys():
+def test_plain_passes_payloads_through_and_has_no_keys() -> None:
     end = PlainHandshake()
     assert end.read(end.write(b"hello")) == b"hello"
     assert end.split() == (None, None, None)

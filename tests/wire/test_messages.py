@@ -1,5 +1,6 @@
 import math
 import typing
+from typing import Any
 
 import msgspec
 import pytest
@@ -21,12 +22,9 @@ from rsb_bridge.wire.messages import (
     Pong,
     Propose,
     Ready,
-    ReceivedReport,
     Refuse,
     Report,
-    SentReport,
     Shutdown,
-    TopicEntry,
     TopicList,
     Welcome,
     decode,
@@ -34,6 +32,7 @@ from rsb_bridge.wire.messages import (
     decode_welcome,
     encode,
 )
+from rsb_bridge.wire.records import ReceivedReport, SentReport, TopicEntry
 
 PROPOSE = Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
 EXAMPLES = [
@@ -73,31 +72,31 @@ HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
 WELCOME = Welcome(version="0.1.0", name="pc", link_id=b"linklink", instance="def", domain_id=0, features=("x",))
 
 
-def test_there_is_an_example_of_every_message():
+def test_there_is_an_example_of_every_message() -> None:
     assert {type(example) for example in EXAMPLES} == set(typing.get_args(ControlMessage))
 
 
 @pytest.mark.parametrize("message", EXAMPLES, ids=lambda message: type(message).__name__)
-def test_a_message_reads_as_it_was_written(message):
+def test_a_message_reads_as_it_was_written(message: ControlMessage) -> None:
     data = encode(message)
     assert decode(data) == message
     assert msgspec.msgpack.decode(data)["message"] == type(message).__name__.lower()
 
 
-def test_the_handshake_s_messages_read_as_they_were_written():
+def test_the_handshake_s_messages_read_as_they_were_written() -> None:
     assert decode_hello(encode(HELLO)) == HELLO
     assert decode_welcome(encode(WELCOME)) == WELCOME
 
 
 @given(reason=st.text(), route=st.integers(1, 2**32 - 1))
-def test_any_text_crosses_made_plain(reason, route):
+def test_any_text_crosses_made_plain(reason: str, route: int) -> None:
     message = Close(route=route, reason=sanitize_text(reason))
     assert decode(encode(message)) == message
     assert sanitize_text(message.reason) == message.reason
 
 
 @pytest.mark.parametrize("reason", ["\x1b[2J", "two\nlines", "end\n", "\x9b1m", "\u202egnp", "x" * 501, "\0"])
-def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason):
+def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason: str) -> None:
     with pytest.raises(ProtocolError):
         decode(encode(Close(route=1, reason=reason)))
     assert sanitize_text(reason) != reason
@@ -105,25 +104,25 @@ def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason):
         decode_hello(encode(msgspec.structs.replace(HELLO, version=reason)))
 
 
-def test_a_rate_that_is_none_is_refused():
+def test_a_rate_that_is_none_is_refused() -> None:
     for rate in (1e-310, 0.0009, 1e7, math.inf, math.nan):
         with pytest.raises(ProtocolError):
             decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | {"max_rate": rate}))
 
 
-def test_a_deadline_that_storms_is_refused():
+def test_a_deadline_that_storms_is_refused() -> None:
     with pytest.raises(ProtocolError):
         decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | {"qos": {"deadline": 1e-9}}))
 
 
-def test_unknown_fields_are_ignored_and_missing_ones_have_their_defaults():
+def test_unknown_fields_are_ignored_and_missing_ones_have_their_defaults() -> None:
     fields = {"message": "propose", "route": 1, "topic": "/scan", "remote_topic": "/robot1/scan", "from_client": True}
     assert decode(msgspec.msgpack.encode(fields | {"later": [1, {"a": None}]})) == PROPOSE
 
 
 @pytest.mark.parametrize("example", [*EXAMPLES, HELLO, WELCOME], ids=lambda message: type(message).__name__)
 @given(data=st.data())
-def test_a_damaged_message_reads_or_gives_words(example, data):
+def test_a_damaged_message_reads_or_gives_words(example: ControlMessage | Hello | Welcome, data: st.DataObject) -> None:
     damaged = bytearray(encode(example))
     for _ in range(data.draw(st.integers(1, 3))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
@@ -136,13 +135,13 @@ def test_a_damaged_message_reads_or_gives_words(example, data):
 
 
 @given(st.binary())
-def test_garbage_gives_words(garbage):
+def test_garbage_gives_words(garbage: bytes) -> None:
     for read in (decode, decode_hello, decode_welcome):
         with pytest.raises(ProtocolError, match="invalid control message"):
             read(garbage)
 
 
-def test_nesting_without_end_gives_words():
+def test_nesting_without_end_gives_words() -> None:
     nested = msgspec.msgpack.encode({"message": "ready", "route": 1, "x": 0})[:-1] + b"\x91" * 100_000
     with pytest.raises(ProtocolError, match="recursion"):
         decode(nested)
@@ -161,7 +160,7 @@ def test_nesting_without_end_gives_words():
         {"message": "report", "sent": [], "received": [{"route": 1, "subscriber_qos": {"deadline": 1e-9}}]},
     ],
 )
-def test_a_field_out_of_its_range_gives_words(fields):
+def test_a_field_out_of_its_range_gives_words(fields: dict[str, Any]) -> None:
     with pytest.raises(ProtocolError, match="invalid control message"):
         decode(msgspec.msgpack.encode(fields))
 
@@ -184,12 +183,12 @@ def test_a_field_out_of_its_range_gives_words(fields):
         {"qos": {"surprise": 1}},
     ],
 )
-def test_a_proposal_out_of_its_range_gives_words(change):
+def test_a_proposal_out_of_its_range_gives_words(change: Any) -> None:
     with pytest.raises(ProtocolError, match="invalid control message"):
         decode(msgspec.msgpack.encode(msgspec.to_builtins(PROPOSE) | change))
 
 
-def test_a_link_id_has_eight_bytes():
+def test_a_link_id_has_eight_bytes() -> None:
     for link_id in (b"", bytes(7), bytes(9)):
         with pytest.raises(ProtocolError, match="link_id"):
             decode_welcome(

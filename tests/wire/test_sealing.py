@@ -11,6 +11,7 @@ from rsb_bridge.wire.sealing import (
     EPOCH_BITS,
     EPOCHS_AHEAD,
     DatagramOpener,
+    Role,
     Sealer,
     SealError,
     SessionKeys,
@@ -24,17 +25,17 @@ SUITES = pytest.mark.parametrize("suite", list(Suite))
 ENCRYPTED = pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
 
 
-def key_for(suite):
+def key_for(suite: Suite) -> bytes | None:
     return None if suite is Suite.PLAIN else KEY
 
 
-def sealed_at(suite, sequence, content=b"content", associated=b"header"):
+def sealed_at(suite: Suite, sequence: int, content: bytes = b"content", associated: bytes = b"header") -> bytes:
     sealer = Sealer(suite, key_for(suite))
     sealer.sequence = sequence
     return sealer.seal(content, associated)
 
 
-def by_the_book(suite, key, sequence, content, associated):
+def by_the_book(suite: Suite, key: bytes, sequence: int, content: bytes, associated: bytes) -> bytes:
     """PROTOCOL.md 1.4, written out again."""
     if suite is Suite.AESGCM:
         return AESGCM(key).encrypt(bytes(4) + struct.pack(">Q", sequence), content, associated)
@@ -45,7 +46,7 @@ def by_the_book(suite, key, sequence, content, associated):
 
 @SUITES
 @given(messages=st.lists(st.tuples(st.binary(), st.binary()), max_size=5))
-def test_what_is_sealed_opens_in_order(suite, messages):
+def test_what_is_sealed_opens_in_order(suite: Suite, messages: list[tuple[bytes, bytes]]) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     for n, (content, associated) in enumerate(messages):
         sealed = sealer.seal(content, associated)
@@ -56,7 +57,7 @@ def test_what_is_sealed_opens_in_order(suite, messages):
 
 
 @SUITES
-def test_every_byte_counts(suite):
+def test_every_byte_counts(suite: Suite) -> None:
     sealed = Sealer(suite, key_for(suite)).seal(b"content", b"header")
     for at in range(len(sealed)):
         damaged = bytearray(sealed)
@@ -69,13 +70,13 @@ def test_every_byte_counts(suite):
 
 @SUITES
 @given(garbage=st.binary(max_size=64))
-def test_garbage_does_not_open(suite, garbage):
+def test_garbage_does_not_open(suite: Suite, garbage: bytes) -> None:
     with pytest.raises(SealError):
         StreamOpener(suite, key_for(suite)).open(garbage, b"header")
 
 
 @SUITES
-def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite):
+def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite: Suite) -> None:
     sealer, opener = Sealer(suite, key_for(suite)), StreamOpener(suite, key_for(suite))
     first, second = sealer.seal(b"1", b""), sealer.seal(b"2", b"")
     with pytest.raises(SealError):
@@ -88,18 +89,18 @@ def test_a_stream_opens_nothing_out_of_order_and_goes_on_after_it(suite):
 
 @pytest.mark.parametrize("key", [None, b"", KEY[1:]])
 @ENCRYPTED
-def test_a_cipher_takes_a_whole_key(suite, key):
+def test_a_cipher_takes_a_whole_key(suite: Suite, key: bytes | None) -> None:
     with pytest.raises(ValueError, match="32 bytes"):
         Sealer(suite, key)
 
 
-def rekeyed(suite, key):
+def rekeyed(suite: Suite, key: bytes) -> bytes:
     """REKEY of the Noise specification, 4.2."""
     return by_the_book(suite, key, 2**64 - 1, bytes(32), b"")[:32]
 
 
 @SUITES
-def test_each_epoch_has_the_key_that_rekey_gives(suite):
+def test_each_epoch_has_the_key_that_rekey_gives(suite: Suite) -> None:
     keys = [KEY]
     while len(keys) < 4:
         keys.append(rekeyed(suite, keys[-1]))
@@ -113,7 +114,7 @@ def test_each_epoch_has_the_key_that_rekey_gives(suite):
 
 
 @ENCRYPTED
-def test_the_keys_of_past_epochs_are_forgotten(suite):
+def test_the_keys_of_past_epochs_are_forgotten(suite: Suite) -> None:
     opener = DatagramOpener(suite, KEY)
     opener.open(0, sealed_at(suite, 0), b"header")
     opener.open(5 * EPOCH, sealed_at(suite, 5 * EPOCH), b"header")
@@ -126,14 +127,14 @@ def test_the_keys_of_past_epochs_are_forgotten(suite):
 
 
 @SUITES
-def test_datagrams_open_across_an_epoch_in_any_order(suite):
+def test_datagrams_open_across_an_epoch_in_any_order(suite: Suite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     for sequence in (EPOCH - 3, EPOCH + 1, EPOCH - 1, EPOCH, EPOCH - 2, 3 * EPOCH, 3 * EPOCH - 1):
         assert opener.open(sequence, sealed_at(suite, sequence), b"header") == b"content"
 
 
 @SUITES
-def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite):
+def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite: Suite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     with pytest.raises(SealError, match="too far ahead"):
         opener.open((EPOCHS_AHEAD + 1) * EPOCH, b"", b"header")
@@ -144,7 +145,7 @@ def test_a_datagram_too_many_epochs_ahead_is_refused_unopened(suite):
 
 
 @SUITES
-def test_a_forged_datagram_moves_nothing(suite):
+def test_a_forged_datagram_moves_nothing(suite: Suite) -> None:
     opener = DatagramOpener(suite, key_for(suite))
     opener.open(7, sealed_at(suite, 7), b"header")
     for sequence in (9, 2000, 3 * EPOCH, 6):
@@ -160,7 +161,9 @@ def test_a_forged_datagram_moves_nothing(suite):
     arrivals=st.lists(st.integers(0, 30), max_size=60),
     leap=st.sampled_from([0, EPOCH - 15, 5 * EPOCH]),
 )
-def test_each_sequence_opens_once_and_only_within_the_window(suite, window, arrivals, leap):
+def test_each_sequence_opens_once_and_only_within_the_window(
+    suite: Suite, window: int, arrivals: list[int], leap: int
+) -> None:
     opener = DatagramOpener(suite, key_for(suite), window)
     opened, newest = set(), None
     for sequence in (leap + arrival for arrival in arrivals):
@@ -175,50 +178,52 @@ def test_each_sequence_opens_once_and_only_within_the_window(suite, window, arri
                 opener.open(sequence, sealed, b"header")
 
 
-def session_keys(suite=Suite.AESGCM, export=KEY):
+def session_keys(suite: Suite = Suite.AESGCM, export: bytes = KEY) -> SessionKeys:
     return SessionKeys(suite, None if suite is Suite.PLAIN else export, b"linklink")
 
 
-def expand(label, route, direction):
+def expand(label: bytes, route: int, direction: int) -> bytes:
     """HKDF-Expand of RFC 5869 for one block: PROTOCOL.md 1.3, written out again."""
     return hmac.digest(KEY, label + struct.pack(">IB", route, direction) + b"\x01", "sha256")
 
 
 @ENCRYPTED
 @pytest.mark.parametrize(("role", "direction"), [("client", 0), ("server", 1)])
-def test_data_keys_are_those_of_the_document(suite, role, direction):
+def test_data_keys_are_those_of_the_document(suite: Suite, role: Role, direction: int) -> None:
     sealed = session_keys(suite).route_sealer(5, role).seal(b"content", b"header")
     assert sealed == by_the_book(suite, expand(b"rsb data", 5, direction), 0, b"content", b"header")
 
 
 @ENCRYPTED
-def test_attach_proof_is_that_of_the_document(suite):
+def test_attach_proof_is_that_of_the_document(suite: Suite) -> None:
     proof = session_keys(suite).attach_proof(b"header", 5)
     assert proof == by_the_book(suite, expand(b"rsb attach", 5, 0), 0, b"", b"header")
 
 
 @SUITES
-def test_both_sides_derive_the_same_for_streams_and_datagrams(suite):
+def test_both_sides_derive_the_same_for_streams_and_datagrams(suite: Suite) -> None:
     ours, theirs = session_keys(suite), session_keys(suite)
-    for route, role in ((1, "client"), (1, "server"), (2, "client")):
+    cases: tuple[tuple[int, Role], ...] = ((1, "client"), (1, "server"), (2, "client"))
+    for route, role in cases:
         sealed = ours.route_sealer(route, role).seal(b"content", b"header")
         assert theirs.stream_opener(route, role).open(sealed, b"header") == b"content"
         assert theirs.datagram_opener(route, role).open(0, sealed, b"header") == b"content"
 
 
 @ENCRYPTED
-def test_no_other_route_direction_or_link_opens_it(suite):
+def test_no_other_route_direction_or_link_opens_it(suite: Suite) -> None:
     sealed = session_keys(suite).route_sealer(1, "client").seal(b"content", b"header")
-    for keys, route, role in (
+    others: tuple[tuple[SessionKeys, int, Role], ...] = (
         (session_keys(suite), 3, "client"),
         (session_keys(suite), 1, "server"),
         (session_keys(suite, bytes(32)), 1, "client"),
-    ):
+    )
+    for keys, route, role in others:
         with pytest.raises(SealError):
             keys.stream_opener(route, role).open(sealed, b"header")
 
 
-def test_a_route_has_one_sealer_each_way():
+def test_a_route_has_one_sealer_each_way() -> None:
     keys = session_keys()
     keys.route_sealer(1, "client")
     keys.route_sealer(1, "server")
@@ -227,7 +232,7 @@ def test_a_route_has_one_sealer_each_way():
 
 
 @SUITES
-def test_attach_proof_holds_for_its_header_and_route_only(suite):
+def test_attach_proof_holds_for_its_header_and_route_only(suite: Suite) -> None:
     keys = session_keys(suite)
     proof = keys.attach_proof(b"header of 5", 5)
     session_keys(suite).check_attach_proof(b"header of 5", 5, proof)
