@@ -12,14 +12,16 @@ import logging
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
+from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
-from rsb_bridge.telemetry.snapshots import SnapshotPublisher, in_slices
+from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
@@ -30,10 +32,11 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
+    from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
 _ERROR_SAID_EVERY = 10.0
-_POLL = 0.25
-_POLLS_PER_TICK = 4
+_TICK = 1.0
+_LONGEST_PAUSE = 10.0
 
 _logger = logging.getLogger(__name__)
 
@@ -48,12 +51,17 @@ class Bridge:
         context: the session, and what every part shares.
         keys: of each client.
         snapshots: kept up to date for user interfaces.
+
+    Attributes:
+        graph_watch: to be told of changes of the ROS graph.
     """
 
     def __init__(self, context: Context, keys: Keys, snapshots: SnapshotPublisher) -> None:
         self.context = context
         self._snapshots = snapshots
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
+        self.graph_watch = GraphWatch(context, self._role.links)
+        self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
         self._errors_said: dict[str, float] = {}
@@ -84,34 +92,39 @@ class Bridge:
 
     async def run(self) -> None:
         """Do the regular work until `stop` is called, then tell the peers and close everything."""
+        context, graph_watch = self.context, self.graph_watch
+        context.ros.watch(graph_watch.changed, lambda reason: context.call(lambda: self._ros_failed(reason)))
         try:
-            await self._run()
+            for work in (self._tick, graph_watch.run, lambda: self._snapshots.run(self._role)):
+                self._tasks.keep(work, Backoff(_TICK, _LONGEST_PAUSE))
+            await self._stopping.wait()
         finally:
+            self._tasks.cancel()
             await self._close()
 
     def stop(self) -> None:
         """Have `run` return soon."""
         self._stopping.set()
 
-    async def _run(self) -> None:
-        polls = 0
-        while not self._stopping.is_set():
-            polls += 1
+    async def _tick(self) -> None:
+        """Do what is done once a second, for ever."""
+        now = self.context.now
+        due = now()
+        while True:
+            due += _TICK
+            if due <= now():  # ticks that were missed are not made up for
+                due = now() + _TICK
+            await asyncio.sleep(due - now())
+            self.context.limited.tick()
+            self._role.tick()
             for link in self.links():
-                self._guarded(link, link.poll)
-            tick = polls % _POLLS_PER_TICK == 0
-            if tick:
-                self.context.limited.tick()
-                self._role.tick()
-                for link in self.links():
-                    await self._tick(link)
-            if tick or self._snapshots.looked_at(self.context.now()):
-                await self._snapshots.refresh(self._role)
-            try:
-                async with asyncio.timeout_at(self.context.now() + _POLL):
-                    await self._stopping.wait()
-            except TimeoutError:
-                pass
+                await link.tick_routes()
+                link.guarded(link.tick)
+
+    def _ros_failed(self, reason: str) -> None:
+        """The ROS side is gone: end, so that whoever supervises the process starts it again."""
+        self.context.events.add(Level.ERROR, EventCode.ENGINE_ROS_FAILED, f"{reason}: the engine stops; start it again")
+        self.stop()
 
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
@@ -135,21 +148,6 @@ class Bridge:
             context.events.add(Level.ERROR, EventCode.ENGINE_SUBSCRIBE_FAILED, text)
 
         return watch_shutdown_topic(context.ros, context.loop, topic, lambda: context.call(act), failed)
-
-    async def _tick(self, link: Link) -> None:
-        def each(route: Route) -> None:
-            self._guarded(link, route.tick)
-
-        await in_slices(tuple(link.routes.values()), each)
-        self._guarded(link, link.tick)
-
-    def _guarded(self, link: Link, work: Callable[[], None]) -> None:
-        """Do a link's regular work; what fails in it ends that link's connection, not the others'."""
-        try:
-            work()
-        except Exception as error:  # noqa: BLE001 — whatever it is, it is one link's
-            self.internal_error(self.context.loop, {"exception": error})
-            link.fail()
 
     def internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
         """Log what nobody caught; an event loop's exception handler."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter
+from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter, RateMeter
 
 
 @pytest.mark.parametrize("absurd", [-1.79e9, -3600.0, 1.79e9])
@@ -58,3 +58,47 @@ def test_an_exchange_during_which_a_clock_is_set_misleads_only_until_the_next() 
     exchange(clock, offset=10.0)
     assert clock.offset == pytest.approx(10.0)
     assert clock.rtt == pytest.approx(0.002)
+
+
+def run_meter(rate: float, lengths: list[float]) -> RateMeter:
+    """A meter whose ticks are these many seconds apart, of a topic at that rate (Hz), with messages of 100 bytes."""
+    meter, now, count = RateMeter(50.0), 0.0, 0
+    for length in lengths:
+        now += length
+        messages = int(now * rate + 1e-6) - count
+        count += messages
+        meter.add(messages, 100 * messages, 50.0 + now)
+        meter.tick(50.0 + now)
+    return meter
+
+
+@pytest.mark.parametrize("length", [1.0, 1.2, 1.7, 3.4, 40.0])
+@pytest.mark.parametrize("rate", [10.0, 200.0])
+def test_a_rate_is_right_whatever_the_time_between_ticks(rate: float, length: float) -> None:
+    """Under load a tick comes late, and then has the messages of more than a second."""
+    meter = run_meter(rate, [length] * 20)
+    assert meter.rate == pytest.approx(rate, rel=0.03)
+    assert meter.usual_rate == pytest.approx(rate, rel=0.03)
+    assert meter.bytes_per_second == pytest.approx(100 * rate, rel=0.03)
+    assert set(meter.history) <= {rate - 1, rate, rate + 1}
+
+
+def test_the_history_has_an_entry_for_every_second() -> None:
+    meter = run_meter(10.0, [1.0] * 5 + [3.4] + [1.0] * 5)
+    assert len(meter.history) == 13
+    assert sum(meter.history) == pytest.approx(134, abs=3)
+
+
+def test_a_single_message_is_shown_after_a_long_pause() -> None:
+    meter = RateMeter(0.0)
+    meter.add(1, 100, 3.0)
+    meter.tick(3.1)
+    assert sum(meter.history) == 1
+
+
+def test_a_tick_right_after_another_makes_no_rate() -> None:
+    meter = run_meter(10.0, [1.0] * 10)
+    meter.add(1, 100, 60.001)
+    meter.tick(60.001)
+    assert meter.rate == pytest.approx(10.0)
+    assert meter.history[-1] == 10

@@ -73,7 +73,7 @@ def test_auto_keeps_five_seconds_within_bounds(rate: float | None, mean_size: fl
 def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
-    ros, rates, events = FakeRos(), RateMeter(), list[EventCode]()
+    ros, rates, events = FakeRos(), RateMeter(0.0), list[EventCode]()
     described = Describe(route=1, type="std_msgs/msg/String", type_hash="", qos=Qos())
     intake = Intake(
         make_context(ros),
@@ -89,7 +89,7 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
 
     def second_passes() -> None:
         rates.add(1000, 100_000, loop.time())
-        rates.tick()
+        rates.tick(loop.time())
         intake.tick()
         loop.run_until_complete(asyncio.sleep(1))
 

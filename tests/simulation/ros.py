@@ -71,6 +71,8 @@ class Domain:
         self._gids = itertools.count(1)
         self._writers: defaultdict[str, list[Writer]] = defaultdict(list)
         self._readers: defaultdict[str, list[Reader]] = defaultdict(list)
+        self._watchers: dict[Node, Callable[[], None]] = {}
+        self._telling = False
 
     def new_gid(self) -> bytes:
         """An id for an endpoint."""
@@ -96,12 +98,14 @@ class Domain:
     def add_writer(self, writer: Writer) -> None:
         """A publisher is there."""
         self._writers[writer.topic].append(writer)
+        self._changed()
         for reader in self.readers(writer.topic):
             self._match_soon(writer, reader)
 
     def add_reader(self, reader: Reader) -> None:
         """A subscription is there."""
         self._readers[reader.topic].append(reader)
+        self._changed()
         for writer in self.writers(reader.topic):
             self._match_soon(writer, reader)
 
@@ -109,13 +113,33 @@ class Domain:
         """A publisher is gone."""
         if writer in self.writers(writer.topic):
             self._writers[writer.topic].remove(writer)
+            self._changed()
 
     def remove_reader(self, reader: Reader) -> None:
         """A subscription is gone."""
         if reader in self.readers(reader.topic):
             self._readers[reader.topic].remove(reader)
+            self._changed()
             for writer in self.writers(reader.topic):
                 writer.matched.pop(reader, None)
+
+    def watch(self, node: Node, on_change: Callable[[], None]) -> None:
+        """Tell a node when endpoints come or go; several changes of a moment are told of once."""
+        self._watchers[node] = on_change
+
+    def unwatch(self, node: Node) -> None:
+        """Tell it no more."""
+        self._watchers.pop(node, None)
+
+    def _changed(self) -> None:
+        if self._watchers and not self._telling:
+            self._telling = True
+            self.loop.call_later(self.random.uniform(*_DISCOVERY), self._tell, context=_OF_NOBODY)
+
+    def _tell(self) -> None:
+        self._telling = False
+        for on_change in tuple(self._watchers.values()):
+            on_change()
 
     def forget_later(self, end: Writer | Reader) -> None:
         """Drop an endpoint whose process has died, once its lease is over."""
@@ -309,13 +333,20 @@ class Node:
     def start(self) -> None:
         """It is in the domain already."""
 
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        """Its thread, which it does not have, never fails."""
+        context = contextvars.copy_context()
+        self._domain.watch(self, lambda: context.run(on_graph_change))
+
     def stop(self) -> None:
+        self._domain.unwatch(self)
         self._stopped = True
         for end in self._ends():
             end.close()
 
     def die(self) -> None:
         """The node's process is gone without a word: nobody hears of it any more, but others see its endpoints on."""
+        self._domain.unwatch(self)
         self._stopped = True
         for end in self._ends():
             if not end.closed:

@@ -42,6 +42,9 @@ class NoRos:
     def start(self) -> None:
         pass
 
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        pass
+
     def stop(self) -> None:
         pass
 

@@ -54,6 +54,11 @@ class Carrier(Protocol):
     """What one or several channels run over; counts wire bytes."""
 
     @property
+    def received_at(self) -> float:
+        """When (s) bytes last came, or since when it is there."""
+        ...
+
+    @property
     def received_bytes(self) -> int:
         """Bytes received so far."""
         ...

@@ -44,6 +44,7 @@ class UdpChannel:
         socket: what it uses.
         over: it is closed, or its last route has left: the next route needs another UDP channel.
         trouble: why nothing comes from the peer, for an operator; empty: something does.
+        received_at: when (s) bytes last came, or since when it is there.
         received_bytes: so far.
         sent_bytes: so far.
         on_close: called when it is over.
@@ -71,7 +72,7 @@ class UdpChannel:
         self._on_ready = on_ready
         self._peer: Address | None = None
         self._path: SendPath | None = None
-        self._began = now()
+        self._began = self.received_at = now()
         self._heard: float | None = None
         self._senders: dict[int, Callable[[], None]] = {}
         self._receivers: dict[int, DatagramSink] = {}
@@ -112,7 +113,7 @@ class UdpChannel:
 
     def received(self, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
         """Take datagrams that name this connection, each with its route id."""
-        now = self._now()
+        now = self.received_at = self._now()
         was_ready = self.ready
         touched: dict[DatagramSink, None] = {}
         for route_id, datagram, address in datagrams:

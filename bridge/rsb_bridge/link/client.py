@@ -35,6 +35,7 @@ _MOVED_AND_QUIET = 1.5
 """s without a byte, with pings every second, after which a connection from an address we no longer have is given up."""
 _LONGEST_DELAY = 10.0
 """s, where the server is there and said no: it won't change its mind soon."""
+_UDP_RETRIED_AFTER = 1.0
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
 _STREAMS_AT_ONCE = 128
@@ -58,6 +59,8 @@ class ClientLink(Link):
         self._retry_after = 0.0
         self._stays_down = False
         self._refused = False
+        self._udp_failure = ""
+        self._udp_retry: asyncio.TimerHandle | None = None
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random)
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
@@ -185,7 +188,7 @@ class ClientLink(Link):
 
     def tick(self) -> None:
         super().tick()
-        if self.control is None or self.keepalive.quiet(self.context.now()) < _MOVED_AND_QUIET:
+        if self.control is None or self.keepalive.quiet < _MOVED_AND_QUIET:
             return
         stream = self.control.stream
         now_from = self.transport.source_address(stream.address)
@@ -262,11 +265,23 @@ class ClientLink(Link):
         address = self.control.stream.address
         server = (address[0], port, *address[2:])
         try:
-            return ClientUdpChannel(transport, server, self.path_probe, self.context.now, self.udp_ready)
+            udp_channel = ClientUdpChannel(transport, server, self.path_probe, self.context.now, self.udp_ready)
         except OSError as error:
-            text = f"UDP to {transport.format_address(server)}: {os_error_message(error)}"
-            self.log(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
+            self._udp_failed(f"UDP to {transport.format_address(server)}: {os_error_message(error)}")
             return None
+        self._udp_failure = ""
+        return udp_channel
+
+    def _udp_failed(self, text: str) -> None:
+        if text != self._udp_failure:
+            self._udp_failure = text
+            self.log(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
+        if self._udp_retry is None:
+            self._udp_retry = self.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
+
+    def _retry_udp(self) -> None:
+        self._udp_retry = None
+        self.udp_ready()
 
 
 def _connect_error_message(error: OSError) -> str:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.telemetry.meters import ClockOffset
+from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.messages import Ping, Pong
 
 if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Collection
+
+    from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.context import Context
 
 DEAD_AFTER = 5.0
@@ -19,39 +23,72 @@ class Keepalive:
 
     Attributes:
         clock: round trip and clock offset.
-        rx_rate: wire bytes/s received.
-        tx_rate: wire bytes/s sent.
     """
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    def __init__(self, context: Context, carriers: Callable[[], Collection[Carrier]]) -> None:
+        """Begin.
+
+        Args:
+            context: the engine's.
+            carriers: gives all that carries bytes of the connection now.
+        """
         self.clock = ClockOffset()
-        self.rx_rate = 0.0
-        self.tx_rate = 0.0
-        self._heard = context.now()
-        self._received = 0
-        self._rx = 0
-        self._tx = 0
+        self._context = context
+        self._carriers = carriers
+        self._began = context.now()
+        self._rx, self._tx = Smoothed(self._began), Smoothed(self._began)
+        self._received = self._sent = 0
         self._pings = 0
+        self._on_silence: Callable[[], None] | None = None
+        self._watchdog: asyncio.TimerHandle | None = None
 
-    def look(self, received: int, now: float) -> None:
-        """As often as wanted: note whether anything has come, by the bytes received so far."""
-        if received > self._received:
-            self._heard = now
-        self._received = received
+    @property
+    def rx_rate(self) -> float:
+        """Wire bytes/s received."""
+        return self._rx.rate
 
-    def tick(self, received: int, sent: int, now: float) -> Ping:
+    @property
+    def tx_rate(self) -> float:
+        """Wire bytes/s sent."""
+        return self._tx.rate
+
+    @property
+    def quiet(self) -> float:
+        """How long (s) nothing has come."""
+        return self._context.now() - max((each.received_at for each in self._carriers()), default=self._began)
+
+    def watch(self, on_silence: Callable[[], None]) -> None:
+        """Call a function once nothing has come for `DEAD_AFTER`, until `stop`."""
+        self._on_silence = on_silence
+        self._look()
+
+    def stop(self) -> None:
+        """Watch no longer."""
+        self._on_silence = None
+        if self._watchdog is not None:
+            self._watchdog.cancel()
+
+    def _look(self) -> None:
+        """See whether the peer is silent; if not, look again when it could be."""
+        if self._on_silence is None:
+            return
+        left = DEAD_AFTER - self.quiet
+        if left > 0:
+            self._watchdog = self._context.loop.call_later(left, self._look)
+        else:
+            self._on_silence()
+
+    def tick(self) -> Ping:
         """Once a second: note the byte counts so far; the ping to send."""
-        self.look(received, now)
-        self.rx_rate += 0.5 * (max(0, received - self._rx) - self.rx_rate)
-        self.tx_rate += 0.5 * (max(0, sent - self._tx) - self.tx_rate)
-        self._rx, self._tx = received, sent
+        now, carriers = self._context.now(), self._carriers()
+        received = sum(each.received_bytes for each in carriers)
+        sent = sum(each.sent_bytes for each in carriers)
+        # There is less than before where a carrier was closed.
+        self._rx.add(max(0, received - self._received), now)
+        self._tx.add(max(0, sent - self._sent), now)
+        self._received, self._sent = received, sent
         self._pings += 1
         return Ping(n=self._pings, sent=self._context.wall_ns())
-
-    def quiet(self, now: float) -> float:
-        """How long (s) nothing has come."""
-        return now - self._heard
 
     def answer(self, ping: Ping) -> Pong:
         """The answer to the peer's ping."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -12,7 +13,7 @@ from rsb_bridge.channel.path_probe import PathProbe
 from rsb_bridge.channel.shared_stream import SharedStream
 from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.config.validation import validate_topic
-from rsb_bridge.link.keepalive import DEAD_AFTER, Keepalive
+from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.negotiation import LinkError, Negotiation
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.side import Side
@@ -25,7 +26,7 @@ from rsb_bridge.route.latched import LATCHED_LIMIT
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.route import Route, route_key
-from rsb_bridge.tasks import Tasks
+from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.transport import ListenError, StreamTransport
 from rsb_bridge.wire.budget import Budget
@@ -34,7 +35,7 @@ from rsb_bridge.wire.messages import Close, Pause, Report
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Coroutine
+    from collections.abc import Callable, Coroutine
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.udp_channel import UdpChannel
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 _NOT_YET = "not connected yet"
+_PROBE_EVERY, _QUICK_PROBES = 0.25, 8
 
 
 class Link(Side):
@@ -94,7 +96,7 @@ class Link(Side):
         self._next_id = 1 if is_client else 2  # counts on across connections: what is late on a dead one finds no route
         self._since = self.context.wall()
         self._linked_at = 0.0
-        self.keepalive = Keepalive(context)
+        self.keepalive = Keepalive(context, self._carriers)
         self.negotiation = Negotiation(self)
         self._tasks = Tasks(context.loop, self.fail)
 
@@ -135,7 +137,8 @@ class Link(Side):
         self.data_keys = DataKeys(keys, self.side, self.unfinished)
         self.path_probe = PathProbe(self.data_keys)
         self._linked_at = self.context.now()
-        self.keepalive = Keepalive(self.context)
+        self.keepalive = Keepalive(self.context, self._carriers)
+        self.keepalive.watch(partial(control.abort, "the peer is silent"))
         self._since = self.context.wall()
         self.attempts = 0
         self.retry_at = None
@@ -150,6 +153,7 @@ class Link(Side):
         """The connection is over."""
         if self.control is None:
             return
+        self.keepalive.stop()
         self.control = self.keys = self.data_keys = self.path_probe = None
         self.reason = reason
         self._since = self.context.wall()
@@ -317,9 +321,10 @@ class Link(Side):
         udp_channel = self.udp_channels.get(port)
         if udp_channel is None or udp_channel.over:
             udp_channel = self.open_udp_channel(transport, port)
-        if udp_channel is None:
-            return
-        self.udp_channels[port] = udp_channel
+            if udp_channel is None:
+                return
+            self.udp_channels[port] = udp_channel
+            self._probe(udp_channel)
         route.channel = datagram_channel(udp_channel, route, self.data_keys)
 
     def attach_stream(self, route: Route, stream: Stream, beginning: bytes, *, multiplexed: bool) -> None:
@@ -341,25 +346,27 @@ class Link(Side):
         raise ProtocolError("unexpected preamble frame on an open stream")
 
     def udp_ready(self) -> None:
-        """A UDP channel has found its path."""
-        for route in tuple(self._by_id.values()):
-            route.advance()
+        """A UDP channel has found its path, or can be opened now: the routes that wait for it go on."""
+
+        def advance(route: Route) -> None:
+            if route.id and not route.flowing:
+                route.advance()
+
+        self.spawn(in_slices(tuple(self._by_id.values()), advance))
 
     # --- time
 
-    def poll(self) -> None:
-        """Four times a second: whatever waits for the graph or the peer."""
-        now = self.context.now()
-        for udp_channel in self.udp_channels.values():
-            if not udp_channel.ready and not udp_channel.over:
-                self._tick_udp_channel(udp_channel)
-        if self.control is not None:
-            self.keepalive.look(self._carried()[0], now)
-            if self.keepalive.quiet(now) > DEAD_AFTER:
-                self.control.abort("the peer is silent")
-            for route in tuple(self.routes.values()):
-                if route.id and not route.flowing:
-                    route.advance()
+    def guarded(self, work: Callable[[], None]) -> None:
+        """Do some of this link's regular work; what fails in it ends this link's connection, not the others'."""
+        try:
+            work()
+        except Exception as error:  # noqa: BLE001 — whatever it is, it is this link's
+            self.context.loop.call_exception_handler({"message": f"link {self.name} failed", "exception": error})
+            self.fail()
+
+    async def tick_routes(self) -> None:
+        """Once a second: the routes' own tick."""
+        await in_slices(tuple(self.routes.values()), lambda route: self.guarded(route.tick))
 
     def tick(self) -> None:
         """Once a second, after the routes' own tick: keepalive, reports, retries."""
@@ -369,7 +376,7 @@ class Link(Side):
         self.udp_channels = {
             port: udp_channel for port, udp_channel in self.udp_channels.items() if not udp_channel.over
         }
-        self.send(self.keepalive.tick(*self._carried(), now))
+        self.send(self.keepalive.tick())
         for udp_channel in self.udp_channels.values():
             self._tick_udp_channel(udp_channel)
         self._report()
@@ -379,12 +386,19 @@ class Link(Side):
             elif not route.proposed_here and not route.id and now > route.awaited_until(self._linked_at):
                 self.forget(route, EventCode.ROUTE_ABANDONED, "the other side no longer asks for it")
 
-    def _carried(self) -> tuple[int, int]:
-        """Wire bytes received and sent by all that the link has now; less than before where something was closed."""
-        assert self.control is not None
-        carriers: set[Carrier] = {self.control.stream, *self.udp_channels.values()}
-        carriers.update(route.channel.carrier for route in self.routes.values() if route.channel is not None)
-        return sum(each.received_bytes for each in carriers), sum(each.sent_bytes for each in carriers)
+    def _carriers(self) -> set[Carrier]:
+        """All that carries bytes of the present connection."""
+        carriers: set[Carrier] = {route.channel.carrier for route in self.routes.values() if route.channel is not None}
+        carriers.update(self.udp_channels.values())
+        if self.control is not None:
+            carriers.add(self.control.stream)
+        return carriers
+
+    def _probe(self, udp_channel: UdpChannel, probes: int = 1) -> None:
+        """Probe a new UDP channel more often than once a second, as long as a firewall does not seem to drop it all."""
+        if probes <= _QUICK_PROBES and not udp_channel.ready and not udp_channel.over:
+            udp_channel.tick()
+            self.context.loop.call_later(_PROBE_EVERY, self._probe, udp_channel, probes + 1)
 
     def _tick_udp_channel(self, udp_channel: UdpChannel) -> None:
         before = udp_channel.trouble

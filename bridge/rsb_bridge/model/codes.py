@@ -15,6 +15,8 @@ class EventCode(StrEnum):
     ENGINE_SHORTAGE = "engine.shortage"
     """The process or the system lacks descriptors or memory; new connections wait."""
     ENGINE_ERROR = "engine.error"
+    ENGINE_ROS_FAILED = "engine.ros_failed"
+    """The ROS side has ended by itself, and the engine with it."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 

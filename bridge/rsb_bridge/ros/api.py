@@ -114,6 +114,16 @@ class RosInterface(Protocol):
         """
         ...
 
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        """Have functions called on the ROS thread.
+
+        Args:
+            on_graph_change: called when a node, publisher or subscription has come or gone, this node's own too. It can
+                be called thousands of times a second, so it must be quick.
+            on_failure: called with the reason if the thread ends by itself; nothing works from then on.
+        """
+        ...
+
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice."""
         ...

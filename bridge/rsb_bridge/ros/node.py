@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import secrets
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, OnFailure, Publisher, Sink, Subscription
     from rsb_bridge.ros.rcl import Participant, Reader, Writer
+
+_log = logging.getLogger(__name__)
 
 _BATCH = 64
 """Messages taken from one subscription before the next has its turn."""
@@ -47,6 +50,9 @@ class RosNode:
         self._subscriptions: dict[int, _Subscription] = {}  # by reader's address; replaced, never changed
         self._publishers: frozenset[_Publisher] = frozenset()  # likewise
         self._retired: deque[Reader] = deque()
+        self._on_graph_change: Callable[[], None] = _nothing
+        self._on_failure: Callable[[str], None] = _log.error
+        self._failure = ""
         # Kept after a publisher is closed: what it published may still be on its way.
         self._own: defaultdict[tuple[str, Hashable], set[bytes]] = defaultdict(set)
 
@@ -69,6 +75,12 @@ class RosNode:
         participant = self._participant = Participant(self._domain_id, self.node_name)
         self._thread = threading.Thread(target=self._run, args=(participant,), name="ros", daemon=True)
         self._thread.start()
+
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        """Have functions called; see `rsb_bridge.ros.api.RosInterface.watch`."""
+        self._on_graph_change, self._on_failure = on_graph_change, on_failure
+        if self._failure:
+            on_failure(self._failure)
 
     def stop(self) -> None:
         """Close every endpoint, leave the domain, end the thread. May be called twice, and from a sink.
@@ -171,9 +183,15 @@ class RosNode:
                 while self._retired:
                     self._retired.popleft().close()
                 subscriptions = self._subscriptions
-                for address in participant.wait([each.reader for each in subscriptions.values()]):
+                ready = participant.wait([each.reader for each in subscriptions.values()])
+                for address in ready.readers:
                     if self._participant is participant:
                         subscriptions[address].deliver()
+                if ready.graph_changed:
+                    self._on_graph_change()
+        except Exception as error:  # noqa: BLE001 — whatever it is, the thread must not end unnoticed
+            self._failure = f"the thread that serves ROS failed: {error}"
+            self._on_failure(self._failure)
         finally:
             self._leave(participant)
 
@@ -257,3 +275,7 @@ class _Publisher:
     def close(self) -> None:
         self._node.forget(self)
         self.writer.close()
+
+
+def _nothing() -> None:
+    """Nobody watches the graph."""

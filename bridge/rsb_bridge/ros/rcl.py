@@ -1,15 +1,16 @@
 """What the bridge uses of ROS's C client library, rcl: a participant in one domain and its raw endpoints.
 
 rclpy's executors cost three times what is needed here, and its `Node` brings a publisher and services that nobody would
-serve. So this works on the extension module under rclpy, and calls rcl itself for the one thing that hides: the
-publisher of a message taken. Structs: rmw/types.h, rcutils/types/uint8_array.h, rcutils/allocator.h (ROS 2 Jazzy).
+serve. So this works on the extension module under rclpy, and calls rcl itself for the two things that it hides: the
+publisher of a message taken, and changes of the graph. Structs: rmw/types.h, rcl/wait.h, rcutils/types/uint8_array.h,
+rcutils/allocator.h (ROS 2 Jazzy).
 """
 
 from __future__ import annotations
 
 import ctypes
 import struct
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -65,6 +66,17 @@ class _Gid(ctypes.Structure):
     _fields_ = (("middleware", ctypes.c_char_p), ("value", ctypes.c_uint8 * 16))
 
 
+class _WaitSetHead(ctypes.Structure):
+    """The first fields of a rcl_wait_set_t. After a wait, what was not triggered is NULL."""
+
+    _fields_ = (
+        ("subscriptions", ctypes.c_void_p),
+        ("subscription_count", ctypes.c_size_t),
+        ("guard_conditions", ctypes.POINTER(ctypes.c_void_p)),
+        ("guard_condition_count", ctypes.c_size_t),
+    )
+
+
 # PyDLL keeps the GIL: these take about 1 µs, and giving it up each time would cost a whole switch interval whenever
 # another thread is busy. rclpy has loaded the libraries; librcl's handle also finds what it depends on.
 _rcl = ctypes.PyDLL("librcl.so")
@@ -81,6 +93,22 @@ _buffer_init = _rcl.rcutils_uint8_array_init
 _buffer_init.argtypes = [ctypes.POINTER(_Buffer), ctypes.c_size_t, ctypes.POINTER(_Allocator)]
 _buffer_fini = _rcl.rcutils_uint8_array_fini
 _buffer_fini.argtypes = [ctypes.POINTER(_Buffer)]
+_graph_guard_condition = _rcl.rcl_node_get_graph_guard_condition
+_graph_guard_condition.argtypes, _graph_guard_condition.restype = [ctypes.c_void_p], ctypes.c_void_p
+_add_guard_condition = _rcl.rcl_wait_set_add_guard_condition
+_add_guard_condition.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+
+
+class Ready(NamedTuple):
+    """What ended a wait.
+
+    Attributes:
+        readers: the addresses of those that have messages.
+        graph_changed: a node, publisher or subscription came or went.
+    """
+
+    readers: list[int]
+    graph_changed: bool
 
 
 class Participant:
@@ -103,6 +131,8 @@ class Participant:
             raise RosError(f"ROS domain {domain_id} cannot be joined: {_reason(error)}") from error
         self._name = self._node.get_fully_qualified_name()
         self._guard = _rclpy.GuardCondition(self._context.handle)
+        self._graph_guard = _graph_guard_condition(self._node.pointer)
+        self._graph_guard_index = ctypes.c_size_t()
         self._waits, self._capacity = self._wait_set(0), 0
         self._buffer = _Buffer()
         _buffer_init(self._buffer, 0, _default_allocator())
@@ -151,23 +181,21 @@ class Participant:
         handle = self._create(_rclpy.Publisher, topic, type_name, type_hash, kept if qos.history == "keep_all" else qos)
         return Writer(handle)
 
-    def wait(self, readers: Collection[Reader]) -> list[int]:
-        """Block until a reader has messages or `wake` is called.
-
-        Returns:
-            The addresses of those that have.
-        """
+    def wait(self, readers: Collection[Reader]) -> Ready:
+        """Block until a reader has messages, the graph changes, or `wake` is called."""
         if len(readers) != self._capacity:
             self._waits.destroy_when_not_in_use()
             self._waits, self._capacity = self._wait_set(len(readers)), len(readers)
         waits = self._waits
         waits.clear_entities()
         waits.add_guard_condition(self._guard)
+        _add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
         for reader in readers:
             waits.add_subscription(reader.handle)
         waits.wait(-1)
-        ready: list[int] = waits.get_ready_entities("subscription")
-        return ready
+        head = _WaitSetHead.from_address(waits.pointer)
+        graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
+        return Ready(waits.get_ready_entities("subscription"), graph_changed)
 
     def wake(self) -> None:
         """Make `wait` return, now or the next time it is called. From any thread."""
@@ -175,7 +203,7 @@ class Participant:
 
     def _wait_set(self, readers: int) -> Any:
         # subscriptions, guard conditions, timers, clients, services, events
-        return _rclpy.WaitSet(readers, 1, 0, 0, 0, 0, self._context.handle)
+        return _rclpy.WaitSet(readers, 2, 0, 0, 0, 0, self._context.handle)
 
     def _create(self, kind: Any, topic: str, type_name: str, type_hash: str, qos: Qos) -> Any:
         message = message_class(type_name, type_hash)

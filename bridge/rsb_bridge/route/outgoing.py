@@ -279,7 +279,9 @@ class OutgoingRoute(Route):
         self._report = report
         if not self._ledger.reported(report, self.context.now()):
             self.doubt(_LIMITED)
-        self._hint = (report.type, report.type_hash)
+        if (report.type, report.type_hash) != self._hint:
+            self._hint = (report.type, report.type_hash)
+            self.advance()
         self.latency.p50, self.latency.p99 = _figure(report.latency_p50), _figure(report.latency_p99)
         self.latency.jitter = _figure(report.jitter)
 

@@ -137,7 +137,7 @@ class Route:
         self.qos: Qos | None = None
         self.problem = ""
         self.last_error = ""
-        self.meter = RateMeter()
+        self.meter = RateMeter(context.now())
         self.latency = LatencyMeter()
         session = context.session
         after = session.stale_after if spec.stale_after is None else spec.stale_after
@@ -295,11 +295,10 @@ class Route:
     # --- time
 
     def tick(self) -> None:
-        """Once a second: histories, stale warnings, whatever became possible."""
+        """Once a second: histories and stale warnings."""
         now = self.context.now()
-        self.meter.tick()
+        self.meter.tick(now)
         self.latency.tick()
-        self.advance()
         if self.flowing and not self.is_latched:
             if number := self.stale.check(now):
                 text = f"nothing for {self.stale.after * number:g} s (warning {number} of {self.stale.times})"

@@ -10,6 +10,8 @@ HISTORY = 120
 """Seconds of history a route keeps: what the console plots."""
 _WINDOWS = (3, 10, 30)
 _BUSY_SECONDS = 5
+_SHORTEST_TICK = 0.5
+"""s; what comes in less is left for the next tick, as one message in it would be no rate."""
 _LATENCIES = 512
 _EARLIEST, _LATEST = -1.0, 3600.0
 """s: what a message can take, give or take what two clocks are compared to; a slow radio link has minutes waiting."""
@@ -18,8 +20,29 @@ _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
 
 
+class Smoothed:
+    """A rate that is smoothed over about two seconds.
+
+    Attributes:
+        rate: per second.
+    """
+
+    __slots__ = ("_at", "rate")
+
+    def __init__(self, now: float) -> None:
+        self.rate = 0.0
+        self._at = now
+
+    def add(self, amount: float, now: float) -> None:
+        """Take what has come since the last call, at `now` (s)."""
+        elapsed = now - self._at
+        if elapsed > 0:
+            self._at = now
+            self.rate += (1 - 0.5**elapsed) * (amount / elapsed - self.rate)
+
+
 class RateMeter:
-    """Counts messages and bytes; `tick` once a second makes rates of them.
+    """Counts messages and bytes; `tick`, called about once a second, makes rates of them.
 
     Attributes:
         count: messages.
@@ -28,15 +51,16 @@ class RateMeter:
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages.
         usual_rate: Hz: the median second from the first busy one to the last, their mean where most were quiet; None
             until five seconds had messages.
-        bytes_per_second: smoothed over about two seconds.
         history: messages in each of the last seconds, oldest first.
     """
 
     __slots__ = (
         "_at_tick",
         "_bytes_at_tick",
+        "_seconds",
+        "_smoothed",
+        "_ticked",
         "bytes",
-        "bytes_per_second",
         "count",
         "history",
         "last",
@@ -44,16 +68,23 @@ class RateMeter:
         "usual_rate",
     )
 
-    def __init__(self) -> None:
+    def __init__(self, now: float) -> None:
         self.count = 0
         self.bytes = 0
         self.last: float | None = None
         self.rate = 0.0
         self.usual_rate: float | None = None
-        self.bytes_per_second = 0.0
         self.history: deque[int] = deque(maxlen=HISTORY)
+        self._ticked = now
         self._at_tick = 0
         self._bytes_at_tick = 0
+        self._smoothed = Smoothed(now)
+        self._seconds: deque[tuple[int, float]] = deque(maxlen=HISTORY)  # messages, and how many s they took
+
+    @property
+    def bytes_per_second(self) -> float:
+        """Smoothed over about two seconds."""
+        return self._smoothed.rate
 
     def add(self, messages: int, size: int, now: float) -> None:
         """Count messages of `size` bytes together, at `now` (s)."""
@@ -61,11 +92,20 @@ class RateMeter:
         self.bytes += size
         self.last = now
 
-    def tick(self) -> None:
-        """Close one second of history."""
-        self.history.append(self.count - self._at_tick)
-        self._at_tick = self.count
-        self.bytes_per_second += 0.5 * (self.bytes - self._bytes_at_tick - self.bytes_per_second)
+    def tick(self, now: float) -> None:
+        """Add what has come since the last tick to the history, as the seconds that it took, at `now` (s)."""
+        elapsed = now - self._ticked
+        if elapsed < _SHORTEST_TICK:
+            return
+        self._ticked = now
+        messages, self._at_tick = self.count - self._at_tick, self.count
+        seconds = max(1, round(elapsed))
+        length = elapsed / seconds
+        for number in range(max(0, seconds - HISTORY), seconds):
+            share = messages * (number + 1) // seconds - messages * number // seconds
+            self._seconds.append((share, length))
+            self.history.append(round(share / length))
+        self._smoothed.add(self.bytes - self._bytes_at_tick, now)
         self._bytes_at_tick = self.bytes
         self.usual_rate = self._usual_rate()
         self.rate = self._rate()
@@ -82,10 +122,10 @@ class RateMeter:
         missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
         if not any(islice(reversed(self.history), int(missed))):
             return 0.0
-        messages = seconds = 0
+        messages, seconds = 0, 0.0
         for window in _WINDOWS:
-            seconds = min(window, len(self.history))
-            messages = sum(islice(reversed(self.history), seconds))
+            last = list(islice(reversed(self._seconds), window))
+            messages, seconds = sum(count for count, _ in last), sum(length for _, length in last)
             if messages >= 3:
                 break
         return messages / seconds if seconds else 0.0

@@ -6,9 +6,12 @@ import asyncio
 import errno
 import os
 import socket
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 Address: TypeAlias = tuple[Any, ...]
 """As the socket module has it: host and port (TCP and UDP over IPv6: with flow and scope behind them)."""
@@ -50,6 +53,7 @@ class Stream(asyncio.Protocol):
         high_water: bytes that may wait for the kernel before the stream counts as congested.
         handler: receives what happens from now on.
         congested: more than `high_water` bytes wait for the kernel: better not to write now.
+        received_at: when (s, on the loop's clock) bytes last came, or it was connected.
         received_bytes: so far.
         sent_bytes: so far, including those that still wait.
         address: of the other end.
@@ -62,11 +66,13 @@ class Stream(asyncio.Protocol):
     def __init__(self, handler: StreamHandler) -> None:
         self.handler = handler
         self.congested = False
+        self.received_at = 0.0
         self.received_bytes = 0
         self.sent_bytes = 0
         self.address: Address = ("?", 0)
         self.own_address = ""
         self._transport: asyncio.Transport | None = None
+        self._now: Callable[[], float] = float  # until it is connected
         self._reason = ""
 
     def write(self, data: bytes) -> None:
@@ -117,6 +123,8 @@ class Stream(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
+        self._now = asyncio.get_running_loop().time
+        self.received_at = self._now()
         self._transport.set_write_buffer_limits(high=self.high_water)
         self.address = transport.get_extra_info("peername") or self.address
         self.own_address = str((transport.get_extra_info("sockname") or [""])[0])  # a socketpair has no name
@@ -135,6 +143,7 @@ class Stream(asyncio.Protocol):
         return f"{host}%{scope}" if scope and "%" not in host else host
 
     def data_received(self, data: bytes) -> None:
+        self.received_at = self._now()
         self.received_bytes += len(data)
         self.handler.received(data)
 

@@ -82,6 +82,9 @@ class StandIn:
     def start(self) -> None:
         pass
 
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        """Its graph never changes."""
+
     def stop(self) -> None:
         self._stopped.set()
         for thread in self._threads:

@@ -1,0 +1,83 @@
+"""Routes look at the ROS graph when it has changed, few enough at a time that no message waits."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from rsb_bridge.tasks import SLICE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.link import Link
+
+_LOOK_EVERY = 0.25
+"""s between two looks at the least; a robot that starts changes its graph a hundred times a second."""
+_SHARE = 10
+"""A look costs at most one part in so many of the time, however many routes there are."""
+_LONGEST_PAUSE = 2.0
+_MATCHED_AFTER = 1.0
+"""s after the last change, when endpoints that found one another have also been matched."""
+_ALWAYS_AFTER = 10.0
+"""s without a change after which routes look nevertheless, should one have been missed."""
+
+
+class GraphWatch:
+    """Has every open route look at the graph: soon after a change, once more when it has settled, and now and then.
+
+    Args:
+        context: the engine's.
+        links: gives the links whose routes look.
+    """
+
+    def __init__(self, context: Context, links: Callable[[], list[Link]]) -> None:
+        self._context = context
+        self._links = links
+        self._due = asyncio.Event()
+        self._noted = False
+        self._settled: asyncio.TimerHandle | None = None
+
+    def changed(self) -> None:
+        """The graph has changed. May be called from any thread, and as often as it likes."""
+        if not self._noted:
+            self._noted = True
+            self._context.call(self._look_soon)
+
+    async def run(self) -> None:
+        """Look, for ever."""
+        try:
+            while True:
+                try:
+                    async with asyncio.timeout(_ALWAYS_AFTER):
+                        await self._due.wait()
+                except TimeoutError:
+                    pass
+                self._due.clear()
+                self._noted = False
+                cost = await self._look()
+                await asyncio.sleep(max(_LOOK_EVERY, min(_LONGEST_PAUSE, cost * (_SHARE - 1))))
+        finally:
+            if self._settled is not None:
+                self._settled.cancel()
+
+    def _look_soon(self) -> None:
+        self._due.set()
+        if self._settled is not None:
+            self._settled.cancel()
+        self._settled = self._context.loop.call_later(_MATCHED_AFTER, self._due.set)
+
+    async def _look(self) -> float:
+        """Have all routes look, a slice at a time; how long (s) that took of the loop."""
+        now, cost = self._context.now, 0.0
+        for link in self._links():
+            routes = tuple(link.routes.values())
+            for first in range(0, len(routes), SLICE):
+                began = now()
+                for route in routes[first : first + SLICE]:
+                    if route.id:
+                        link.guarded(route.advance)
+                cost += now() - began
+                await asyncio.sleep(0)
+        return cost

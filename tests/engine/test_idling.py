@@ -1,0 +1,131 @@
+"""What the engine does by itself: little while nothing happens, and no task of its own ends unnoticed."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import TYPE_CHECKING, Any
+
+from tests.support.bridge import carries, happened, linked, route
+from tests.support.domain import text
+from tests.support.offline import loop, make_context
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.ros.node import RosNode
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pytest
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.ros.api import Endpoint
+
+__all__ = ["loop", "make_context"]
+
+
+class CountingNode(RosNode):
+    """Counts how often the graph is asked for a topic's endpoints."""
+
+    asked = 0
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        self.asked += 1
+        return super().publishers(topic)
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        self.asked += 1
+        return super().subscriptions(topic)
+
+
+def test_routes_that_wait_do_not_ask_the_graph_again_and_again(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """And yet they see at once what they wait for."""
+    nodes = CountingNode(robot.id, "robot1"), CountingNode(pc.id, "pc")
+    topics = [Topic(f"/waits{number}", "transmit", protocol=("tcp", "udp")[number % 2]) for number in range(50)]
+    server = bridge.start(bridge.server_session(), nodes[1])
+    client = bridge.start(bridge.client_session(*topics), nodes[0])
+    eventually(lambda: linked(client) and all(each.stages[5].done for each in client.snapshot().routes))
+    eventually(lambda: quiet_for_a_second(nodes))
+    before = sum(node.asked for node in nodes)
+    time.sleep(3.0)
+    assert sum(node.asked for node in nodes) - before <= 50 + 2 * 50  # once on each side; four times a second is 1,800
+    there, out = pc.listener("/waits7"), robot.publisher("/waits7")
+    carries([out], server, ["/waits7"])
+    out.publish(text("at last"))
+    eventually(lambda: there.payloads)
+    assert route(client, "/waits8").state is State.WAITING
+
+
+def quiet_for_a_second(nodes: tuple[CountingNode, ...]) -> bool:
+    before = sum(node.asked for node in nodes)
+    time.sleep(1.0)
+    return sum(node.asked for node in nodes) == before
+
+
+def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    clock = make_context().clock
+    blank = Snapshot(0.0, "robot1", "client", "", 0, running=False)
+    publisher = SnapshotPublisher(blank, EventLog(clock), clock)
+
+    class NoBridge:
+        def links(self) -> list[Any]:
+            return []
+
+    async def renewals(seconds: float, *, looking: bool) -> int:
+        times = set()
+        for _ in range(round(seconds / 0.05)):
+            await asyncio.sleep(0.05)
+            times.add((publisher.look() if looking else publisher.latest).time)
+        return len(times)
+
+    async def main() -> None:
+        running = loop.create_task(publisher.run(NoBridge()))
+        assert await renewals(20.0, looking=False) in (20, 21)
+        assert await renewals(20.0, looking=True) in range(76, 82)
+        await asyncio.sleep(3.0)
+        assert await renewals(20.0, looking=False) in (20, 21)
+        running.cancel()
+
+    loop.run_until_complete(main())
+
+
+def test_a_regular_task_that_fails_is_reported_and_goes_on(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    server, client = bridge.both()
+    assert client._bridge is not None
+    role, failures = client._bridge._role, list[int]()
+
+    def tick() -> None:
+        if not failures:
+            failures.append(1)
+            raise KeyError("a mistake of ours")
+
+    monkeypatch.setattr(role, "tick", tick)
+    eventually(lambda: happened(client, EventCode.ENGINE_ERROR, "a mistake of ours"))
+    holds(lambda: linked(client) and linked(server), 7.0)  # it pings on
+    client._events._events.clear()  # the error is what this test is about
+
+
+def test_the_engine_stops_when_its_ros_side_has_failed(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = RosNode(robot.id, "robot1")
+    client = bridge.start(bridge.client_session(), node)
+
+    def broken(_: object) -> None:
+        raise RuntimeError("the wait set is broken")
+
+    assert node._participant is not None
+    monkeypatch.setattr(node._participant, "wait", broken)
+    node._participant.wake()
+    eventually(lambda: not client.snapshot().running)
+    assert happened(client, EventCode.ENGINE_ROS_FAILED, "the wait set is broken: the engine stops")

@@ -1,0 +1,72 @@
+"""A silent peer is given up in time, and rates are right whenever they are looked at."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge.link.keepalive import Keepalive
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+
+class Carrier:
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.received_at = loop.time()
+        self.received_bytes = 0
+        self.sent_bytes = 0
+        self._loop = loop
+
+    def receive(self, size: int) -> None:
+        self.received_at = self._loop.time()
+        self.received_bytes += size
+
+
+def wait(loop: VirtualLoop, seconds: float) -> None:
+    loop.run_until_complete(asyncio.sleep(seconds))
+
+
+def test_a_peer_is_given_up_five_seconds_after_its_last_byte(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    carriers, silent = [Carrier(loop), Carrier(loop)], []
+    keepalive = Keepalive(make_context(), lambda: carriers)
+    keepalive.watch(lambda: silent.append(loop.time()))
+    for _ in range(1000):
+        wait(loop, 0.9)
+        carriers[1].receive(1)
+    last = loop.time()
+    wait(loop, 60.0)
+    assert silent == [pytest.approx(last + 5.0)]
+
+
+def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    silent: list[float] = []
+    keepalive = Keepalive(make_context(), list)
+    keepalive.watch(lambda: silent.append(loop.time()))
+    wait(loop, 3.0)
+    keepalive.stop()
+    wait(loop, 60.0)
+    assert silent == []
+
+
+@pytest.mark.parametrize("late", [0.0, 0.25, 2.4])
+def test_a_tick_that_comes_late_makes_no_rate_high(
+    late: float, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    carrier = Carrier(loop)
+    keepalive = Keepalive(make_context(), lambda: [carrier])
+    for _ in range(20):
+        wait(loop, 1.0 + late)
+        carrier.receive(round(1000 * (1.0 + late)))
+        carrier.sent_bytes += round(500 * (1.0 + late))
+        keepalive.tick()
+    assert keepalive.rx_rate == pytest.approx(1000, rel=0.01)
+    assert keepalive.tx_rate == pytest.approx(500, rel=0.01)

@@ -1,0 +1,120 @@
+"""Our node notices that the ROS graph changes, so that nobody has to ask again and again."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from std_msgs.msg import String
+
+from rsb_bridge.model.qos import Qos
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from rsb_bridge.ros.node import RosNode
+
+
+class Watcher:
+    """Counts changes.
+
+    Attributes:
+        changes: calls so far.
+        failures: what the node said of its own end.
+    """
+
+    def __init__(self, node: RosNode) -> None:
+        self.changes = 0
+        self.failures: list[str] = []
+        node.watch(self._changed, self.failures.append)
+
+    def _changed(self) -> None:
+        self.changes += 1
+
+    def settle(self) -> int:
+        """Wait until nothing has changed for a while; how many changes there were so far."""
+        seen, since = self.changes, time.monotonic()
+        deadline = since + 20
+        while time.monotonic() - since < 1.0:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+            if self.changes != seen:
+                seen, since = self.changes, time.monotonic()
+        return seen
+
+
+@pytest.mark.parametrize("kind", ["publisher", "subscription"])
+def test_an_endpoint_that_comes_or_goes_is_a_change(
+    kind: str, open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+) -> None:
+    node = open_node()
+    watcher = Watcher(node)
+    before = watcher.settle()
+    if kind == "publisher":
+        end: Any = rclpy_node.create_publisher(String, "/news", 1)
+    else:
+        end = rclpy_node.create_subscription(String, "/news", lambda _: None, 1)
+    eventually(lambda: watcher.changes > before)
+    ends = node.publishers if kind == "publisher" else node.subscriptions
+    eventually(lambda: [each.node for each in ends("/news")] == ["/stock"])
+    before = watcher.settle()
+    (rclpy_node.destroy_publisher if kind == "publisher" else rclpy_node.destroy_subscription)(end)
+    eventually(lambda: watcher.changes > before)
+    eventually(lambda: not ends("/news"))
+
+
+def test_the_last_change_comes_after_what_it_is_about(
+    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+) -> None:
+    """Whoever looks a second after the last change sees all of it, and who is matched."""
+    node = open_node()
+    watcher = Watcher(node)
+    publisher = node.advertise("/news", "std_msgs/msg/String", "", Qos(), "link")
+    watcher.settle()
+    rclpy_node.create_subscription(String, "/news", lambda _: None, 1)
+    eventually(lambda: watcher.changes)
+    watcher.settle()
+    assert publisher.subscriber_count == 1
+    assert [each.node for each in node.subscriptions("/news")] == ["/stock"]
+
+
+def test_messages_are_no_changes(
+    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
+) -> None:
+    node = open_node()
+    watcher = Watcher(node)
+    taken = threading.Event()
+    received: list[object] = []
+
+    def sink(batch: Any) -> None:
+        received.extend(batch)
+        if len(received) >= 50:
+            taken.set()
+
+    node.subscribe("/news", "std_msgs/msg/String", "", Qos(depth=100), sink, "link")
+    out = rclpy_node.create_publisher(String, "/news", 100)
+    eventually(lambda: out.get_subscription_count() == 1)
+    before = watcher.settle()
+    for _ in range(50):
+        out.publish(String(data="x"))
+    assert taken.wait(10)
+    assert watcher.changes == before
+
+
+def test_a_thread_that_ends_by_itself_says_so(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = open_node()
+    watcher = Watcher(node)
+    assert node._participant is not None
+
+    def broken(_: object) -> None:
+        raise RuntimeError("the wait set is broken")
+
+    monkeypatch.setattr(node._participant, "wait", broken)
+    node._participant.wake()
+    eventually(lambda: watcher.failures == ["the thread that serves ROS failed: the wait set is broken"])
