@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any
 
-Found = Sequence[tuple[Any, ...]]
+Found = Sequence[tuple[int | socket.AddressFamily, int | socket.SocketKind, int, str, tuple[Any, ...]]]
 
 
 async def look_up(host: str, port: int, within: float) -> Found:

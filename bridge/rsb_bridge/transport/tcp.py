@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
+import os
+import re
 import socket
+
+from aiohappyeyeballs import start_connection
 
 from rsb_bridge.transport.listening import StreamListener, bind
 from rsb_bridge.transport.names import look_up
@@ -14,6 +19,8 @@ from rsb_bridge.wire.framing import MESSAGE_LIMIT
 
 CONNECT_TIMEOUT = 3.0
 """s"""
+_NEXT_ADDRESS_AFTER = 0.25
+"""s, the Connection Attempt Delay that RFC 8305 recommends."""
 _BACKLOG = 1024
 """Connections that the kernel holds until they are accepted; a client whose connection finds no room waits 1 s."""
 _NOT_SENT_LOW_WATER = 32 * 1024
@@ -45,19 +52,21 @@ class Tcp(StreamTransport):
         return True
 
     async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
-        """Connect to the first of the host's addresses that answers; each has its share of `CONNECT_TIMEOUT`.
-
-        Not asyncio's "happy eyeballs", which leaves a socket open when it is cancelled just as that has connected.
-        """
+        """Connect to the first of the host's addresses that answers, within `CONNECT_TIMEOUT` (RFC 8305)."""
         found = await look_up(host, port, CONNECT_TIMEOUT)
-        failure: OSError = OSError(f"{host}: the name has no address")
-        for family, kind, proto, _, address in found:
-            try:
-                async with asyncio.timeout(CONNECT_TIMEOUT / len(found)):
-                    return await _connect(socket.socket(family, kind, proto), address, handler)
-            except OSError as error:
-                failure = error
-        raise failure
+        if not found:
+            raise OSError(f"{host}: the name has no address")
+        try:
+            async with asyncio.timeout(CONNECT_TIMEOUT):
+                sock = await start_connection(found, happy_eyeballs_delay=_NEXT_ADDRESS_AFTER)
+        except OSError as error:
+            raise _most_telling(error) from None
+        with contextlib.ExitStack() as unless_connected:
+            unless_connected.callback(sock.close)
+            loop = asyncio.get_running_loop()
+            _, stream = await loop.create_connection(lambda: TcpStream(handler), sock=sock)
+            unless_connected.pop_all()
+        return stream
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         sockets = await bind(host, port, socket.SOCK_STREAM)
@@ -73,15 +82,13 @@ class Tcp(StreamTransport):
             return str(probe.getsockname()[0])
 
 
-async def _connect(sock: socket.socket, address: Address, handler: StreamHandler) -> Stream:
-    loop = asyncio.get_running_loop()
-    with contextlib.ExitStack() as unless_connected:
-        unless_connected.callback(sock.close)
-        sock.setblocking(False)
-        await loop.sock_connect(sock, address)
-        _, stream = await loop.create_connection(lambda: TcpStream(handler), sock=sock)
-        unless_connected.pop_all()
-    return stream
+def _most_telling(error: OSError) -> OSError:
+    """Of different errors of several addresses, which have become one without a number: a refusal, else the last."""
+    numbers = [int(number) for number in re.findall(r"\[Errno (\d+)\]", str(error))]
+    if error.errno is not None or not numbers:
+        return error
+    number = errno.ECONNREFUSED if errno.ECONNREFUSED in numbers else numbers[-1]
+    return OSError(number, os.strerror(number))
 
 
 def _set_options(sock: socket.socket) -> None:

@@ -23,8 +23,8 @@ _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rsb
 
 # What the link, the transport and the scan import, and pytest.
 _WHEELS = (
-    "cffi cryptography dbus-fast iniconfig msgspec packaging platformdirs pluggy pycparser pygments pytest pyyaml"
-    " zstandard"
+    "aiohappyeyeballs cffi cryptography dbus-fast iniconfig msgspec packaging platformdirs pluggy pycparser pygments"
+    " pytest pyyaml zstandard"
 )
 _WHEEL_PLATFORMS = [f"manylinux_2_{minor}_x86_64" for minor in range(17, 37)]  # Debian 12 has glibc 2.36
 

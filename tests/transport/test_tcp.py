@@ -1,0 +1,162 @@
+"""TCP's connecting, over real sockets on loopback addresses."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import gc
+import socket
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_bridge.transport import tcp
+from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
+from rsb_bridge.transport.tcp import Tcp
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_LIVE, _ALSO_LIVE, _SILENT, _REFUSING = (f"127.0.2.{n}" for n in range(1, 5))
+_UNREACHABLE = "255.255.255.255"  # connect(2) refuses a broadcast address at once
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    """A port that two addresses answer on, and that one is silent on: its backlog is full, so SYNs are dropped."""
+    with socket.socket() as live, socket.socket() as also_live, socket.socket() as silent:
+        live.bind((_LIVE, 0))
+        live.listen()
+        number: int = live.getsockname()[1]
+        also_live.bind((_ALSO_LIVE, number))
+        also_live.listen()
+        silent.bind((_SILENT, number))
+        silent.listen(0)
+        with _filled((_SILENT, number)):
+            yield number
+
+
+@contextmanager
+def _filled(address: tuple[str, int]) -> Iterator[None]:
+    waiting = [socket.socket() for _ in range(4)]
+    try:
+        for sock in waiting:
+            sock.setblocking(False)
+            sock.connect_ex(address)
+        yield
+    finally:
+        for sock in waiting:
+            sock.close()
+
+
+@pytest.fixture
+def resolves(monkeypatch: pytest.MonkeyPatch, port: int) -> list[str]:
+    """The addresses that every name has."""
+    addresses: list[str] = []
+
+    async def look_up(host: str, number: int, within: float) -> list[tuple[object, ...]]:
+        return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, number)) for address in addresses]
+
+    monkeypatch.setattr(tcp, "look_up", look_up)
+    return addresses
+
+
+def _open_sockets() -> set[str]:
+    gc.collect()
+    links = set()
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # the folder's own
+            links.add(str(descriptor.readlink()))
+    return {link for link in links if link.startswith("socket:")}
+
+
+def test_an_address_that_is_silent_does_not_hold_up_the_next(
+    monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
+) -> None:
+    """A name may have an IPv6 address whose packets are dropped on the way."""
+    monkeypatch.setattr(tcp, "CONNECT_TIMEOUT", 120.0)
+    resolves += [_SILENT, _LIVE]
+
+    async def main() -> None:
+        async with asyncio.timeout(30):
+            stream = await Tcp().connect("robot", port, StreamHandler())
+        assert stream.host == _LIVE
+        stream.abort("over")
+
+    asyncio.run(main())
+
+
+def test_all_that_are_silent_time_out(monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]) -> None:
+    monkeypatch.setattr(tcp, "CONNECT_TIMEOUT", 0.5)
+    resolves += [_SILENT, _SILENT]
+    before = _open_sockets()
+
+    async def main() -> None:
+        with pytest.raises(TimeoutError) as failure:
+            await Tcp().connect("robot", port, StreamHandler())
+        assert os_error_message(failure.value) == "timed out"
+
+    asyncio.run(main())
+    assert _open_sockets() <= before
+
+
+@pytest.mark.parametrize("addresses", [[_UNREACHABLE, _REFUSING], [_REFUSING, _UNREACHABLE], [_REFUSING, _REFUSING]])
+def test_where_some_cannot_be_reached_a_refusal_is_told(addresses: list[str], port: int, resolves: list[str]) -> None:
+    """On a network without IPv6 that address fails too, which is not what the operator has to know."""
+    resolves += addresses
+
+    async def main() -> None:
+        with pytest.raises(OSError, match=r".+") as failure:
+            await Tcp().connect("robot", port, StreamHandler())
+        assert failure.value.errno == errno.ECONNREFUSED
+        assert os_error_message(failure.value) == "Connection refused: is the server running there?"
+
+    asyncio.run(main())
+
+
+def test_a_name_without_an_address(port: int, resolves: list[str]) -> None:
+    async def main() -> None:
+        with pytest.raises(OSError, match="robot: the name has no address"):
+            await Tcp().connect("robot", port, StreamHandler())
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("addresses", [[_LIVE], [_LIVE, _ALSO_LIVE], [_SILENT, _LIVE]], ids=["one", "two", "silent"])
+def test_cancelled_at_whatever_moment_it_leaves_no_socket(
+    addresses: list[str], monkeypatch: pytest.MonkeyPatch, port: int, resolves: list[str]
+) -> None:
+    monkeypatch.setattr(tcp, "_NEXT_ADDRESS_AFTER", 1e-6)
+    resolves += addresses
+    before = _open_sockets()
+
+    class Handler(StreamHandler):
+        stream: Stream | None = None
+
+        def connected(self, stream: Stream) -> None:
+            self.stream = stream
+
+    async def cancel_after(steps: int) -> bool:
+        """Cancel a connect after so many turns of the loop; whether it was too late."""
+        handler = Handler()
+        connecting = asyncio.ensure_future(Tcp().connect("robot", port, handler))
+        for _ in range(steps):
+            await asyncio.sleep(0)
+        connecting.cancel()
+        (outcome,) = await asyncio.gather(connecting, return_exceptions=True)
+        if handler.stream is not None:
+            handler.stream.abort("over")
+        await asyncio.sleep(0)
+        return isinstance(outcome, Stream)
+
+    async def main() -> None:
+        steps = 0
+        while not await cancel_after(steps) and steps < 100:
+            steps += 1
+        await asyncio.sleep(0)
+
+    asyncio.run(main())
+    assert _open_sockets() <= before
