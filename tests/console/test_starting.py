@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from driving import drive, scripted_app, shown, until
-from scripted import SESSION, ScriptedEngine
+from tests.console.driving import drive, scripted_app, shown, until
+from tests.console.scripted import SESSION, ScriptedEngine
 from textual.pilot import Pilot
 
 from rsb_bridge.model.session import Session

@@ -3,8 +3,8 @@
 from concurrent.futures import Future
 
 import pytest
-from driving import drive, gone, scripted_app, shown, text, until
-from scripted import ScriptedEngine
+from tests.console.driving import drive, gone, scripted_app, shown, text, until
+from tests.console.scripted import ScriptedEngine
 from textual.pilot import Pilot
 
 from rsb_bridge.api import EngineError
