@@ -172,12 +172,15 @@ class Bridge:
         """Put another topic in a route's place; the new route's key."""
         with self._command():
             link, route = self._find(key)
+            at = list(link.routes).index(key)
             link.remove(route, "edited")
             try:
-                return self._role.add(topic, link.name).key
+                new = self._role.add(topic, link.name)
             except (LinkError, ValueError):
-                self._role.add(route.spec, link.name)
+                link.move(self._role.add(route.spec, link.name), at)
                 raise
+            link.move(new, at)
+            return new.key
 
     async def remove_topic(self, key: str) -> None:
         """Stop bridging a topic."""

@@ -9,10 +9,11 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.advice import advise
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
-from rsb_bridge.model.limits import SAFE_DOMAIN
+from rsb_bridge.config.validation import domain_of
 from rsb_console.shell import FAILURE, OK, USAGE, allow_many_descriptors, complain, say
 
 if TYPE_CHECKING:
@@ -148,18 +149,13 @@ def import_thesis(arguments: Namespace) -> int:
 
 
 def _warnings(session: Session, keys: Iterable[Key | KeyFileError]) -> Iterator[str]:
-    """What is no mistake in a session, but will be asked about when it runs."""
-    if not session.use_encryption:
-        yield "use_encryption is off: everything crosses in the clear, and anyone may connect"
+    """What is no mistake in a session, but what running it would warn of."""
     for key in keys:
         if isinstance(key, KeyFileError):
             yield f"{key}; without it the bridge does not start"
         else:
             yield from key.warnings
-    if session.domain_id is not None and session.domain_id not in SAFE_DOMAIN:
-        yield f"domain {session.domain_id} can collide with other programs' ports; {SAFE_DOMAIN} cannot"
-    if any(topic.topic == session.shutdown_topic for topic in session.topics):
-        yield f"{session.shutdown_topic} is bridged, and closes the bridge too: it is the shutdown_topic"
+    yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
 
 
 def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:
@@ -176,8 +172,7 @@ def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:
 
 def _summary(session: Session) -> Iterator[str]:
     where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
-    domain = "of $ROS_DOMAIN_ID, else 0" if session.domain_id is None else str(session.domain_id)
-    yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, ROS domain {domain}"
+    yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     for topic in session.topics:
         yield f"  {_route(topic, session)}"
@@ -187,6 +182,14 @@ def _summary(session: Session) -> Iterator[str]:
         yield f"  lets in {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}{prefix}"
     if session.role == "server" and not session.clients:
         yield f"  lets in {session.name}: all topics"
+
+
+def _domain(session: Session) -> str:
+    try:
+        domain = domain_of(session, os.environ.get("ROS_DOMAIN_ID"))
+    except ValueError:  # which is a warning
+        return "no ROS domain"
+    return f"ROS domain {domain}{' (ROS_DOMAIN_ID, else 0)' if session.domain_id is None else ''}"
 
 
 def _prefix(session: Session) -> str:

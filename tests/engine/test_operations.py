@@ -141,6 +141,16 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     assert find(one, "/more") is None
 
 
+def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -> None:
+    """So that a save finds the topic's lines in the file, even where its name changed."""
+    _, client = bridge.both(*(Topic(name, "transmit") for name in ("/a", "/b", "/c")))
+    client.edit_topic(route(client, "/b").key, Topic("/b2", "receive")).result(5)
+    assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
+    with pytest.raises(EngineError, match="is not an absolute topic name"):
+        client.edit_topic(route(client, "/a").key, Topic("a", "transmit")).result(5)
+    assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
+
+
 def test_a_prefix_that_makes_a_name_too_long_is_refused_in_words_and_the_link_stays(
     bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:

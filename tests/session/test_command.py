@@ -162,7 +162,7 @@ def test_check_warns_of_what_is_allowed_but_unwise() -> None:
     assert len(warnings) == 3
     assert "in the clear" in warnings[0]
     assert "domain 150" in warnings[1]
-    assert "/scan is bridged, and closes the bridge too" in warnings[2]
+    assert "topics[0]: /scan closes the bridge, too" in warnings[2]
 
 
 @pytest.mark.parametrize("arguments", [("check",), ("run", "--no-ui"), ("run",), ()])

@@ -230,6 +230,12 @@ class Link(Side):
             self.propose(route)
         return route
 
+    def move(self, route: Route, at: int) -> None:
+        """Give a route its place among the others, in whose order a session has its topics."""
+        routes = [each for each in self.routes.values() if each is not route]
+        routes.insert(at, route)
+        self.routes = {each.key: each for each in routes}
+
     def remove(self, route: Route, reason: str) -> None:
         """End a route on both sides."""
         if route.id:

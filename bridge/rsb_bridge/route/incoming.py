@@ -9,6 +9,7 @@ import msgspec
 import zstandard
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.text import sanitize_text
@@ -34,7 +35,6 @@ EXPANSION_A_SECOND = 256 << 20
 """Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB, and to
 unpack and publish them keeps the thread of all links busy for 60 ms."""
 _INCOMPLETE_IN_A_ROW = 3
-_MOST_KEPT, _MOST_LATCHED = 10_000, 100  # messages
 
 
 class _ExpansionError(Exception):
@@ -302,6 +302,6 @@ class IncomingRoute(Route):
 def _bounded(qos: Qos) -> Qos:
     """What a publisher here keeps for late joiners and slow readers, whatever the peer asks for."""
     if qos.durability != "transient_local":
-        return qos if qos.depth <= _MOST_KEPT else msgspec.structs.replace(qos, depth=_MOST_KEPT)
-    depth = _MOST_LATCHED if qos.history == "keep_all" else min(max(qos.depth, 1), _MOST_LATCHED)
+        return qos if qos.depth <= KEPT_DEPTH else msgspec.structs.replace(qos, depth=KEPT_DEPTH)
+    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
     return msgspec.structs.replace(qos, history="keep_last", depth=depth)

@@ -1,0 +1,75 @@
+"""What `check` warns of, since running the session would warn of it or refuse it."""
+
+import socket
+from typing import Any
+
+import pytest
+
+from rsb_bridge.config.advice import advise
+from rsb_bridge.config.validation import validate
+from rsb_bridge.model.session import Session, Topic
+
+CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
+SERVER: dict[str, Any] = {**CLIENT, "role": "server"}
+MAC = "5C:F3:70:9A:1B:2E"
+
+
+def topics(*some: Topic, **session: Any) -> dict[str, Any]:
+    return {**CLIENT, "topics": some, **session}
+
+
+def many(count: int, port: int | None = None) -> list[Topic]:
+    return [Topic(f"/t{at}", "transmit", port=port and port + at) for at in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("session", "variable", "location", "message"),
+    [
+        ({**CLIENT, "use_encryption": False}, None, "use_encryption", "everything crosses in the clear"),
+        ({**CLIENT, "domain_id": 150}, None, "domain_id", "150 can collide with other programs' ports; 0 to 101 cannot"),
+        (CLIENT, "150", "domain_id", "domain 150 can collide"),
+        (CLIENT, "300", "domain_id", "ROS_DOMAIN_ID is '300'"),
+        ({**SERVER, "server_port": 80}, None, "server_port", "ports below 1024 need root"),
+        (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "/shutdown closes the bridge, too"),
+        (topics(Topic("/a", "transmit", port=80)), None, "topics[0].port", "refuses ports below 1024"),
+        (topics(*many(1001)), None, "topics", "a server takes 1000 topics"),
+        (topics(*many(65, 5000)), None, "topics", "a server binds 64 ports"),
+        (
+            topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": 101})),
+            None, "topics[0].qos", "depth 101: the receiving side keeps 100 messages for late joiners",
+        ),
+        (topics(Topic("/a", "transmit", qos=20_000)), None, "topics[0].qos", "keeps 10000 messages in its publisher"),
+    ],
+)  # fmt: skip
+def test_it_is_said_with_its_location(
+    session: dict[str, Any], variable: str | None, location: str, message: str
+) -> None:
+    assert validate(Session(**session)) == [], "it is no mistake"
+    (problem,) = advise(Session(**session), variable)
+    assert problem.location == location
+    assert message in problem.message
+
+
+@pytest.mark.parametrize(
+    "session",
+    [
+        CLIENT,
+        {**SERVER, "server_port": 1024},
+        topics(*many(1000)),
+        topics(*many(64, 5000)),
+        topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": 100})),
+        topics(Topic("/a", "transmit", qos={"history": "keep_all", "depth": 20_000})),
+    ],
+)
+def test_what_is_right_needs_no_advice(session: dict[str, Any]) -> None:
+    assert list(advise(Session(**session), "7")) == []
+
+
+@pytest.mark.parametrize("changes", [{"server_ip": MAC, "server_port": 3}, {"bluetooth_address": MAC}])
+def test_a_python_without_bluetooth_is_named(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "AF_BLUETOOTH", 31, raising=False)
+    session = Session(**{**CLIENT, **changes, "topics": (Topic("/a", "receive", protocol="bluetooth", port=4),)})
+    assert list(advise(session, None)) == []
+    monkeypatch.delattr(socket, "AF_BLUETOOTH")
+    (problem,) = advise(session, None)
+    assert "this Python has no Bluetooth sockets" in problem.message
