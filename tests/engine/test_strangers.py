@@ -160,7 +160,7 @@ NO_HANDSHAKES = [
     (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(20)), "a handshake message of 20 bytes is too short"),
     (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(200)), "the two sides have different keys for 'robot1'"),
     (frame(b"rsb\x01\x02short"), "a DATA frame ends before its route does"),
-    (frame(b"rsb\x01\x02" + bytes(28)), "no such route waits for a stream"),
+    (frame(b"rsb\x01\x02" + bytes(28)), "unknown route"),
 ]
 
 
@@ -264,7 +264,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     heard(there, 1)
     peer = link(server).peer
     control, data = (bytes(connection.sent) for connection in relay.connections[:2])
-    for recording, words in ((control, "damaged or forged"), (data, "no such route waits for a stream")):
+    for recording, words in ((control, "damaged or forged"), (data, "unknown route")):
         talk((relay.SERVER, bridge.port), recording)
         assert happened(server, EventCode.LINK_REJECTED, words)
     assert (link(server).peer, linked(server)) == (peer, True)

@@ -1,4 +1,4 @@
-"""What BlueZ, Linux's Bluetooth service, knows: asked over D-Bus (BlueZ: doc/adapter-api.txt, doc/device-api.txt)."""
+"""Adapters and devices from BlueZ, Linux's Bluetooth service, over D-Bus (doc/adapter-api.txt, doc/device-api.txt)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOT_THERE = {
 
 
 class BluezError(Exception):
-    """BlueZ can't be asked; the message says why and what to do."""
+    """BlueZ can't be queried; the message says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +31,10 @@ class Device:
 
     Attributes:
         address: its MAC.
-        name: what it calls itself, or its MAC.
+        name: its own name, or its MAC.
         adapter: name of the adapter that knows it.
-        paired: whether keys were exchanged.
-        connected: whether there is a radio link now.
+        paired: the two machines have exchanged keys.
+        connected: there is a radio link now.
     """
 
     address: str
@@ -45,10 +45,10 @@ class Device:
 
 
 async def read_bluez() -> tuple[list[Adapter], list[Device]]:
-    """All adapters, and the devices that are paired or connected, by name.
+    """All adapters, and the devices that are paired or connected, sorted by name.
 
     Raises:
-        BluezError: there is no D-Bus, no BlueZ, or it may not be asked.
+        BluezError: D-Bus or BlueZ is missing, or access is denied.
     """
     objects = await _managed_objects()
     adapters, devices = [], []
@@ -70,7 +70,7 @@ def _last(path: str) -> str:
 
 
 async def _managed_objects() -> dict[str, dict[str, dict[str, Any]]]:
-    """Every object of BlueZ's by path: its interfaces by name, their properties by name."""
+    """BlueZ's objects: the properties of each interface by path, interface and property name."""
     request = Message(
         destination="org.bluez",
         path="/",
@@ -86,7 +86,7 @@ async def _managed_objects() -> dict[str, dict[str, dict[str, Any]]]:
         raise BluezError("BlueZ does not answer: systemctl restart bluetooth") from None
     except (OSError, DBusFastError, EOFError) as error:
         raise BluezError(
-            f"the D-Bus system bus can't be reached ({error}), so BlueZ can't be asked: is dbus installed and running? "
+            f"can't connect to the D-Bus system bus, which BlueZ needs ({error}): is dbus installed and running? "
             "In a container, mount /run/dbus"
         ) from None
     finally:
@@ -101,7 +101,7 @@ async def _managed_objects() -> dict[str, dict[str, dict[str, Any]]]:
 def _refusal(reply: Message) -> str:
     if reply.error_name in _NOT_THERE:
         return "BlueZ is not running: systemctl start bluetooth (Debian, Ubuntu: apt install bluez)"
-    words = reply.body[0] if reply.body else reply.error_name
+    reason = reply.body[0] if reply.body else reply.error_name
     if reply.error_name == "org.freedesktop.DBus.Error.AccessDenied":
-        return f"this user may not ask BlueZ: usermod -aG bluetooth USER, then log in again ({words})"
-    return f"BlueZ refused: {words}"
+        return f"this user has no access to BlueZ: usermod -aG bluetooth USER, then log in again ({reason})"
+    return f"BlueZ refused: {reason}"

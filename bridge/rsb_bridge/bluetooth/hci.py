@@ -1,4 +1,4 @@
-"""The kernel's own Bluetooth: its adapters, RFCOMM sockets, and why there are none."""
+"""Bluetooth in the kernel: adapters, RFCOMM sockets, and messages that say why there are none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ANY_ADAPTER = "00:00:00:00:00:00"
 """Binds a channel on all adapters (``BDADDR_ANY``)."""
 
 CHANNELS = range(1, 31)
-"""RFCOMM server channels (Bluetooth Core, RFCOMM 5.4). The kernel binds others without an error; they don't work."""
+"""RFCOMM server channels (Bluetooth Core, RFCOMM 5.4). The kernel binds other numbers too, but they don't work."""
 
 # linux/include/net/bluetooth/{bluetooth,hci,hci_sock}.h. Numbers: a Python without AF_BLUETOOTH can list adapters too.
 _AF_BLUETOOTH = 31
@@ -21,7 +21,7 @@ _BTPROTO_HCI = 1
 _HCIGETDEVINFO = 0x800448D3
 _HCI_MAX_DEV = 16
 _HCI_UP = 1
-_DEVICE_INFO = struct.Struct("H8s6sI72x")  # number, name, address, flags, and what we don't use
+_DEVICE_INFO = struct.Struct("H8s6sI72x")  # number, name, address, flags, unused
 
 _REASONS = {
     errno.EAFNOSUPPORT: "no Bluetooth in this kernel, or hidden by a container: modprobe bluetooth; "
@@ -44,8 +44,8 @@ class Adapter:
     Attributes:
         name: the kernel's, ``hci0``.
         address: its MAC: what a server's session gives as `server_ip`.
-        powered: whether it is on.
-        alias: what others see it as; empty where BlueZ was not asked.
+        powered: it is on.
+        alias: its name on other machines; empty if BlueZ was not asked.
     """
 
     name: str
@@ -58,7 +58,7 @@ def adapters() -> list[Adapter]:
     """The kernel's adapters, by number.
 
     Raises:
-        NoBluetoothError: it has no Bluetooth, or we may not ask.
+        NoBluetoothError: the kernel has no Bluetooth, or access is denied.
     """
     found = []
     with _open(_AF_BLUETOOTH, socket.SOCK_RAW, _BTPROTO_HCI) as sock:
@@ -69,7 +69,7 @@ def adapters() -> list[Adapter]:
             except OSError as error:
                 if error.errno == errno.ENODEV:
                     continue
-                raise NoBluetoothError(_words(error)) from None
+                raise NoBluetoothError(_message(error)) from None
             _, name, address, flags = _DEVICE_INFO.unpack(info)
             mac = ":".join(f"{byte:02X}" for byte in reversed(address))
             found.append(Adapter(name.rstrip(b"\0").decode(), mac, bool(flags & _HCI_UP)))
@@ -80,7 +80,7 @@ def rfcomm_socket() -> socket.socket:
     """A new RFCOMM stream socket.
 
     Raises:
-        NoBluetoothError: this Python or this machine has none.
+        NoBluetoothError: this Python or this machine has no Bluetooth.
     """
     if not hasattr(socket, "AF_BLUETOOTH"):
         raise NoBluetoothError(
@@ -94,8 +94,8 @@ def _open(family: int, kind: int, protocol: int) -> socket.socket:
     try:
         return socket.socket(family, kind, protocol)
     except OSError as error:
-        raise NoBluetoothError(_words(error)) from None
+        raise NoBluetoothError(_message(error)) from None
 
 
-def _words(error: OSError) -> str:
+def _message(error: OSError) -> str:
     return _REASONS.get(error.errno or 0, f"no Bluetooth: {error.strerror}")

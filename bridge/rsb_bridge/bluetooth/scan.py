@@ -1,4 +1,4 @@
-"""Which Bluetooth adapters this machine has, which of their RFCOMM channels are free, and which devices are near."""
+"""A scan of this machine's Bluetooth adapters, their RFCOMM channels, and the devices they know."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["ANY_ADAPTER", "CHANNELS", "Adapter", "Device", "Scan", "Use", "held_
 
 
 class Use(StrEnum):
-    """What a channel is doing."""
+    """Who uses a channel."""
 
     FREE = "free"
     BUSY = "busy"
@@ -31,15 +31,15 @@ class Use(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """What was found.
+    """A scan's result.
 
     Attributes:
-        adapters: by name.
-        channels: what each of `CHANNELS` is doing, by address and number: of each adapter, and of `ANY_ADAPTER`. To the
-            kernel they don't conflict, but connections go to the adapter's listener: choose one that is free on both.
-            Empty where channels can't be tried.
-        devices: paired or connected.
-        problems: what stood in the way, each with its remedy.
+        adapters: sorted by name.
+        channels: who uses each of `CHANNELS`, by address and number: of each adapter, and of `ANY_ADAPTER`. The kernel
+            sees no conflict between the two, but connections go to the adapter's listener: choose a channel that is
+            free on both. Empty if channels can't be tried.
+        devices: those that are paired or connected.
+        problems: what could not be scanned, each with a remedy.
     """
 
     adapters: tuple[Adapter, ...] = ()
@@ -49,19 +49,19 @@ class Scan:
 
     @property
     def usable(self) -> bool:
-        """Whether a session could be bound or connected: an adapter is on and channels can be had."""
+        """Whether a session could be bound or connected: an adapter is on, and channels can be bound."""
         return bool(self.channels) and any(adapter.powered for adapter in self.adapters)
 
 
 async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, int]] = ()) -> Scan:
-    """Look at the adapters, their channels and their devices; takes some ms, and up to 5 s where BlueZ hangs.
+    """Scan adapters, channels and devices; takes a few ms, or up to 5 s if BlueZ hangs.
 
-    A channel is tried by binding it for a moment. What nobody listens on any more looks free, even while a connection
-    accepted there lives on.
+    A channel is tried by binding it for a moment. One that nobody listens on looks free, even while a connection that
+    was accepted there still exists.
 
     Args:
-        adapter: only this one, by its name (``hci0``) or address; None: all.
-        own_channels: address (an adapter's, or `ANY_ADAPTER`) and number of those that this process itself holds.
+        adapter: scan only this one, given by its name (``hci0``) or address; None: all.
+        own_channels: address (an adapter's, or `ANY_ADAPTER`) and number of the channels that this process uses itself.
     """
     problems: list[str] = []
     try:
@@ -75,7 +75,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
         known, devices = await read_bluez()
         found |= {one.name: one for one in known}
     except BluezError as error:
-        problems.append(f"{error}. Names and paired devices stay unknown")
+        problems.append(f"{error}. Names and paired devices are unknown")
     chosen = [one for one in found.values() if adapter is None or adapter.casefold() in _names(one)]
     if not chosen:
         here = ", ".join(f"{one.name} ({one.address})" for one in found.values())
@@ -93,7 +93,7 @@ async def scan(adapter: str | None = None, own_channels: Collection[tuple[str, i
 
 
 def held_channels(session: Session, snapshot: Snapshot) -> set[tuple[str, int]]:
-    """The channels that an engine listens on: `scan`'s `own_channels`."""
+    """The channels that an engine listens on, for `scan`'s `own_channels`."""
     if session.adapter is None or session.role != "server" or not snapshot.running:
         return set()
     channels = {route.port for route in snapshot.routes if route.transport == "bluetooth"}
@@ -107,7 +107,7 @@ def _names(adapter: Adapter) -> tuple[str, str]:
 
 
 def _why_off(adapter: Adapter) -> str:
-    """A switched-off adapter and how to switch it on (Documentation/driver-api/rfkill.rst)."""
+    """Which adapter is off, and how to switch it on (Documentation/driver-api/rfkill.rst)."""
     if _blocked(adapter.name, "hard"):
         return f"{adapter.name} is off: by the machine's radio switch or in its firmware's setup"
     if _blocked(adapter.name, "soft"):

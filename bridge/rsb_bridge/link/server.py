@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach, Established
 
-_NONE_WAITS = "no such route waits for a stream"  # a stranger is not told which links there are
+_UNKNOWN_ROUTE = "unknown route"  # a stranger is not told which links there are
 _REPLACED_PAUSE = 10.0
 """s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
 
@@ -104,7 +104,7 @@ class ServerLink(Link):
         route = self.open_route(opening.route)
         transport = _stream_awaited(route) if route is not None else None
         if self.keys is None or route is None or transport is None:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _UNKNOWN_ROUTE)
         try:
             self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
         except SealError as error:
@@ -242,7 +242,7 @@ class Server:
         """A stream was opened for a route; raises Refusal where it may not be."""
         link = self._link_of(event.link_id)
         if link is None:
-            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _NONE_WAITS)
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, _UNKNOWN_ROUTE)
         route, transport = link.waiting_route(event)
         if descriptors.scarce():
             raise Refusal(RefusalCode.BUSY, descriptors.scarcity_message("server"))

@@ -68,7 +68,7 @@ class StreamListener:
             sockets: bound; they are closed with this.
             backlog: connections that the kernel may hold until they are accepted.
             make_stream: called for each connection.
-            shortage: told, in words, each time that nothing can be accepted for now.
+            shortage: called with a message each time that nothing can be accepted for now.
         """
         self._loop = asyncio.get_running_loop()
         self._sockets = sockets

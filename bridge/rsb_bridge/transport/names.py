@@ -1,6 +1,6 @@
-"""Names to addresses, each looked up in a thread that nobody waits for. What is an address already needs none.
+"""Looks up names, each in a thread that nobody joins. An address needs no thread.
 
-The event loop's own lookup runs in a pool that is joined when the process ends, and that other work waits for: a name
+The event loop's own lookup runs in a pool that other work shares, and that is joined when the process ends: a name
 server that does not answer would hold up both.
 """
 
@@ -20,12 +20,12 @@ async def look_up(host: str, port: int, within: float) -> Found:
     """The stream addresses of a host, as `socket.getaddrinfo` gives them.
 
     Args:
-        host: a name, or an address in numbers.
-        port: theirs.
-        within: s.
+        host: a name or an address.
+        port: of the addresses.
+        within: s until the lookup is given up.
 
     Raises:
-        OSError: the name is not known, or nobody answers.
+        OSError: the name is not known, or no name server answers.
     """
     with contextlib.suppress(socket.gaierror):
         return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
@@ -54,4 +54,4 @@ async def look_up(host: str, port: int, within: float) -> Found:
         async with asyncio.timeout(within):
             return await answer
     except TimeoutError:
-        raise OSError(f"the name is being looked up, and no name server answers within {within:g} s") from None
+        raise OSError(f"the name can't be looked up: no name server answers within {within:g} s") from None

@@ -1,4 +1,4 @@
-"""A server's sockets: the shared port, and those that topics name for themselves."""
+"""A server's ports: the link's, and those that topics name for themselves."""
 
 from __future__ import annotations
 

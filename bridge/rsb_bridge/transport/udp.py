@@ -25,15 +25,21 @@ if TYPE_CHECKING:
 
 _READS_PER_WAKE = 64
 _BUFFER = 8 * 1024 * 1024
+"""Bytes of each kernel buffer, if it grants that much."""
 _LARGEST = 65_535
+"""Bytes of a datagram with its headers."""
 _BURST = 128 * 1024
 _BURST_PAUSE = 0.001
+"""A message larger than `_BURST` bytes is sent in bursts with pauses of so many s between them."""
 _SO_RCVBUFFORCE, _SO_SNDBUFFORCE = 33, 32
 _IP_PKTINFO, _IP_MTU, _IPV6_MTU = 8, 14, 24
 _HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
 _SIZE_HOLDS = 1.0
-"""s until the kernel is asked again what the path carries: ICMP may have told it meanwhile."""
+"""s until the kernel is asked again for the path's MTU, which ICMP may have changed."""
+_SIZES_KEPT = 256
+"""Addresses whose path's MTU is kept; a peer that roams has a new one each time."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
+"""Bytes that wait for the kernel, or for their turn."""
 
 
 Received: TypeAlias = Callable[[DatagramSocket, Datagrams], None]
@@ -43,9 +49,7 @@ class UdpSocket:
     """A bound or connected UDP socket.
 
     Attributes:
-        when_writable: called once the socket was congested and takes more again.
-        received_bytes: so far.
-        sent_bytes: so far.
+        when_writable: called when the socket was congested and takes more again.
     """
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
@@ -58,8 +62,6 @@ class UdpSocket:
         self._sizes: dict[Address, tuple[int, float]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self.when_writable: set[Callable[[], None]] = set()
-        self.received_bytes = 0
-        self.sent_bytes = 0
         self._loop.add_reader(sock, self._read)
 
     @property
@@ -106,6 +108,8 @@ class UdpSocket:
         now = self._loop.time()
         size, until = self._sizes.get(address, (0, 0.0))
         if now >= until:
+            if len(self._sizes) >= _SIZES_KEPT:
+                self._sizes.clear()
             size = min(_path_mtu(self._sock.family, address), _LARGEST) - _HEADERS[self._sock.family]
             self._sizes[address] = (size, now + _SIZE_HOLDS)
         return size
@@ -126,7 +130,6 @@ class UdpSocket:
             while len(datagrams) < _READS_PER_WAKE:
                 datagrams.append(self._sock.recvfrom(_LARGEST))
         if datagrams:
-            self.received_bytes += sum([len(datagram) for datagram, _ in datagrams])
             self._received(self, datagrams)
 
     def _send_one(self, datagram: bytes, path: SendPath | None) -> bool:
@@ -138,9 +141,7 @@ class UdpSocket:
         except BlockingIOError:
             return False
         except OSError:
-            self._sizes.clear()  # EMSGSIZE: the path changed; others: lost, as UDP may
-            return True
-        self.sent_bytes += len(datagram)
+            self._sizes.clear()  # EMSGSIZE: the path changed; other errors: lost, as UDP may
         return True
 
     def _flush(self) -> None:
@@ -202,7 +203,7 @@ def _enlarge_buffers(sock: socket.socket) -> None:
 
 
 def _path_mtu(family: int, address: Address) -> int:
-    """What the kernel knows of the path (ip(7) IP_MTU, ipv6(7) IPV6_MTU); 1280 (RFC 8200) where it knows nothing."""
+    """The kernel's path MTU (ip(7) IP_MTU, ipv6(7) IPV6_MTU); 1280 (RFC 8200) if it knows none."""
     with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
         probe.connect(address)
         if family == socket.AF_INET6:
