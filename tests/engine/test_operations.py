@@ -105,6 +105,28 @@ def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> No
         server.topics("robot1").result(5)
 
 
+@pytest.mark.parametrize(
+    ("client", "shown"),
+    [
+        (Client("robot1", deny=("/secret*",)), {"/open", "/robot1/open"}),
+        (Client("robot1", allow=("/secret*", "/robot1/*")), {"/secret", "/robot1/secret", "/robot1/open"}),
+        (Client("robot1", deny=("/secret*",), use_name=True), {"/robot1/open"}),
+        (Client("robot1", use_name=True), {"/robot1/open", "/robot1/secret"}),
+    ],
+    ids=["denied", "allowed", "denied under a prefix", "under a prefix"],
+)
+def test_a_client_is_not_shown_the_topics_that_it_may_not_have(
+    client: Client, shown: set[str], bridge: Bridge, pc: Domain
+) -> None:
+    topics = {"/open", "/secret", "/robot1/open", "/robot1/secret"}
+    for name in topics:
+        pc.publisher(name)
+    server, engine = bridge.server(name="pc", clients=(client,)), bridge.client()
+    eventually(lambda: {each.topic for each in server.topics().result(5)} >= topics)
+    eventually(lambda: linked(engine))
+    assert {each.topic for each in engine.topics("robot1").result(5)} & topics == shown
+
+
 def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Two robots, a key each, on one server: what each may and under which name; one goes, the other stays."""
     clients = (

@@ -202,6 +202,9 @@ class ClientLink(Link):
     def authorize(self, proposal: Propose) -> Propose:
         return proposal
 
+    def shows(self, topic: str) -> bool:
+        return True
+
     async def prepare_port(self, route: Route) -> None:
         return
 

@@ -194,8 +194,13 @@ class Negotiation:
                 route.reported(received)
 
     async def _list_topics(self, request: int) -> None:
+        link = self._link
+
+        def shown() -> list[TopicInfo]:
+            return [topic for topic in topics_of(link.context.ros) if link.shows(topic.topic)]
+
         try:
-            topics = await asyncio.to_thread(topics_of, self._link.context.ros)
+            topics = await asyncio.to_thread(shown)
         finally:
             self._listing = False
         entries = tuple(
@@ -203,7 +208,7 @@ class Negotiation:
             for t in topics[:_MOST_TOPICS]
             if max(len(t.topic), len(t.type_name)) <= TEXT_LENGTH
         )
-        self._link.send(TopicList(request=request, topics=entries))
+        link.send(TopicList(request=request, topics=entries))
 
     async def remote_topics(self) -> list[TopicInfo]:
         """The peer's graph.

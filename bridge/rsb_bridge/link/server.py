@@ -83,13 +83,24 @@ class ServerLink(Link):
         ours = proposal.remote_topic if proposal.from_client else proposal.topic
         if self.use_name and client_topic(ours, client.name) is None:
             ours = server_topic(ours, client.name)
-        names = (ours, client_topic(ours, client.name) or ours)
-        if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
-            raise LinkError(f"the server denies {ours} to {client.name}")
-        if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
-            raise LinkError(f"the server does not allow {ours} to {client.name}")
+        if denial := self._denial(ours):
+            raise LinkError(denial)
         field = "remote_topic" if proposal.from_client else "topic"
         return msgspec.structs.replace(proposal, **{field: ours})
+
+    def shows(self, topic: str) -> bool:
+        reachable = not self.use_name or client_topic(topic, self.name) is not None
+        return reachable and not self._denial(topic)
+
+    def _denial(self, topic: str) -> str:
+        """Why the client may not have a topic of this side, for its operator; empty: it may."""
+        client = self.entry.client
+        names = (topic, client_topic(topic, client.name) or topic)
+        if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
+            return f"the server denies {topic} to {client.name}"
+        if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
+            return f"the server does not allow {topic} to {client.name}"
+        return ""
 
     def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """The client opens it."""

@@ -46,5 +46,9 @@ class Side(ABC):
         """The peer's proposal with this side's name for the topic; LinkError where it may not be."""
 
     @abstractmethod
+    def shows(self, topic: str) -> bool:
+        """Whether the peer may know that a topic is in this side's graph. May be called from any thread."""
+
+    @abstractmethod
     def on_shutdown(self, message: Shutdown) -> None:
         """The peer closes the link on purpose."""
