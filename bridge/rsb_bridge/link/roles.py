@@ -13,8 +13,11 @@ from rsb_bridge.link.client import ClientLink
 from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.server import Entry, Server, ServerLink
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.tasks import Tasks
+from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import Hello, Welcome
 from rsb_bridge.wire.sealing import Suite
 
@@ -27,6 +30,7 @@ _RESTART_WITHIN = 5.0
 _LOOK_EVERY = 0.05
 _FAREWELL = 0.5
 _RESTARTED_AFTER, _LONGEST_PAUSE = 1.0, 10.0
+_BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, Key | None]
 """By client's name; None: without encryption."""
@@ -140,11 +144,17 @@ class ServerRole:
             ),
             aes=preferred_suite() is Suite.AESGCM,
         )
+        self._tasks = Tasks(context.loop, lambda: self._bind_later("internal error"))
+        self._restarting = asyncio.Lock()
+        self._binding: asyncio.Task[None] | None = None
+        self._stopped = False
 
     async def start(self) -> None:
         await self._server.start()
 
     async def stop(self) -> None:
+        self._stopped = True
+        self._tasks.cancel()
         self._server.stop()
         await _farewell(self.links(), "the server stops", retry_after=0.0)
         for link in self.links():
@@ -178,17 +188,56 @@ class ServerRole:
                 link.control.shut_down(reason, retry_after=None)
 
     async def restart(self, step: Step) -> None:
+        if self._restarting.locked():
+            raise LinkError("a restart is under way already")
+        async with self._restarting:
+            await self._restart(step)
+
+    async def _restart(self, step: Step) -> None:
         linked = [link for link in self.links() if link.linked]
         step(f"closing {len(linked)} links on both sides")
+        if self._binding is not None:
+            self._binding.cancel()
         self._server.stop()
         await _farewell(linked, "restart", retry_after=0.0)
         step(f"binding {self._context.session.server_ip} port {self._context.session.server_port}")
-        await self._server.start()
+        if self._stopped:
+            raise LinkError("the server stops")
+        if failure := await self._bind():
+            self._bind_later(failure)
+            raise LinkError(f"{failure}. The server goes on trying")
         step("waiting for the clients to come back")
         await _until(
             lambda: all(link.linked for link in linked), lambda: "not every client came back yet; they go on trying"
         )
         step(f"{len(linked)} clients are back")
+
+    def _bind_later(self, reason: str) -> None:
+        """Go on trying to bind; `reason` is why it failed."""
+        if not self._stopped:
+            self._binding = self._tasks.spawn(self._keep_binding(reason))
+
+    async def _keep_binding(self, reason: str) -> None:
+        backoff, said = Backoff(_BOUND_AFTER, _LONGEST_BIND_PAUSE, self._context.random), ""
+        while reason:
+            self._server.stop()  # what it had bound of its ports
+            for link in self.links():
+                link.reason = f"the server is not listening: {reason}"
+            level = Level.DEBUG if reason == said else Level.ERROR
+            self._context.log(level, EventCode.ENGINE_NOT_LISTENING, f"not listening: {reason}; trying again")
+            said = reason
+            await asyncio.sleep(backoff.next())
+            reason = await self._bind()
+        for link in self.links():
+            link.reason = "not connected since the restart"
+
+    async def _bind(self) -> str:
+        """Bind the server's ports; why that failed, or empty."""
+        try:
+            await self._server.start()
+        except ListenError as error:
+            return str(error)
+        return ""
 
 
 async def _farewell(links: Iterable[Link], reason: str, *, retry_after: float | None) -> None:

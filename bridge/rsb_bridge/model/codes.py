@@ -9,6 +9,8 @@ class EventCode(StrEnum):
     """What happened. The part before the point is the event's `source`."""
 
     ENGINE_LISTENING = "engine.listening"
+    ENGINE_NOT_LISTENING = "engine.not_listening"
+    """A restart could not bind the server's ports; it is tried again."""
     ENGINE_RESTARTING = "engine.restarting"
     ENGINE_SHUTDOWN = "engine.shutdown"
     ENGINE_STOPPED = "engine.stopped"

@@ -1,0 +1,114 @@
+"""A server whose ports are taken while it restarts goes on trying, and says so."""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import STOPS_WITHIN, happened, link, linked
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+
+    from rsb_bridge.engine import Engine
+
+
+class Thief:
+    """Takes a port at the moment in which a restarting server does not have it."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self.sockets: list[socket.socket] = []
+
+    def __call__(self, step: str) -> None:
+        if step.startswith("binding"):
+            self.take(socket.SOCK_STREAM)
+
+    def take(self, kind: socket.SocketKind) -> None:
+        """Bind the port."""
+        taken = socket.socket(type=kind)
+        if kind is socket.SOCK_STREAM:
+            taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        taken.bind(("127.0.0.1", self._port))
+        if kind is socket.SOCK_STREAM:
+            taken.listen()
+        self.sockets.append(taken)
+
+    def give_back(self) -> None:
+        """Free it."""
+        for each in self.sockets:
+            each.close()
+        self.sockets.clear()
+
+
+class UdpThief(Thief):
+    """Takes the UDP port only, so that the server has bound half of what it needs."""
+
+    def __call__(self, step: str) -> None:
+        if step.startswith("binding"):
+            self.take(socket.SOCK_DGRAM)
+
+
+@pytest.fixture
+def thief(bridge: Bridge) -> Iterator[Thief]:
+    made = Thief(bridge.port)
+    yield made
+    made.give_back()
+
+
+def restart_in_vain(server: Engine, thief: Thief) -> None:
+    with pytest.raises(EngineError, match=r"is taken by another process.*The server goes on trying"):
+        server.restart(thief).result(10)
+
+
+@pytest.mark.parametrize("kind", [Thief, UdpThief], ids=["tcp", "udp"])
+def test_a_restart_whose_bind_fails_is_tried_again(kind: type[Thief], bridge: Bridge) -> None:
+    server, client = bridge.both()
+    thief = kind(bridge.port)
+    restart_in_vain(server, thief)
+    assert happened(server, EventCode.ENGINE_NOT_LISTENING, "is taken by another process")
+    eventually(lambda: "the server is not listening" in link(server).reason)
+    assert link(server).state is State.DOWN
+    holds(lambda: not linked(client), 1.0)
+    listening = sum(event.code == EventCode.ENGINE_LISTENING for event in server.events())
+    thief.give_back()
+    eventually(lambda: linked(client) and linked(server), 15)
+    assert sum(event.code == EventCode.ENGINE_LISTENING for event in server.events()) == listening + 1
+
+
+def test_a_server_that_is_stopped_tries_no_more(bridge: Bridge, thief: Thief) -> None:
+    server, client = bridge.both()
+    restart_in_vain(server, thief)
+    began = time.monotonic()
+    server.stop()
+    assert time.monotonic() - began < STOPS_WITHIN
+    thief.give_back()
+    holds(lambda: not linked(client), 2.0)
+
+
+def test_another_restart_takes_the_place_of_the_attempts(bridge: Bridge, thief: Thief) -> None:
+    server, client = bridge.both()
+    restart_in_vain(server, thief)
+    thief.give_back()
+    server.restart().result(10)
+    eventually(lambda: linked(client) and linked(server), 15)
+    holds(lambda: linked(client) and linked(server), 2.0)
+
+
+def test_two_restarts_at_once_are_one(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    first, second = server.restart(), server.restart()
+    with pytest.raises(EngineError, match="a restart is under way already"):
+        second.result(10)
+    first.result(10)
+    assert linked(client)
+    assert linked(server)
