@@ -12,8 +12,8 @@ import logging
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
-from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -118,7 +118,7 @@ class Bridge:
             self.context.limited.tick()
             self._role.tick()
             for link in self.links():
-                await link.tick_routes()
+                await link.table.tick_routes()
                 link.guarded(link.tick)
 
     def _ros_failed(self, reason: str) -> None:
@@ -173,26 +173,26 @@ class Bridge:
         with self._command():
             link, route = self._find(key)
             at = list(link.routes).index(key)
-            link.remove(route, "edited")
+            link.table.remove(route, "edited")
             try:
                 new = self._role.add(topic, link.name)
             except (LinkError, ValueError):
-                link.move(self._role.add(route.spec, link.name), at)
+                link.table.move(self._role.add(route.spec, link.name), at)
                 raise
-            link.move(new, at)
+            link.table.move(new, at)
             return new.key
 
     async def remove_topic(self, key: str) -> None:
         """Stop bridging a topic."""
         with self._command():
             link, route = self._find(key)
-            link.remove(route, "removed by an operator")
+            link.table.remove(route, "removed by an operator")
 
     async def pause(self, key: str, *, paused: bool) -> None:
         """Stop or resume carrying a topic's messages."""
         with self._command():
             link, route = self._find(key)
-            link.pause(route, paused)
+            link.table.pause(route, paused=paused)
 
     async def retry(self, link: str = "") -> None:
         """Connect now, and open refused topics again."""
@@ -222,7 +222,7 @@ class Bridge:
                 return await asyncio.to_thread(topics_of, self.context.ros)
             for candidate in self.links():
                 if candidate.name == link:
-                    return await candidate.negotiation.remote_topics()
+                    return await candidate.remote_topics()
             raise LinkError(f"there is no link {link!r}")
 
     @contextlib.contextmanager

@@ -80,7 +80,7 @@ def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
     writers = [rogue.datagrams(rogue.route(f"/begun{number}", "udp", Qos())) for number in range(3)]
     rogue.probe()
     link = link_of(server)
-    eventually(lambda: link.udp_channels, what="the server has heard the probe")
+    eventually(link.udp_channels.all, what="the server has heard the probe")
     highest, over = 0, time.monotonic() + 4.0
     while time.monotonic() < over:
         for writer in writers:

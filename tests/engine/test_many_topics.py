@@ -124,7 +124,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         eventually(lambda: linked(server))
         link = link_of(server)
-        loop, handle = link.context.loop, link.negotiation.handle
+        loop, handle = link.context.loop, link.message
         together = [0]
 
         def counted(message: ControlMessage) -> None:
@@ -135,7 +135,7 @@ def test_a_burst_of_messages_leaves_the_loop_to_others(bridge: Bridge) -> None:
             together.append(0)
             loop.call_soon(turn)
 
-        link.negotiation.handle = counted  # type: ignore[method-assign]
+        link.message = counted  # type: ignore[method-assign]
         link.context.call(turn)
         rogue.say(*(Ping(n=n, sent=n) for n in range(1, 1001)))
         assert [rogue.wait_for(Pong).n for _ in range(1000)] == list(range(1, 1001))

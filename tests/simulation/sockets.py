@@ -364,5 +364,6 @@ def simulated() -> Iterator[None]:
 
 
 def _transport_modules(name: str) -> list[ModuleType]:
-    modules = [module for module in sys.modules.values() if module.__name__.startswith("rsb_bridge.transport.")]
+    users = ("rsb_bridge.transport.", "aiohappyeyeballs.")
+    modules = [module for key, module in tuple(sys.modules.items()) if key.startswith(users)]
     return [module for module in modules if vars(module).get(name) is sys.modules[name]]

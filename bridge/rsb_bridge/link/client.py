@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
+from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport import descriptors
-from rsb_bridge.transport.streams import Stream, StreamHandler, os_error_message
+from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
-from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
+from rsb_bridge.wire.events import Accepted, Established, Event
 from rsb_bridge.wire.messages import Welcome
 from rsb_bridge.wire.preamble import RefusalCode
 
@@ -95,7 +97,7 @@ class ClientLink(Link):
         self._stays_down = False
         if not self.linked:
             self._retry.set()
-        self.retry_routes()
+        self.table.retry()
 
     async def _call(self) -> None:
         """One attempt; returns when it failed or when the link it made is over."""
@@ -104,7 +106,7 @@ class ClientLink(Link):
         secret = self._key.secret if self._key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
         host = self.transport.host(self.context.session)
-        failure = await self._open(self.transport, host, self.port, _ControlOpening(self, connection))
+        failure = await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
         if failure is not None:
             self._failed(failure)
             return
@@ -114,18 +116,34 @@ class ClientLink(Link):
             self.control.shut_down("shut down", retry_after=None)
         await self._ended.wait()
 
-    async def _open(self, transport: StreamTransport, host: str, port: int, opening: _Opening) -> _Failure | None:
+    async def _open(
+        self,
+        transport: StreamTransport,
+        host: str,
+        port: int,
+        connection: ClientConnection | DataConnection,
+        let_in: LetIn,
+    ) -> Failure | None:
         """Connect, and wait for the server's answer; None: the stream is let in."""
+        attempt = ConnectAttempt(connection, self.address, self._refusal_message, let_in)
         try:
-            await transport.connect(host, port, opening)
+            await transport.connect(host, port, attempt)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
-                return await opening.outcome
+                return await attempt.outcome
         except OSError as error:
-            return _Failure(f"{transport.format_address((host, port))}: {_connect_error_message(error)}", refused=False)
+            return Failure(f"{transport.format_address((host, port))}: {_connect_error_message(error)}", refused=False)
         finally:
-            opening.end()
+            attempt.end()
 
-    def _failed(self, failure: _Failure) -> None:
+    def _linked(
+        self, connection: ClientConnection, stream: Stream, event: Established | Accepted, more: list[Event]
+    ) -> None:
+        assert isinstance(event, Established)
+        control = ControlChannel(stream, connection, self)
+        self.up(control, event.peer, event.keys)
+        control.take(more)
+
+    def _failed(self, failure: Failure) -> None:
         self.attempts += 1
         self._refused = failure.refused
         repeated = failure.reason == self.reason
@@ -147,8 +165,8 @@ class ClientLink(Link):
             pass
         self.retry_at = None
 
-    def down(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
-        super().down(reason, code)
+    def lost(self, reason: str, code: EventCode) -> None:
+        super().lost(reason, code)
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
@@ -161,18 +179,20 @@ class ClientLink(Link):
         if self.control is not None:
             self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
-    def refusal_message(self, code: RefusalCode, words: str) -> str:
+    def _refusal_message(self, code: RefusalCode, message: str) -> str:
         """What the operator of this side is told."""
         match code:
             case RefusalCode.WRONG_KEY if self._key is not None:
-                return f"{words}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
+                return (
+                    f"{message}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
+                )
             case RefusalCode.UNKNOWN_NAME:
                 remedy = "set name in this side's session file to one that the server lets in"
-                return f"{words}: {remedy}, or list {self.name!r} under clients in the server's"
+                return f"{message}: {remedy}, or list {self.name!r} under clients in the server's"
             case RefusalCode.ENCRYPTION_REQUIRED:
-                return f"{words}: set use_encryption and key_file"
+                return f"{message}: set use_encryption and key_file"
             case _:
-                return words
+                return message
 
     @property
     def shut_down(self) -> bool:
@@ -223,15 +243,20 @@ class ClientLink(Link):
         finally:
             self._streams_opening.pop(route_id, None)
 
-    async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> _Failure | None:
+    async def _attach(self, route: Route, route_id: int, transport: StreamTransport) -> Failure | None:
         assert self.keys is not None
         assert self.control is not None
         if descriptors.scarce():
-            return _Failure(descriptors.scarcity_message("client"), refused=False)
-        opening = _StreamOpening(self, DataConnection(self.keys, route_id), route, multiplexed=transport.multiplexed)
+            return Failure(descriptors.scarcity_message("client"), refused=False)
+        connection = DataConnection(self.keys, route_id)
+
+        def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
+            if route.id == route_id:  # else it was closed meanwhile
+                self.attach_stream(route, stream, connection.leftover(), multiplexed=transport.multiplexed)
+
         # Where the control connection got through, not wherever the server's name leads to by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
-        return await self._open(transport, host, route.proposal.port or self.port, opening)
+        return await self._open(transport, host, route.proposal.port or self.port, connection, let_in)
 
     def _share_stream(self, route: Route, transport: StreamTransport) -> None:
         """Join the stream of the route's channel, or open it if nobody has begun to."""
@@ -292,95 +317,3 @@ def _connect_error_message(error: OSError) -> str:
         remedy = "correct server_ip in this side's session file (an address in numbers needs no name server)"
         return f"{os_error_message(error)}: {remedy}"
     return os_error_message(error)
-
-
-class _Failure(NamedTuple):
-    """Why a stream was not let in.
-
-    Attributes:
-        reason: in words.
-        refused: the server said so, or is none; else it was not reached.
-    """
-
-    reason: str
-    refused: bool
-
-
-class _Opening(StreamHandler):
-    """Handles a stream until the server lets it in, or not.
-
-    Attributes:
-        outcome: None: it is let in, and has another handler.
-    """
-
-    def __init__(self, link: ClientLink, connection: ClientConnection | DataConnection) -> None:
-        self.outcome: asyncio.Future[_Failure | None] = link.context.loop.create_future()
-        self._link = link
-        self._connection = connection
-        self._stream: Stream | None = None
-
-    def connected(self, stream: Stream) -> None:
-        self._stream = stream
-        stream.write(self._connection.start())
-
-    def received(self, data: bytes) -> None:
-        stream = self._stream
-        assert stream is not None
-        events = self._connection.receive_data(data)
-        stream.write(self._connection.data_to_send())
-        for index, event in enumerate(events):
-            match event:
-                case Established() | Accepted():
-                    self._finish(None)
-                    self._let_in(stream, event, events[index + 1 :])
-                    return
-                case Refused(code, message):
-                    self._finish(_Failure(self._link.refusal_message(code, message), refused=True))
-                case Failed(reason):
-                    words = f"{self._link.address} does not speak this protocol: {reason}"
-                    self._finish(_Failure(words, refused=True))
-                case _:
-                    pass
-
-    def closed(self, reason: str) -> None:
-        self._finish(_Failure(f"{self._link.address}: {reason} before the handshake was done", refused=False))
-
-    def end(self) -> None:
-        """Nobody waits any longer: close the stream, unless it was let in."""
-        if self._stream is not None and self._stream.handler is self:
-            self._stream.abort("not let in")
-
-    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-        raise NotImplementedError
-
-    def _finish(self, outcome: _Failure | None) -> None:
-        if not self.outcome.done():
-            self.outcome.set_result(outcome)
-
-
-class _ControlOpening(_Opening):
-    """Makes the link's control connection."""
-
-    def __init__(self, link: ClientLink, connection: ClientConnection) -> None:
-        super().__init__(link, connection)
-        self._control = connection
-
-    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-        assert isinstance(event, Established)
-        control = ControlChannel(stream, self._control, self._link)
-        self._link.up(control, event.peer, event.keys)
-        control.take(more)
-
-
-class _StreamOpening(_Opening):
-    """Makes a stream of a route's own."""
-
-    def __init__(self, link: ClientLink, connection: DataConnection, route: Route, *, multiplexed: bool) -> None:
-        super().__init__(link, connection)
-        self._multiplexed = multiplexed
-        self._route = route
-        self._route_id = route.id
-
-    def _let_in(self, stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
-        if self._route.id == self._route_id:  # else it was closed meanwhile
-            self._link.attach_stream(self._route, stream, self._connection.leftover(), multiplexed=self._multiplexed)

@@ -1,10 +1,10 @@
-"""An authenticated control connection: what comes off its stream goes to its link."""
+"""An authenticated control connection."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.channel.multiplexer import Multiplexer
 from rsb_bridge.model.codes import EventCode
@@ -16,7 +16,6 @@ from rsb_bridge.wire.messages import ControlMessage, Shutdown
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
-    from rsb_bridge.link.link import Link
     from rsb_bridge.wire.connection import ClientConnection, ServerConnection
 
 _MOST_WAITING = 8 * CONTROL_LIMIT
@@ -25,19 +24,34 @@ _AT_ONCE = 8
 """Events acted on before the I/O loop turns to other work: each may create a DDS endpoint, which takes 0.5 ms."""
 
 
+class ControlHandler(Protocol):
+    """What acts on a control connection: a link."""
+
+    def message(self, message: ControlMessage) -> None:
+        """The peer sent a control message."""
+        ...
+
+    def lost(self, reason: str, code: EventCode) -> None:
+        """The connection is over. Called once; no message comes after it."""
+        ...
+
+
 class ControlChannel(StreamHandler):
     """The stream's handler once the handshake is done.
 
     Attributes:
         stream: what carries it.
-        link: whose it is.
         multiplexer: shares the stream among routes, where the transport is a multiplexed one.
+        over: the connection has ended.
     """
 
-    def __init__(self, stream: Stream, connection: ClientConnection | ServerConnection, link: Link) -> None:
+    def __init__(
+        self, stream: Stream, connection: ClientConnection | ServerConnection, handler: ControlHandler
+    ) -> None:
         self.stream = stream
-        self.link = link
         self.multiplexer = Multiplexer(stream)
+        self.over = False
+        self._handler = handler
         self._connection = connection
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
@@ -55,13 +69,13 @@ class ControlChannel(StreamHandler):
         self.send(Shutdown(reason=sanitize_text(reason), retry_after=retry_after))
         self._goodbye, self._code = reason, code
         self.stream.close(reason)
-        self._over(reason)
+        self._end(reason)
 
     def abort(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
         """End it without a word."""
         self._code = code
         self.stream.abort(reason)
-        self._over(reason)
+        self._end(reason)
 
     def received(self, data: bytes) -> None:
         """Bytes came."""
@@ -79,7 +93,7 @@ class ControlChannel(StreamHandler):
             if not self._events:
                 return
             self._act_on(self._events.popleft())
-            if self.link.control is not self:  # the event ended it
+            if self.over:  # the event ended it
                 self._events.clear()
                 return
         if self._events:
@@ -87,7 +101,7 @@ class ControlChannel(StreamHandler):
             asyncio.get_running_loop().call_soon(self._go_on)
 
     def _go_on(self) -> None:
-        if self.link.control is self:
+        if not self.over:
             self._act()
             if not self._events:
                 self.stream.resume_reading()
@@ -95,7 +109,7 @@ class ControlChannel(StreamHandler):
     def _act_on(self, event: Event) -> None:
         match event:
             case Received(message):
-                self.link.negotiation.handle(message)
+                self._handler.message(message)
             case DataFrame(route_id, frame):
                 self._take_data(route_id, frame)
             case Failed(reason):
@@ -118,8 +132,9 @@ class ControlChannel(StreamHandler):
 
     def closed(self, reason: str) -> None:
         """The stream is over."""
-        self._over(self._goodbye or reason)
+        self._end(self._goodbye or reason)
 
-    def _over(self, reason: str) -> None:
-        if self.link.control is self:
-            self.link.down(reason, self._code)
+    def _end(self, reason: str) -> None:
+        if not self.over:
+            self.over = True
+            self._handler.lost(reason, self._code)

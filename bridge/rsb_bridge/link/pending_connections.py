@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -13,8 +13,10 @@ from rsb_bridge.wire.preamble import Refusal, RefusalCode
 
 if TYPE_CHECKING:
     import asyncio
+    from collections.abc import Callable
 
-    from rsb_bridge.link.server import Server
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.wire.connection import Credential, ServerConnection
 
 _MOST = 256
@@ -31,11 +33,52 @@ _CODES = {RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY, RefusalCode.UNKNOWN_N
 _TOO_MANY = "too many connections that have not shown who they are"
 
 
+class Admission(Protocol):
+    """Who decides whether a connection is let in: the server."""
+
+    def connection(self, identify: Callable[[str], Credential]) -> ServerConnection:
+        """The state machine of an inbound stream."""
+        ...
+
+    def credential(self, name: str) -> Credential:
+        """What a client of that name has to prove.
+
+        Raises:
+            Refusal: there is no such client.
+        """
+        ...
+
+    def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
+        """A client has authenticated: make its link."""
+        ...
+
+    def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
+        """A stream was opened for a route: give it to the route.
+
+        Raises:
+            Refusal: no route waits for it.
+        """
+        ...
+
+    def streams_awaited(self, host: str = "") -> int:
+        """How many streams linked clients have yet to open; with `host`: those at that host."""
+        ...
+
+    def fingerprint_of(self, name: str) -> str:
+        """Of the key that a client of that name should have; empty: none, or no such client."""
+        ...
+
+    def remedy_for_unknown(self) -> str:
+        """What an operator does about a client whose name is not known here."""
+        ...
+
+
 class PendingConnections:
     """All streams that have not authenticated yet, and which hosts have failed to lately."""
 
-    def __init__(self, server: Server) -> None:
-        self.server = server
+    def __init__(self, context: Context, admission: Admission) -> None:
+        self.context = context
+        self.admission = admission
         self._present: dict[_PendingConnection, None] = {}  # the longest waiting first
         self._of_host: Counter[str] = Counter()
         self._failures: dict[str, deque[float]] = {}
@@ -58,7 +101,7 @@ class PendingConnections:
         self._of_host[pending.host] += 1
 
     def _full(self, count: int, limit: int, host: str = "") -> bool:
-        return count >= limit and count >= limit + self.server.streams_awaited(host)
+        return count >= limit and count >= limit + self.admission.streams_awaited(host)
 
     def remove(self, pending: _PendingConnection) -> None:
         """A connection has authenticated or is gone."""
@@ -74,7 +117,7 @@ class PendingConnections:
 
     def failed(self, stream: Stream, code: EventCode, words: str) -> None:
         """Record a failed authentication."""
-        now = self.server.context.now()
+        now = self.context.now()
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
@@ -83,25 +126,25 @@ class PendingConnections:
     def say(self, stream: Stream, code: EventCode, words: str) -> None:
         """Log that a stream was turned away, at most once in 10 s for a host and a reason."""
         if self._is_new(stream.host, words):
-            self.server.context.log(Level.WARNING, code, f"turned {stream.peer} away: {words}")
+            self.context.log(Level.WARNING, code, f"turned {stream.peer} away: {words}")
 
     def _is_new(self, host: str, words: str) -> bool:
         if (host, words) in self._said or len(self._said) >= _SAID_MOST:
             return False
-        self._said[host, words] = self.server.context.now()
+        self._said[host, words] = self.context.now()
         return True
 
     def shortage(self, message: str) -> None:
         """No connection can be accepted for now: tell the operator, and give up the one that has waited longest."""
         if self._is_new("", message):
             text = f"new connections have to wait: {message}"
-            self.server.context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
+            self.context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
         for oldest in tuple(self._present)[:1]:
             oldest.reject("the server lacks descriptors")
 
     def tick(self) -> None:
         """Once a second: forget old failures, and what was said of them."""
-        now = self.server.context.now()
+        now = self.context.now()
         for host, times in tuple(self._failures.items()):
             while times and now - times[0] > _FAILURES_WITHIN:
                 times.popleft()
@@ -121,8 +164,8 @@ class _PendingConnection(StreamHandler):
     def __init__(self, pending: PendingConnections) -> None:
         self.host = ""
         self._pending = pending
-        self._server = pending.server
-        self._connection: ServerConnection = pending.server.connection(self._identify)
+        self._admission = pending.admission
+        self._connection: ServerConnection = pending.admission.connection(self._identify)
         self._stream: Stream | None = None
         self._name = ""
         self._deadline: asyncio.TimerHandle | None = None
@@ -132,7 +175,7 @@ class _PendingConnection(StreamHandler):
     def connected(self, stream: Stream) -> None:
         self._stream, self.host = stream, stream.host
         self._pending.add(self)
-        loop = self._server.context.loop
+        loop = self._pending.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
         if penalty := self._pending.penalty(self.host):
             self._penalty = loop.call_later(penalty, self._serve_penalty)
@@ -160,7 +203,7 @@ class _PendingConnection(StreamHandler):
 
     def _identify(self, name: str) -> Credential:
         self._name = name
-        return self._server.credential(name)
+        return self._admission.credential(name)
 
     def _serve_penalty(self) -> None:
         self._penalty = None
@@ -178,7 +221,7 @@ class _PendingConnection(StreamHandler):
             match event:
                 case Established():
                     self._leave()
-                    control = self._server.established(stream, connection, event)
+                    control = self._admission.established(stream, connection, event)
                     control.take(events[index + 1 :])
                     return
                 case Attach():
@@ -194,7 +237,7 @@ class _PendingConnection(StreamHandler):
 
     def _attach(self, stream: Stream, event: Attach) -> None:
         try:
-            self._server.attach(stream, self._connection, event)
+            self._admission.attach(stream, self._connection, event)
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
             self._pending.say(stream, EventCode.LINK_REJECTED, refusal.message)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
@@ -207,10 +250,10 @@ class _PendingConnection(StreamHandler):
 
     def _for_operator(self, code: RefusalCode, words: str) -> str:
         if code is RefusalCode.WRONG_KEY:
-            fingerprint = self._server.fingerprint_of(self._name)
+            fingerprint = self._admission.fingerprint_of(self._name)
             return f"{words}; this side's key has the fingerprint {fingerprint}: compare it with the client's"
         if code is RefusalCode.UNKNOWN_NAME:
-            return f"{words}: {self._server.remedy_for_unknown()}"
+            return f"{words}: {self._admission.remedy_for_unknown()}"
         return words
 
     def _leave(self) -> None:

@@ -10,7 +10,7 @@ from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.link.cipher_preference import preferred_suite
 from rsb_bridge.link.client import ClientLink
-from rsb_bridge.link.negotiation import LinkError
+from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.server import Entry, Server, ServerLink
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -180,7 +180,7 @@ class ServerRole:
     def retry(self, link: str) -> None:
         for robot in self.links():
             if link in ("", robot.name):
-                robot.retry_routes()
+                robot.table.retry()
 
     def shut_down(self, reason: str) -> None:
         for link in self.links():

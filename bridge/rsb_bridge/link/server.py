@@ -12,8 +12,8 @@ import msgspec
 from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.link.control_channel import ControlChannel
+from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.negotiation import LinkError
 from rsb_bridge.link.pending_connections import PendingConnections
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import PORTS_PER_CLIENT
@@ -112,7 +112,7 @@ class ServerLink(Link):
 
     def waiting_route(self, opening: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
         """The route that a stream is asked for, and its transport; raises Refusal where none waits for a stream."""
-        route = self.open_route(opening.route)
+        route = self.table.open_route(opening.route)
         transport = _stream_awaited(route) if route is not None else None
         if self.keys is None or route is None or transport is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, _UNKNOWN_ROUTE)
@@ -164,7 +164,7 @@ class ServerLink(Link):
         if len(address) != len(stream.address):
             return None
         udp_channel = ServerUdpChannel(socket, stream.own_address, self.path_probe, self.context.now, self.udp_ready)
-        self.udp_channels[socket.port] = udp_channel
+        self.udp_channels.add(socket.port, udp_channel)
         return udp_channel
 
 
@@ -181,7 +181,7 @@ class Server:
         self.context = context
         self._make_welcome = make_welcome
         self._aes = aes
-        self._pending = PendingConnections(self)
+        self._pending = PendingConnections(context, self)
         self._transport = context.transports.of_link(context.session.server_ip)
         datagrams = UdpDemultiplexer(self._new_udp_channel).received
         acceptor = Acceptor(self._pending.arrive, datagrams, self._pending.shortage)

@@ -1,0 +1,66 @@
+"""The UDP channels of one link."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable
+
+    from rsb_bridge.channel.udp_channel import UdpChannel
+
+_PROBE_EVERY, _QUICK_PROBES = 0.25, 8
+
+
+class UdpChannels:
+    """A link's UDP channels by port, probed and watched as long as they are open.
+
+    Args:
+        loop: sets the timers.
+        log: adds an event about the link.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, log: Callable[[Level, EventCode, str], None]) -> None:
+        self._loop = loop
+        self._log = log
+        self._channels: dict[int, UdpChannel] = {}
+
+    def get(self, port: int) -> UdpChannel | None:
+        """The open channel of a port."""
+        channel = self._channels.get(port)
+        return channel if channel is not None and not channel.over else None
+
+    def add(self, port: int, channel: UdpChannel) -> None:
+        """Take a new channel on."""
+        self._channels[port] = channel
+
+    def probe(self, channel: UdpChannel, probes: int = 1) -> None:
+        """Probe a new channel more often than once a second, as long as a firewall does not seem to drop it all."""
+        if probes <= _QUICK_PROBES and not channel.ready and not channel.over:
+            channel.tick()
+            self._loop.call_later(_PROBE_EVERY, self.probe, channel, probes + 1)
+
+    def tick(self) -> None:
+        """Once a second: probe, and say when nothing gets through any more, or again."""
+        self._channels = {port: channel for port, channel in self._channels.items() if not channel.over}
+        for channel in self._channels.values():
+            before = channel.trouble
+            channel.tick()
+            if channel.trouble and not before:
+                self._log(Level.WARNING, EventCode.LINK_UDP_BLOCKED, channel.trouble)
+            elif before and not channel.trouble:
+                self._log(Level.INFO, EventCode.LINK_UDP_RESTORED, "UDP gets through again")
+
+    def close(self) -> None:
+        """Close them all."""
+        for channel in self._channels.values():
+            channel.close()
+        self._channels.clear()
+
+    def all(self) -> list[UdpChannel]:
+        """All channels."""
+        return list(self._channels.values())
