@@ -1,4 +1,4 @@
-"""How the thesis's ``bringup.yaml`` is told from other files: by the ROS parameters of the bridge's nodes in it."""
+"""Recognize the thesis's ``bringup.yaml``: it holds the ROS parameters of the bridge's nodes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any
 
 
 def bridge_nodes(data: object) -> dict[str, dict[str, Any]]:
-    """The parameters of each node in the file that is a bridge's, by the node's name.
+    """The parameters of each bridge node, by the node's name.
 
     Args:
-        data: the file as plain data; of any shape.
+        data: the file as plain data, of any shape.
     """
     nodes = {}
     for node, content in (data if isinstance(data, dict) else {}).items():

@@ -45,7 +45,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     known = {field.name: field for field in _fields(model)}
     values = {name: _STAND_INS[name] for name, field in known.items() if field.required}
     if not isinstance(data, Mapping):
-        shown = f"{show(data)} is" if location else "is"  # a whole file that is none of ours may be anything
+        shown = f"{show(data)} is" if location else "is"  # a whole file may be anything, so it is not quoted
         problems.append(Problem(location, f"{shown} not a mapping of {', '.join(values or known)}, ..."))
         return model(**values)
     if data and not location and known.keys().isdisjoint(data):
@@ -66,7 +66,7 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
 
 @cache
 def _fields(model: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
-    """As `msgspec.structs.fields`, which evaluates the model's annotations each time: that takes 0.2 ms."""
+    """`msgspec.structs.fields`, cached: it evaluates the model's annotations at each call, which takes 0.2 ms."""
     return fields(model)
 
 
@@ -90,7 +90,7 @@ def did_you_mean(word: str, options: list[str]) -> str:
 
 
 def _value(name: str, value: object, kind: Any, problems: list[Problem], location: str) -> dict[str, Any]:
-    """The keyword for the struct; none where the value has a problem."""
+    """The keyword argument for the struct; empty if the value has a problem."""
     if get_origin(kind) is tuple:
         if not isinstance(value, list | tuple):
             problems.append(Problem(location, f"{show(value)} is not a list" if value is not None else _NOTHING))
@@ -105,9 +105,9 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         return read(value, kind, problems, location)
     if isinstance(value, str) and is_key(value.rpartition("/")[2]):
-        # Not quoted: messages end up in logs.
+        # The key is not quoted: messages end up in logs.
         problems.append(
-            Problem(location, "is a key itself: put it in a file, mode 0600, and name that file as key_file")
+            Problem(location, "is a key itself: put it in a file with mode 0600, and give that file's name as key_file")
         )
         return msgspec.UNSET
     try:

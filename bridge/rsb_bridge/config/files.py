@@ -1,4 +1,4 @@
-"""Paths as people write them, and files that are there whole or not at all."""
+"""Paths as people type them, and atomic writing."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from pathlib import Path
 
 
 def typed_path(text: str) -> Path:
-    """A path that a person wrote: ``~`` is a home, where there is such a home."""
+    """A path that a person typed: ``~`` is a home directory, if there is one."""
     try:
         return Path(text).expanduser()
-    except RuntimeError:  # nobody here is called so
+    except RuntimeError:  # no such user
         return Path(text)
 
 
 def kind_of_file(mode: int) -> str:
-    """What a file is, in words, of its `os.stat_result.st_mode`."""
+    """The kind of a file in words, from its `os.stat_result.st_mode`."""
     kinds = {
         stat.S_IFREG: "a file",
         stat.S_IFDIR: "a folder",
@@ -32,14 +32,14 @@ def kind_of_file(mode: int) -> str:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file in place of what was there, mode 0600. If it fails, what was there still is.
+    """Replace a file atomically, mode 0600. If that fails, the old file stays as it was.
 
     Args:
-        path: of a file, or of nothing yet. A symbolic link is followed, so that it stays one.
+        path: of the file, which need not exist. A symbolic link is followed, and stays one.
         content: the whole file.
 
     Raises:
-        OSError: it could not be written, or what is there is no file (a device, a FIFO, a folder): that is left alone.
+        OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder).
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -59,7 +59,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself last through a power cut."""
+    """Make a rename in a folder survive a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)

@@ -1,4 +1,4 @@
-"""Keys and their files, in the thesis's format: 32 bytes, URL-safe base64, as Fernet's keys are."""
+"""Encryption keys and their files, in the thesis's format: 32 bytes in URL-safe base64, like Fernet's keys."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 KEY_BYTES = 32
 DEFAULT_KEY_FILE = "key.txt"
 _MAX_FILE = 4096  # bytes; a key file is 45
-# The second: one whose padding was lost on the way.
+# The second form is a key that lost its padding.
 _LIKE_A_KEY = re.compile(r"[A-Za-z0-9+/_-]{43}=|(?<![A-Za-z0-9+/_-])[A-Za-z0-9_-]{43}(?![A-Za-z0-9+/_-])")
 
 
 class KeyFileError(Exception):
-    """A key file can't be read or written; the message names it, and what to do."""
+    """A key file cannot be read or written. The message names the file and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A session key. Its repr shows the fingerprint, so that a key in a log or a message gives nothing away.
+    """A session key. Its repr shows the fingerprint only, so that no log or message gives the key away.
 
     Attributes:
-        secret: 32 bytes, the handshake's psk.
-        warnings: what an operator should know of the file it came from.
+        secret: 32 bytes, the pre-shared key of the handshake.
+        warnings: what an operator should know about its file.
     """
 
     secret: bytes = field(repr=False)
@@ -44,41 +44,41 @@ class Key:
 
 
 def generate() -> bytes:
-    """A new key: 44 characters of URL-safe base64, without a line's end."""
+    """A new key: 44 characters of URL-safe base64, without a line break."""
     return base64.urlsafe_b64encode(os.urandom(KEY_BYTES))
 
 
 def is_key(text: str) -> bool:
-    """Whether a text is itself a key."""
+    """Whether a text is an encryption key."""
     return _decode(text) is not None
 
 
 def is_key_file(text: str) -> bool:
-    """Whether a file's text is that of a key file: its last line is a key, and nothing else."""
+    """Whether a file's text is that of a key file: its last line is a key and nothing else."""
     lines = text.split("\n")
     return is_key(next((line.strip() for line in reversed(lines) if line.strip()), ""))
 
 
 def conceal(text: str) -> str:
-    """A text for a message or a log, with each key in it left out."""
+    """A text for a message or a log, with every key in it replaced."""
     return _LIKE_A_KEY.sub("<a key>", text)
 
 
 def fingerprint(key: Key) -> str:
-    """What two people compare to see that both sides have the same key: 16 hex digits of its SHA-256, in fours."""
+    """16 hexadecimal digits of the key's SHA-256, in fours: two operators compare them to see whether keys match."""
     digits = hashlib.sha256(key.secret).hexdigest()[:16]
     return " ".join(digits[at : at + 4] for at in range(0, len(digits), 4))
 
 
 def write_key(path: Path, *, force: bool = False) -> Key:
-    """Generate a key into a file of its own, mode 0600.
+    """Generate a key and write it to a file, mode 0600.
 
     Args:
         path: of the new file.
-        force: replace a file that is there. Whoever holds only the old key can no longer link.
+        force: replace a file that exists. Whoever has only the old key can no longer link.
 
     Raises:
-        KeyFileError: there is a file already, or it could not be written.
+        KeyFileError: the file exists, or cannot be written.
     """
     text = generate() + b"\n"
     try:
@@ -87,17 +87,17 @@ def write_key(path: Path, *, force: bool = False) -> Key:
         else:
             _write_new(path, text)
     except FileExistsError:
-        raise KeyFileError(f"{path}: exists already, and a key once lost is lost; --force replaces it") from None
+        raise KeyFileError(f"{path}: exists already; --force replaces it, and the old key is lost") from None
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
     return _parse(text.decode(), path)
 
 
 def copy_key(key: Key, path: Path) -> None:
-    """Write a key that there is already into a file of its own too, mode 0600; never over a file.
+    """Write a key to one more file, mode 0600. A file that exists is never replaced.
 
     Raises:
-        KeyFileError: there is a file already, or it could not be written.
+        KeyFileError: the file exists, or cannot be written.
     """
     try:
         _write_new(path, base64.urlsafe_b64encode(key.secret) + b"\n")
@@ -106,20 +106,20 @@ def copy_key(key: Key, path: Path) -> None:
 
 
 def key_path(base: Path, key_file: str) -> Path:
-    """Where a session's key file is.
+    """The path of a session's key file.
 
     Args:
         base: the session file's folder.
-        key_file: as the session names it: relative to that, absolute, or from ``~``.
+        key_file: as the session gives it: relative to that folder, absolute, or starting with ``~``.
     """
     return base / typed_path(key_file)
 
 
 def read_key(path: Path) -> Key:
-    """Read a key file: its last word is the key; what stands before, like the date in the thesis's key.txt, is skipped.
+    """Read a key file. Its last word is the key; whatever comes before it, like the date in the thesis's, is skipped.
 
     Raises:
-        KeyFileError: it is not there, cannot be read, or holds no key.
+        KeyFileError: the file does not exist, cannot be read, or holds no key.
     """
     try:
         mode = path.stat().st_mode
@@ -129,7 +129,7 @@ def read_key(path: Path) -> Key:
             content = file.read(_MAX_FILE + 1)
     except FileNotFoundError:
         raise KeyFileError(
-            f"{path}: no such key file; copy it from the other side, or make one with `rsb-console keygen {path}`"
+            f"{path}: no such key file: copy it from the other side, or make one with `rsb-console keygen {path}`"
         ) from None
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be read: {error.strerror}") from None
@@ -137,7 +137,7 @@ def read_key(path: Path) -> Key:
         raise KeyFileError(f"{path}: too large for a key file")
     key = _parse(content.decode("ascii", errors="replace"), path)
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        others = f"{path}: others may read this key (mode {stat.S_IMODE(mode):04o}); `chmod 600 {path}` stops that"
+        others = f"{path}: others may read this key (mode {stat.S_IMODE(mode):04o}): run `chmod 600 {path}`"
         return Key(key.secret, (others,))
     return key
 
@@ -145,12 +145,12 @@ def read_key(path: Path) -> Key:
 def _parse(text: str, path: Path) -> Key:
     words = text.split()
     if not words:
-        raise KeyFileError(f"{path}: is empty; make a key with `rsb-console keygen`")
+        raise KeyFileError(f"{path}: is empty: make a key with `rsb-console keygen`")
     secret = _decode(words[-1])
     if secret is None:
         raise KeyFileError(
-            f"{path}: holds no key: that is {KEY_BYTES} bytes as 44 characters of URL-safe base64, and the last word "
-            f"in there has {len(words[-1])} characters"
+            f"{path}: holds no key: a key is 44 characters of URL-safe base64, {KEY_BYTES} bytes, and the last word of "
+            f"the file has {len(words[-1])} characters"
         )
     return Key(secret)
 

@@ -1,10 +1,10 @@
-"""Import of the thesis's configuration: ``config/bringup.yaml`` of ros2_socket_bridge (Foxy, 2021).
+"""Import the thesis's configuration, ``config/bringup.yaml`` of ros2_socket_bridge (Foxy, 2021).
 
-That file is ROS parameter YAML. A client's (node ``client_node``) has ``server_ip``, ``server_port`` and, for each
+The file holds ROS parameters. A client's (node ``client_node``) has ``server_ip``, ``server_port`` and, for each
 direction, five lists whose n-th entries belong together: ``transmit_topics``, ``transmit_msg_types``,
 ``transmit_ports``, ``transmit_protocols``, ``transmit_qos``, and the same with ``receive_``. A server's
-(``server_node``) has only ``server_ip``. Name, key, both flags and a server's port stood in the launch file, as
-``-name``, ``-key``, ``-usename``, ``-encrypt`` and ``-p``; here they are arguments.
+(``server_node``) has only ``server_ip``. The launch file had the rest: ``-name``, ``-key``, ``-usename``, ``-encrypt``
+and, for a server, ``-p``. Here they are arguments.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ def import_bringup(
     """Make a session of a thesis ``bringup.yaml``.
 
     Args:
-        path: the file, a client's or a server's. A client's makes a server's session too, then without the topics.
+        path: the file of a client or a server. A client's makes a server's session too, without the topics.
         name: as on the other side.
-        role: None is told from the node's name, ``client_node`` or ``server_node``.
-        server_port: None is the file's own. Text from a form may be no number: that is a problem, too.
-        key_file: where the key is now, relative to the session's file to be.
+        role: None: the role of the file's node, ``client_node`` or ``server_node``.
+        server_port: None: the file's own. Text that is no number is a problem like any other.
+        key_file: the key's path, relative to the session's future file.
         use_name: prefix the client's topics on the server.
-        use_encryption: as it says.
-        domain_id: None is ``$ROS_DOMAIN_ID``, as it was.
+        use_encryption: encrypt the link.
+        domain_id: None: ``$ROS_DOMAIN_ID``, as in the thesis. Text as for `server_port`.
 
     Returns:
-        The session, and notes on what is different now; each one line.
+        The session, and notes on what differs from the thesis's bridge, one line each.
 
     Raises:
         SessionError: it is no such file, or it makes no valid session; locations and lines are the file's.
@@ -96,7 +96,7 @@ def import_bringup(
 
 
 def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
-    """The name and parameters of the one node in the file that is the bridge's."""
+    """The name and parameters of the only bridge node in the file."""
     nodes = bridge_nodes(data)
     if not nodes:
         message = "not a bringup.yaml of ros2_socket_bridge: no node has ros__parameters with a server_ip"
@@ -110,12 +110,12 @@ def _bridge_node(data: object, path: Path) -> tuple[str, dict[str, Any]]:
 
 
 class _Bringup:
-    """Parameters on their way to a session.
+    """Turns a node's parameters into the topics of a session.
 
     Attributes:
         topics: as a session file has them.
-        notes: what is different now; a line each.
-        problems: found on the way; locations are the thesis file's.
+        notes: what differs from the thesis's bridge, one line each.
+        problems: with the locations of the thesis's file.
         location: of the node's parameters in that file.
     """
 
@@ -141,11 +141,11 @@ class _Bringup:
                 self._add(topic | {"direction": direction}, at)
 
     def translate(self, problem: Problem) -> Problem:
-        """A problem of the session as one of the thesis's file, where it comes from there."""
+        """Give a problem of the session its location in the thesis's file, if it has one there."""
         return Problem(self._origins.get(problem.location, problem.location), problem.message)
 
     def _columns(self, direction: Direction) -> dict[str, list[Any]]:
-        """One direction's lists by a topic's keys; all empty where they don't belong together."""
+        """One direction's lists, by the keys of a topic; all empty if they do not fit together."""
         columns = {key: self._parameters.get(f"{direction}_{suffix}") or [] for key, suffix in _LISTS.items()}
         topics = columns["topic"]
         faults = {}
@@ -175,7 +175,7 @@ class _Bringup:
 
 
 def _modern(key: str, value: Any) -> Any:
-    """A list's entry as session files write it. The validation refuses what is not understood."""
+    """Convert a list's entry to the form of session files. The validation refuses unknown values."""
     if not isinstance(value, str):
         return value
     if key == "topic" and not value.startswith(("/", "~")):

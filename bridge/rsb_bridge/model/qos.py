@@ -1,4 +1,4 @@
-"""Quality of service as session files, the wire and ROS share it.
+"""Quality of service, as session files, the wire and ROS share it.
 
 Values are those of the ROS 2 middleware interface (rmw/types.h, Jazzy); the named profiles are rmw/qos_profiles.h.
 """
@@ -47,7 +47,7 @@ PROFILES: dict[str, Qos] = {
     "system_default": Qos(),
     "latched": Qos(durability="transient_local", depth=1),
 }
-"""QoS by name. ``latched`` is ours: what ROS 1 called a latched topic."""
+"""QoS by name. ``latched`` is not ROS 2's: it is what ROS 1 called a latched topic."""
 
 AUTO = "auto"
 AUTO_SECONDS = 5.0
@@ -189,7 +189,7 @@ def _loosest(seconds: list[float]) -> float:
 
 
 def incompatible(offered: Qos, requested: Qos) -> str:
-    """Why a publisher and a subscription do not match, in words; empty if they do.
+    """Why a publisher and a subscription do not match; empty if they do.
 
     The rules are DDS's for request and offer (OMG DDS 1.4, table in section 2.2.3), of the policies that `Qos` has.
     """

@@ -46,21 +46,21 @@ class Problem:
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """One bridged topic, as the *client* sees it (thesis chapter 3: topic name, type, direction, protocol, port, QoS).
+    """One bridged topic, as the *client* sees it (thesis, chapter 3).
 
     Attributes:
         topic: its name on the client, absolute (``/scan``).
         direction: ``transmit`` goes from client to server, ``receive`` the other way.
         type: ``pkg/msg/Name``, a short thesis name (``LaserScan``), or ``auto``: from either side's graph.
-        protocol: what carries it; None is the link's own (udp on IP links is never picked: tcp, or bluetooth).
-        port: a socket of its own (TCP or UDP port, RFCOMM channel; topics may share a channel); None: the server's.
+        protocol: what carries it; None: tcp on an IP link, bluetooth on an RFCOMM link.
+        port: a TCP or UDP port or an RFCOMM channel of its own (topics may share a channel); None: the link's.
         qos: ``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.model.qos.Qos` fields.
-        remote_topic: its name on the server; None: the same, with the client's name before it where `use_name` is set.
-        compression: None is the link's default (zstd on Bluetooth, none elsewhere).
-        max_rate: Hz; None is all.
-        expected_rate: Hz, what an operator should see; None is learned.
-        stale_after: s; None is the session's; 0 never warns.
-        paused: it is set up but carries nothing until resumed.
+        remote_topic: its name on the server; None: the same, after the prefix if `use_name` is set.
+        compression: None: zstd on Bluetooth, none elsewhere.
+        max_rate: Hz; None: no limit.
+        expected_rate: Hz, shown beside the real rate; None: learned.
+        stale_after: s without a message until a warning; None: the session's; 0: never.
+        paused: the topic is set up, and carries nothing until it is resumed.
     """
 
     topic: str
@@ -77,7 +77,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     paused: bool = False
 
     def parsed_qos(self) -> Qos | None:
-        """The QoS asked for; None is ``auto``."""
+        """The QoS; None is ``auto``."""
         return parse_qos(self.qos)
 
 
@@ -85,11 +85,11 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     """A client that a server lets in.
 
     Attributes:
-        name: as its own session says.
-        key_file: its key; None is the server's own `Session.key_file`.
-        use_name: prefix its topics on this side; None is the server's own `Session.use_name`.
-        allow: topic patterns (shell globs) it may bridge; empty is all.
-        deny: topic patterns it may not; stronger than `allow`.
+        name: as in the client's session.
+        key_file: its key; None: the server's `Session.key_file`.
+        use_name: prefix its topics on the server; None: the server's `Session.use_name`.
+        allow: patterns (shell globs) of the topics that it may bridge; empty: all.
+        deny: patterns of the topics that it may not bridge; stronger than `allow`.
     """
 
     name: str
@@ -105,19 +105,19 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     Attributes:
         name: must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set.
         role: a client connects, a server binds.
-        server_ip: IPv4, IPv6, host name, or a Bluetooth MAC: then the link is RFCOMM. On a server, what to bind.
-        server_port: TCP and UDP port, or RFCOMM channel 1-30.
-        bluetooth_address: MAC of the server's adapter, where the link is IP and some topics are to go over Bluetooth:
-            each of those names a channel as its port, and those that name the same share it.
-        domain_id: ROS domain; None is ``$ROS_DOMAIN_ID``, else 0.
-        use_name: prefix the topics a client sends, on the server; and so those it asks for are looked up there.
-        use_encryption: off only for experiments: everything crosses in the clear.
+        server_ip: IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it.
+        server_port: TCP and UDP port, or RFCOMM channel.
+        bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth beside an IP link. Each names
+            a channel as its port; those that name the same share it.
+        domain_id: ROS domain; None: ``$ROS_DOMAIN_ID``, else 0.
+        use_name: the client's topics have its name before them on the server, in both directions.
+        use_encryption: False sends everything in the clear.
         key_file: path, relative to the session file.
-        stale_after: s without a message until a topic is stale (thesis: 15).
-        stale_warnings: how often that is said (thesis: 5).
-        shutdown_topic: ``std_msgs/String`` "shutdown" on it closes both sides' sockets; None is no such topic.
+        stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
+        stale_warnings: how many times to warn of it (thesis: 5).
+        shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         topics: a client's topics.
-        clients: those a server lets in; empty: one, of the session's own name and key.
+        clients: those that a server lets in; empty: one, with the session's own name and key.
     """
 
     name: str
@@ -142,5 +142,5 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
 
     @property
     def adapter(self) -> str | None:
-        """MAC of the server's Bluetooth adapter; None: it has none to do with this session."""
+        """MAC of the server's Bluetooth adapter; None: the session does not use one."""
         return self.server_ip if self.is_bluetooth else self.bluetooth_address

@@ -1,4 +1,4 @@
-"""All that a user interface or a log may see of the engine: frozen, and never waited for."""
+"""What a user interface or a log sees of the engine: immutable data."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class State(StrEnum):
-    """How a route or a link is, the worst first."""
+    """The state of a route or a link, the worst first."""
 
     DOWN = "down"
     STALE = "stale"
@@ -22,7 +22,7 @@ class State(StrEnum):
 
 
 class Level(StrEnum):
-    """How grave an event is; the names are Python logging's."""
+    """The severity of an event, named as in Python's logging."""
 
     DEBUG = "DEBUG"
     INFO = "INFO"
@@ -32,12 +32,12 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened, in an operator's words.
+    """Something that happened, told to an operator.
 
     Attributes:
-        number: counts up from 1 without a gap.
+        number: counts from 1, without gaps.
         time: s since the epoch.
-        level: how grave.
+        level: its severity.
         code: what kind of event, an `rsb_bridge.model.codes.EventCode`; stable, unlike the text.
         text: one line, complete in itself.
         link: the peer's name, or empty.
@@ -60,12 +60,12 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One step on a message's way. The first that is not `done` says why nothing flows.
+    """One step on a message's way. The first one that is not `done` is the reason why nothing flows.
 
     Attributes:
         name: ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.STAGES`).
         done: True: passed; False: failed; None: not known yet.
-        detail: what was found or what is missing, in words; may be empty.
+        detail: what was found, or what is missing; may be empty.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Ledger:
 
     @property
     def dropped_total(self) -> int:
-        """Messages dropped, for whatever cause."""
+        """Messages dropped, for all causes."""
         return sum(self.dropped.values())
 
 
@@ -100,33 +100,33 @@ class RouteSnapshot:
     """One topic in one direction over one link.
 
     Attributes:
-        key: names the route in commands: stable across reconnects.
+        key: names the route in commands; stable across reconnects.
         link: the peer's name.
         topic: its name on this side.
         remote_topic: its name on the other side.
         outgoing: True: this side sends.
-        spec: what was asked for, as the client sees it.
-        state: how it is; `reason` says why where it is not OK.
-        type_name: resolved, or empty.
-        type_hash: resolved, or empty.
-        qos: the bridge's own, on both sides; None: not known yet.
-        publisher_qos: what the publishers at its beginning offer, as one; depths are not known to others. None: none.
-        subscriber_qos: likewise, what the subscriptions at its end ask for.
+        spec: the topic as it was asked for, as the client sees it.
+        state: its state; `reason` says why it is not OK.
+        type_name: empty until it is known.
+        type_hash: empty until it is known.
+        qos: of the bridge's endpoints on both sides; None: not known yet.
+        publisher_qos: what the publishers of its topic offer, combined; their depths are not known. None: none.
+        subscriber_qos: what the subscriptions at its other end request, likewise.
         transport: ``tcp``, ``udp`` or ``bluetooth``.
         port: the port or channel that carries it.
         stages: in order.
         ledger: message counts.
         rate: Hz, over the last seconds.
-        expected_rate: Hz, asked for or learned; None: not known yet.
+        expected_rate: Hz, given or learned; None: not known yet.
         bytes_per_second: of payload.
         bytes_total: of payload.
         latency_p50: s, one way; None: no figure.
         latency_p99: s.
-        latency_uncertainty: s, of the clock offset in them.
+        latency_uncertainty: s, the uncertainty of the clock offset that they contain.
         jitter: s, RFC 3550 section 6.4.1; None: no figure.
         age: s since the last message; None: none yet.
         history: messages in each of the last seconds, up to 120, oldest first.
-        last_error: the last thing that went wrong, or empty.
+        last_error: the last error, or empty.
     """
 
     key: str
@@ -166,11 +166,11 @@ class LinkSnapshot:
     Attributes:
         name: the client's name (on a client: its own, which is the link's).
         peer: address of the other side, ``host:port`` or ``MAC channel n``.
-        state: OK when linked, WAITING where nothing has been tried yet, else DOWN; `reason` says why.
-        since: s since the epoch, when it came into this state.
+        state: OK if linked, WAITING before the first attempt, else DOWN; `reason` says why.
+        since: s since the epoch, when this state began.
         retry_in: s until the next attempt; None: none is planned.
-        attempts: failed since it was last linked.
-        encrypted: False is to be shown in red.
+        attempts: failed attempts since it was last linked.
+        encrypted: False must be shown in red.
         cipher: ``AESGCM``, ``ChaChaPoly``, or empty.
         fingerprint: of the key on this side.
         rtt: s; None: no figure.
@@ -180,7 +180,7 @@ class LinkSnapshot:
         tx_bytes_per_second: wire bytes sent.
         peer_version: the other side's rsb-console version, or empty.
         peer_domain: the other side's ROS domain; None: not linked yet.
-        use_name: the server's names of the client's topics have the client's before them.
+        use_name: the client's topics have its name before them on the server.
     """
 
     name: str
@@ -211,10 +211,10 @@ class Snapshot:
         time: s since the epoch.
         name: the session's name.
         role: ``client`` or ``server``.
-        address: what is bound or connected to.
+        address: the address that is bound or called.
         domain_id: ROS domain.
         running: False: stopped, or not started.
-        links: on a server one a known client.
+        links: on a server, one for each known client.
         routes: of all links.
         last_event: number of the newest event.
     """
@@ -232,13 +232,13 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of one side's graph, to pick from.
+    """A topic of one side's graph.
 
     Attributes:
         topic: its name there.
-        type_name: its type; empty where publishers and subscriptions disagree.
+        type_name: its type; empty if its endpoints disagree.
         type_hash: or empty.
-        qos: what its publishers offer, as one QoS; None: no publisher.
+        qos: what its publishers offer, combined; None: no publisher.
         publishers: how many.
         subscriptions: how many.
     """

@@ -1,12 +1,12 @@
-"""How much of something a peer may have this side do: so much at once, then so much a second."""
+"""A rate limit with a burst, for what a peer makes this side do."""
 
 from __future__ import annotations
 
 
 class TokenBucket:
-    """Holds at most `burst`, and gets `per_second` more each second (ITU-T I.371, the leaky bucket as a meter).
+    """Holds up to `burst` tokens, and gains `per_second` tokens each second (ITU-T I.371, the leaky bucket as a meter).
 
-    Times are s, of a clock that nobody sets.
+    Times are in seconds, of a monotonic clock.
     """
 
     __slots__ = ("_at", "_burst", "_left", "_per_second")
@@ -18,13 +18,13 @@ class TokenBucket:
         self._at = now
 
     def left(self, now: float) -> float:
-        """How much may be taken."""
+        """The tokens left."""
         self._left = min(self._burst, self._left + (now - self._at) * self._per_second)
         self._at = now
         return self._left
 
     def take(self, amount: float, now: float) -> bool:
-        """Use up `amount`; False: there is not so much, and none was taken."""
+        """Take `amount` tokens; False: there are fewer, and none was taken."""
         if amount > self.left(now):
             return False
         self._left -= amount
