@@ -5,35 +5,67 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 from tests.console.scripted import SESSION, ScriptedEngine
+from textual.app import App
 from textual.events import Paste
 from textual.pilot import Pilot
 
+from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.form import FormScreen
+from rsb_console.widgets.form import Form
 
+E = TypeVar("E", bound=ScriptedEngine)
+Steps = Callable[[Pilot[None]], Awaitable[None]]
+AppSteps = Callable[[ConsoleApp, Pilot[None]], Awaitable[None]]
 NOWHERE = Path("/nonexistent")
 WIDE, NARROW = (120, 36), (80, 24)
 
 
-def scripted_app(**options) -> ConsoleApp:
+def scripted_app(**options: Any) -> ConsoleApp:
     """The app on an engine that plays a script, with nothing of the user's."""
-    options = {"config": NOWHERE, "theme": "dark", "make_engine": ScriptedEngine} | options
+    options = {"config": NOWHERE, "theme": "dark", "make_engine": ScriptedEngine, **options}
     return ConsoleApp(options.pop("session", SESSION), options.pop("path", Path("nav2.yaml")), **options)
 
 
-def empty_app(**options) -> ConsoleApp:
+def empty_app(**options: Any) -> ConsoleApp:
     """The app without a session."""
     return scripted_app(session=None, path=None, **options)
 
 
-def text(app: ConsoleApp) -> str:
+def engine_as(app: ConsoleApp, kind: type[E]) -> E:
+    """The engine that the app runs on, which is of that kind."""
+    assert isinstance(app.engine, kind)
+    return app.engine
+
+
+def engine_of(app: ConsoleApp) -> ScriptedEngine:
+    """The scripted engine that the app runs on."""
+    return engine_as(app, ScriptedEngine)
+
+
+def selected_topic(app: ConsoleApp) -> str:
+    """The topic under the cursor."""
+    assert app.main.selected is not None
+    return app.main.selected.topic
+
+
+def form_of(app: App[Any]) -> Form:
+    """The form of the dialog on top."""
+    assert isinstance(app.screen, FormScreen)
+    form: Form = app.screen.form
+    return form
+
+
+def text(app: App[Any]) -> str:
     """What stands on the screen."""
     strips = app.screen._compositor.render_strips()
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
 
-async def until(pilot: Pilot, condition: Callable[[], object], what: str, seconds: float = 20.0) -> None:
+async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 20.0) -> None:
     """Wait until `condition`."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -41,17 +73,17 @@ async def until(pilot: Pilot, condition: Callable[[], object], what: str, second
         await pilot.pause(0.02)
 
 
-async def shown(pilot: Pilot, words: str, seconds: float = 20.0) -> None:
+async def shown(pilot: Pilot[None], words: str, seconds: float = 20.0) -> None:
     """Wait until `words` stand on the screen."""
     await until(pilot, lambda: words in text(pilot.app), f"{words!r} on the screen", seconds)
 
 
-async def gone(pilot: Pilot, words: str, seconds: float = 20.0) -> None:
+async def gone(pilot: Pilot[None], words: str, seconds: float = 20.0) -> None:
     """Wait until `words` stand on the screen no more."""
     await until(pilot, lambda: words not in text(pilot.app), f"{words!r} gone", seconds)
 
 
-async def settled(pilot: Pilot, seconds: float = 20.0) -> None:
+async def settled(pilot: Pilot[None], seconds: float = 20.0) -> None:
     """Wait until the screen no longer changes: scrollbars come a refresh after what they scroll."""
     deadline = time.monotonic() + seconds
     before, same = "", 0
@@ -61,7 +93,7 @@ async def settled(pilot: Pilot, seconds: float = 20.0) -> None:
         before, same = text(pilot.app), same + 1 if text(pilot.app) == before else 0
 
 
-def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tuple[int, int] = WIDE) -> None:
+def drive(app: ConsoleApp, steps: Steps, size: tuple[int, int] = WIDE) -> None:
     """Run `app` without a terminal, and `steps` on it."""
 
     async def run() -> None:
@@ -71,10 +103,10 @@ def drive(app: ConsoleApp, steps: Callable[[Pilot], Awaitable[None]], size: tupl
     asyncio.run(run())
 
 
-async def fill(pilot: Pilot, **values: str) -> None:
+async def fill(pilot: Pilot[None], **values: str) -> None:
     """Paste each value into the form's field of that key, in place of what is there."""
     for key, value in values.items():
-        form = pilot.app.screen.form
+        form = form_of(pilot.app)
         await until(pilot, lambda f=form: not f.typed_ahead.covers(Paste("")), "a form that listens")
         control = form.fields[key].control
         control.focus()
@@ -83,9 +115,9 @@ async def fill(pilot: Pilot, **values: str) -> None:
         await until(pilot, lambda c=control, v=value: c.value == v, f"{value!r} in {key}")
 
 
-async def choose(pilot: Pilot, key: str, value: str) -> None:
+async def choose(pilot: Pilot[None], key: str, value: str) -> None:
     """Move a choice until `value` is chosen."""
-    control = pilot.app.screen.form.fields[key].control
+    control = form_of(pilot.app).fields[key].control
     control.focus()
     for _ in range(10):
         if control.value == value:
@@ -94,25 +126,26 @@ async def choose(pilot: Pilot, key: str, value: str) -> None:
     raise AssertionError(f"{key} has no {value}")
 
 
-def listed(app) -> list[str]:
+def listed(app: ConsoleApp) -> list[str]:
     """The topics on screen, in their order."""
     return [shown_route.topic for shown_route in app.main.topics.listed]
 
 
-def put(app, *routes, **changes) -> None:
+def put(app: ConsoleApp, *routes: RouteSnapshot, **changes: Any) -> None:
     """The engine's next snapshot has `routes`."""
-    app.engine.now = replace(app.engine.now, routes=routes or app.engine.now.routes, **changes)
+    engine = engine_of(app)
+    engine.now = replace(engine.now, routes=routes or engine.now.routes, **changes)
     app.pull()
 
 
-def on_main(size=(120, 36), **options):
+def on_main(size: tuple[int, int] = (120, 36), **options: Any) -> Callable[[AppSteps], Callable[[], None]]:
     """A test's steps run once the topics are there."""
 
-    def decorate(steps):
+    def decorate(steps: AppSteps) -> Callable[[], None]:
         def test() -> None:
             app = scripted_app(**options)
 
-            async def run(pilot: Pilot) -> None:
+            async def run(pilot: Pilot[None]) -> None:
                 await shown(pilot, "/robot2/scan")
                 await steps(app, pilot)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from tests.support.bridge import free_port
 
@@ -22,21 +23,26 @@ class Pair:
 
     def __init__(self, folder: Path, *topics: Topic) -> None:
         write_key(folder / "robot1.key")
-        common = {"name": "robot1", "server_ip": "127.0.0.1", "server_port": free_port(), "key_file": "robot1.key"}
+        common: dict[str, Any] = {
+            "name": "robot1",
+            "server_ip": "127.0.0.1",
+            "server_port": free_port(),
+            "key_file": "robot1.key",
+        }
         self.client = Session(role="client", domain_id=HERE, stale_after=1.0, topics=topics, **common)
         self.client_path, self.server_path = folder / "client.yaml", folder / "server.yaml"
         save(self.client, self.client_path)
         save(Session(role="server", domain_id=THERE, **common), self.server_path)
 
     @contextlib.contextmanager
-    def server(self) -> Iterator[subprocess.Popen]:
+    def server(self) -> Iterator[subprocess.Popen[bytes]]:
         """The other side, bridging headless."""
         with running(str(COMMAND), "run", "--no-ui", str(self.server_path)) as process:
             yield process
 
 
 @contextlib.contextmanager
-def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> Iterator[subprocess.Popen]:
+def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> Iterator[subprocess.Popen[bytes]]:
     """Publishes `topic` on this side."""
     script = Path(__file__).with_name("talker.py")
     with running(sys.executable, str(script), str(domain), topic, str(rate)) as process:
@@ -44,7 +50,7 @@ def talker(topic: str, rate: float = 20.0, domain: int = HERE) -> Iterator[subpr
 
 
 @contextlib.contextmanager
-def running(*command: str) -> Iterator[subprocess.Popen]:
+def running(*command: str) -> Iterator[subprocess.Popen[bytes]]:
     """A process, ended with the block."""
     environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with subprocess.Popen(command, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
@@ -54,7 +60,7 @@ def running(*command: str) -> Iterator[subprocess.Popen]:
             end(process)
 
 
-def end(process: subprocess.Popen) -> None:
+def end(process: subprocess.Popen[bytes]) -> None:
     """Let it go, by force only if need be: what is killed leaves its shared memory behind."""
     process.terminate()
     try:

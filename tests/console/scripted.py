@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
@@ -40,7 +40,7 @@ def stages(failed: int | None = None, detail: str = "") -> tuple[Stage, ...]:
     )
 
 
-def route(topic: str, state: State = State.OK, **changes: object) -> RouteSnapshot:
+def route(topic: str, state: State = State.OK, **changes: Any) -> RouteSnapshot:
     """A route that flows at 10 Hz, with `changes`."""
     flowing = RouteSnapshot(
         key=topic,

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from tests.console.driving import drive, gone, scripted_app, shown, text, until
+from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
 from textual.pilot import Pilot
 
-from rsb_console.actions import ACTIONS, BY_ID, Group, KeymapError, load_keymap, split_keys
+from rsb_console.actions import ACTIONS, BY_ID, Action, Group, KeymapError, load_keymap, split_keys
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.main import MainScreen
 from rsb_console.widgets.cursor_lines import CursorLines
@@ -16,7 +16,7 @@ OWNER = dict.fromkeys(Group, MainScreen) | {Group.MOVE: CursorLines, Group.CONSO
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
-def test_every_action_has_its_handler(action) -> None:
+def test_every_action_has_its_handler(action: Action) -> None:
     assert hasattr(OWNER[action.group], f"action_{action.id}")
 
 
@@ -27,7 +27,7 @@ def test_no_id_and_no_key_twice() -> None:
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
-def test_no_action_hangs_on_a_key_that_terminals_eat(action) -> None:
+def test_no_action_hangs_on_a_key_that_terminals_eat(action: Action) -> None:
     assert any(key not in EATEN and not key.startswith("alt+") for key in split_keys(action.keys))
 
 
@@ -58,12 +58,12 @@ def test_a_remapped_key_works_and_is_shown(tmp_path: Path) -> None:
     (tmp_path / "keys.yaml").write_text("pause: P\nmove_down: ctrl+n\n")
     app = scripted_app(config=tmp_path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "P pause")
         await pilot.press("p")
         await pilot.press("ctrl+n", "P")
-        await until(pilot, lambda: app.engine.commands, "a command")
-        assert app.engine.commands == [("pause", "/robot1/map", True)]
+        await until(pilot, lambda: engine_of(app).commands, "a command")
+        assert engine_of(app).commands == [("pause", "/robot1/map", True)]
 
     drive(app, steps)
 
@@ -72,11 +72,11 @@ def test_bad_keys_leave_the_default_ones(tmp_path: Path) -> None:
     (tmp_path / "keys.yaml").write_text("pawse: P")
     app = scripted_app(config=tmp_path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "pawse")  # the toast breaks its lines
         await shown(pilot, "p pause")
         await pilot.press("p")
-        await until(pilot, lambda: app.engine.commands, "a command")
+        await until(pilot, lambda: engine_of(app).commands, "a command")
 
     drive(app, steps)
 
@@ -85,7 +85,7 @@ def test_bad_keys_leave_the_default_ones(tmp_path: Path) -> None:
 def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await pilot.press("question_mark")
         await shown(pilot, "Next line")
         cells = [line.strip(" │").split("  ") for line in text(app).splitlines()]
@@ -103,7 +103,7 @@ def test_help_lists_every_action_with_its_keys_and_id(width: int) -> None:
 def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("colon", *"faults only")
         await shown(pilot, "Show faults only")
@@ -116,7 +116,7 @@ def test_the_palette_finds_an_action_by_its_words_and_does_it() -> None:
 def test_readonly_takes_away_whatever_changes_something() -> None:
     app = scripted_app(readonly=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "read-only")
         assert "p pause" not in text(app)
         await pilot.press("p", "r")
@@ -124,7 +124,7 @@ def test_readonly_takes_away_whatever_changes_something() -> None:
         await pilot.press("question_mark")
         await shown(pilot, "Next line")
         assert not any(action.help in text(app) for action in ACTIONS if action.changes)
-        assert app.engine.commands == []
+        assert engine_of(app).commands == []
 
     drive(app, steps, size=(120, 80))
 
@@ -133,7 +133,7 @@ def test_readonly_takes_away_whatever_changes_something() -> None:
 def test_the_footer_always_ends_with_help_and_quit(size: tuple[int, int]) -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "? help  q quit")
 
     drive(app, steps, size=size)

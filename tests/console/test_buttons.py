@@ -48,7 +48,7 @@ def test_every_button_with_enter(dialog: str, label: str, tmp_path: Path, monkey
     app = scripted_app(path=tmp_path / "nav2.yaml")
     key, words = BEGINNINGS[dialog]
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press(key)
         await shown(pilot, words)

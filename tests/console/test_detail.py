@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from tests.console.driving import NARROW, drive, scripted_app, settled, shown, text, until
+from tests.console.driving import NARROW, drive, engine_of, scripted_app, selected_topic, settled, shown, text, until
 from tests.console.scripted import ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
@@ -21,7 +21,7 @@ def said(about: RouteSnapshot, width: int = 60) -> str:
 def test_another_topic_is_shown_from_its_beginning() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.resize_terminal(120, 20)
         await pilot.press("enter", "end")
@@ -38,7 +38,7 @@ def test_another_topic_is_shown_from_its_beginning() -> None:
 def test_the_keys_of_a_list_scroll_it() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.resize_terminal(120, 20)
         await pilot.press("enter")
@@ -52,7 +52,7 @@ def test_the_keys_of_a_list_scroll_it() -> None:
             await until(pilot, lambda y=y: pane.scroll_offset.y == y, f"{key}: line {y} at the top")
         await pilot.press("pagedown")
         await until(pilot, lambda: pane.scroll_offset.y > 1, "a page on")
-        assert app.main.selected.topic == "/robot2/scan", "the table's cursor stays"
+        assert selected_topic(app) == "/robot2/scan", "the table's cursor stays"
 
     drive(app, steps)
 
@@ -66,12 +66,12 @@ def test_a_type_that_was_asked_for_is_named_before_it_is_found() -> None:
 def test_a_client_calls_its_peer_by_its_address() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "← from 10.0.0.20:49152")
         await pilot.press("d")
         await shown(pilot, "10.0.0.20:49152.")
         await pilot.press("escape")
-        app.engine.now = replace(app.engine.now, role="server")
+        engine_of(app).now = replace(engine_of(app).now, role="server")
         app.pull()
         await shown(pilot, "← from robot1")
 
@@ -91,7 +91,7 @@ def test_what_has_no_room_on_one_line_goes_on_on_the_next() -> None:
     )
     app = scripted_app(make_engine=lambda _session, _base: engine)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/scan")
         await pilot.press("enter", "G")
         for words in (
@@ -113,7 +113,7 @@ def test_the_scrollbar_hides_nothing() -> None:
     engine.now = replace(engine.now, address="127.0.0.1:54757")
     app = scripted_app(make_engine=lambda _session, _base: engine)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "→ to 127.0.0.1:54757")
         await shown(pilot, "TCP port 54757")
 
@@ -127,7 +127,7 @@ def test_no_latency_is_below_zero() -> None:
         )
     )
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "10.0/10   41.2   0.0")
         await pilot.press("enter", "end")
         await shown(pilot, "p50 <4.0 ms")
@@ -152,7 +152,7 @@ def test_control_characters_never_go_out() -> None:
         )
     )
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/ev[2Jil")
         await settled(pilot)
         assert all(line.isprintable() for line in text(app).split("\n"))

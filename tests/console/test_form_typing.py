@@ -1,9 +1,12 @@
 """Typing into forms: on coming to a field, and faster than a refusal shows."""
 
 import pytest
-from tests.console.driving import drive, empty_app, fill, shown, text, until
+from tests.console.driving import drive, empty_app, fill, form_of, shown, text, until
 from textual.events import Key
 from textual.pilot import Pilot
+
+from rsb_console.app import ConsoleApp
+from rsb_console.widgets.field_input import FieldInput
 
 pytestmark = pytest.mark.usefixtures("folder")
 
@@ -12,13 +15,14 @@ pytestmark = pytest.mark.usefixtures("folder")
 def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens_a_path(key: str, typed: str) -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         await pilot.press("n")
         await shown(pilot, "Session file")
         await fill(pilot, name="robot", path="robot.yaml")
-        form = app.screen.form
+        form = form_of(app)
         control = form.fields[key].control
+        assert isinstance(control, FieldInput)
         control.cursor_position = 1  # where it was left
         for each in (form.fields["role"].control, control):
             each.focus()
@@ -30,22 +34,25 @@ def test_what_is_typed_on_coming_to_a_field_replaces_what_is_there_but_lengthens
     drive(app, steps)
 
 
-def type_at_once(app, *keys: str) -> None:
+def type_at_once(app: ConsoleApp, *keys: str) -> None:
     """Type faster than the console looks."""
+    assert app._driver is not None
     for key in keys:
         app._driver.send_message(Key(key, key if len(key) == 1 else None))
 
 
 @pytest.mark.parametrize("pressed", ["server_port", "use_encryption", "#yes"])
-def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(pressed: str) -> None:
+def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(
+    pressed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         await pilot.press("n")
         await shown(pilot, "Session file")
         await fill(pilot, name="robot1", server_ip="10.0.0.20", domain_id="")
-        form = app.screen.form
+        form = form_of(app)
         control = form.fields[pressed].control if pressed in form.fields else app.screen.query_one(pressed)
         control.focus()
         await until(pilot, lambda: control.has_focus, "the focus")
@@ -64,8 +71,9 @@ def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(pressed:
             end()
             listening_at.append(text(app))
 
-        end, form.typed_ahead.end = form.typed_ahead.end, listen
-        form.settle = settle_and_type
+        end = form.typed_ahead.end
+        monkeypatch.setattr(form.typed_ahead, "end", listen)
+        monkeypatch.setattr(form, "settle", settle_and_type)
         type_at_once(app, "enter", "x", "backspace", "h", "z")
         await shown(pilot, "0 to 232")
         await until(pilot, lambda: form.fields["domain_id"].control.has_focus, "the focus on what is wrong")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, drive, fill, gone, scripted_app, shown, text, until
+from tests.console.driving import NARROW, drive, engine_of, fill, form_of, gone, scripted_app, shown, text, until
 from tests.console.scripted import LINK, SESSION
 from textual.pilot import Pilot
 
-from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use
+from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Adapter, Device, Scan, Use, scan
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import State
@@ -25,7 +25,7 @@ def test_a_key_is_shown_by_fingerprint_and_mode_never_itself(tmp_path: Path) -> 
     (tmp_path / "r.key").chmod(0o644)
     app = scripted_app(path=tmp_path / "nav2.yaml")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("K")
         await shown(pilot, fingerprint(key))
@@ -41,7 +41,7 @@ def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]
     old = write_key(tmp_path / "r.key")
     app = scripted_app(path=tmp_path / "nav2.yaml")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("K")
         await shown(pilot, fingerprint(old))
@@ -62,7 +62,7 @@ def test_a_key_is_replaced_only_with_a_yes(tmp_path: Path, size: tuple[int, int]
 def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(tmp_path: Path) -> None:
     app = scripted_app(path=tmp_path / "nav2.yaml")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("K")
         await shown(pilot, "no such key file")
@@ -82,7 +82,7 @@ def test_a_new_key_goes_where_it_is_wanted_and_a_bad_place_is_refused(tmp_path: 
 def test_readonly_looks_at_keys_and_makes_none(tmp_path: Path) -> None:
     app = scripted_app(path=tmp_path / "nav2.yaml", readonly=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("K")
         await shown(pilot, "no such key file")
@@ -111,9 +111,9 @@ def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None, retry_in=3.0, attempts=3)
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        app.engine.now = replace(app.engine.now, links=(LINK, down))
+        engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
         await pilot.press("c")
         await shown(pilot, "▌✗ DOWN  robot2")
         await shown(pilot, "no answer; attempt 4 in 3 s")
@@ -123,7 +123,7 @@ def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
         await shown(pilot, LINK.fingerprint)
         await shown(pilot, "-12.0 ms against ours ± 400 µs")
         await pilot.press("r")
-        await until(pilot, lambda: app.engine.commands == [("retry", "robot1")], "the command")
+        await until(pilot, lambda: engine_of(app).commands == [("retry", "robot1")], "the command")
         await pilot.press("escape")
         await gone(pilot, "its clock")
 
@@ -133,9 +133,9 @@ def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
 def test_a_link_in_the_clear_stands_out() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        app.engine.now = replace(app.engine.now, links=(replace(LINK, encrypted=False, cipher=""),))
+        engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, encrypted=False, cipher=""),))
         await pilot.press("c")
         await shown(pilot, "key          ")
         key_line = next(line for line in text(app).splitlines() if "key          " in line)
@@ -175,7 +175,7 @@ def test_before_anything_is_found_the_dialog_has_no_empty_lines(monkeypatch: pyt
     monkeypatch.setattr(bluetooth, "scan", scan)
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("b")
         await shown(pilot, "no radio here")
@@ -187,12 +187,12 @@ def test_before_anything_is_found_the_dialog_has_no_empty_lines(monkeypatch: pyt
 
 
 def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
-    problems = asyncio.run(bluetooth.scan()).problems
+    problems = asyncio.run(scan()).problems
     if not problems:
         pytest.skip("this machine has all that Bluetooth needs")
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("b")
         await shown(pilot, problems[0][:40])
@@ -204,7 +204,7 @@ def test_without_bluetooth_the_screen_says_what_is_missing() -> None:
 def test_adapters_devices_and_channels_at_a_glance(radio: list[object], size: tuple[int, int]) -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("b")
         await shown(pilot, "5C:F3:70:9A:1B:2E  hci0     on                 desk")
@@ -219,13 +219,13 @@ def test_adapters_devices_and_channels_at_a_glance(radio: list[object], size: tu
 def test_a_paired_device_becomes_the_server_of_a_new_session(radio: list[object]) -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("b")
         await shown(pilot, PHONE.address)
         await pilot.press("j", "enter")
         await shown(pilot, "New session")
-        assert app.screen.form.values["server_ip"] == PHONE.address
+        assert form_of(app).values["server_ip"] == PHONE.address
         await fill(pilot, name="robot1")
         await pilot.press("enter")
         await shown(pilot, "49152 is not an RFCOMM channel")
@@ -237,7 +237,7 @@ def test_a_servers_own_channels_are_told_to_the_scan(radio: list[object]) -> Non
     session = msgspec.structs.replace(SESSION, role="server", server_ip=HCI0.address, server_port=4)
     app = scripted_app(session=session)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("b")
         await until(pilot, lambda: radio, "a scan")

@@ -7,19 +7,19 @@ from tests.console.driving import drive, scripted_app, shown, until
 from textual.pilot import Pilot
 from textual.strip import Strip
 
-from rsb_console.widgets.lines import LOOKS, changed_width, clip, fit, width_of
+from rsb_console.widgets.lines import LOOKS, Line, changed_width, clip, fit, width_of
 
 PIECES = st.tuples(st.text(st.sampled_from("ab ●日"), max_size=4), st.sampled_from(LOOKS))
 LINES = st.lists(PIECES, max_size=6).map(tuple)
 
 
-def cells(line: tuple[tuple[str, str], ...]) -> list[tuple[str, str]]:
+def cells(line: Line) -> list[tuple[str, str]]:
     """A line cell by cell; a wide character fills two."""
     return [(char, look) for text, look in line for char in text for _ in range(cell_len(char))]
 
 
 @given(LINES, LINES)
-def test_all_beyond_the_changed_width_is_the_same(old: tuple, new: tuple) -> None:
+def test_all_beyond_the_changed_width_is_the_same(old: Line, new: Line) -> None:
     width = 60
     start = changed_width(old, new, width)
     padded = [(line + [(" ", "")] * width)[:width] for line in (cells(old), cells(new))]
@@ -31,7 +31,7 @@ def test_a_change_at_the_start_costs_only_the_start() -> None:
 
 
 @given(LINES, st.integers(2, 20))
-def test_a_fitted_line_fits(line: tuple, width: int) -> None:
+def test_a_fitted_line_fits(line: Line, width: int) -> None:
     fitted = fit(line, width)
     assert width_of(fitted) <= width
     assert fitted == line or fitted[-1][0] == "…"
@@ -49,7 +49,7 @@ def test_a_pane_keeps_what_it_has_drawn_until_its_look_changes() -> None:
         table = app.main.topics
         return table.render_lines(table.outer_size.region)[1 + table.sticky]  # below the border and the heading
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         focused = cursor_line()
         assert cursor_line() is focused

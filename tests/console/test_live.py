@@ -1,11 +1,12 @@
 """The console on a real engine, against a real other side in another process."""
 
 import os
+import subprocess
 import time
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, drive, gone, shown, text, until
+from tests.console.driving import NOWHERE, AppSteps, drive, gone, shown, text, until
 from tests.console.live import Pair, talker
 from textual.pilot import Pilot
 
@@ -24,11 +25,11 @@ def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def watch(pair: Pair, steps) -> None:
+def watch(pair: Pair, steps: AppSteps) -> None:
     """Open the console on the pair's client, run `steps`, stop its engine."""
     app = ConsoleApp(load(pair.client_path), pair.client_path, config=NOWHERE, theme="dark")
 
-    async def run(pilot: Pilot) -> None:
+    async def run(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: app.engine is not None, "an engine")
         await steps(app, pilot)
 
@@ -44,16 +45,16 @@ def state(app: ConsoleApp) -> State | None:
     return None if app.main.selected is None else app.main.selected.state
 
 
-async def flowing(app: ConsoleApp, pilot: Pilot) -> None:
+async def flowing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     """Wait until the selected topic carries about what its talker says."""
-    await until(pilot, lambda: state(app) is State.OK and app.main.selected.rate > 15, "20 Hz", 20)
+    await until(pilot, lambda: state(app) is State.OK and (route := app.main.selected) and route.rate > 15, "20 Hz", 20)
 
 
 def test_a_topics_life(tmp_path: Path) -> None:
     """Flows, goes stale with its publisher, flows again, is paused, resumed, removed."""
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
 
-    async def steps(app: ConsoleApp, pilot: Pilot) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
         await shown(pilot, "● LINKED", 20)
         with talker(CHATTER):
             await flowing(app, pilot)
@@ -81,7 +82,7 @@ def test_a_topics_life(tmp_path: Path) -> None:
 def test_the_peer_dies_and_comes_back(tmp_path: Path) -> None:
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
 
-    async def steps(app: ConsoleApp, pilot: Pilot) -> None:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
         with talker(CHATTER):
             with pair.server() as server:
                 await flowing(app, pilot)
@@ -101,7 +102,7 @@ def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Pa
         wait_for_port(pair.client.server_port, server)
         write_key(tmp_path / "robot1.key", force=True)
 
-        async def steps(app: ConsoleApp, pilot: Pilot) -> None:
+        async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
             await shown(pilot, fingerprint(read_key(tmp_path / "robot1.key")), 20)
             assert not app.linked
             assert app.snapshot().routes[0].ledger.delivered == 0
@@ -109,7 +110,7 @@ def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Pa
         watch(pair, steps)
 
 
-def wait_for_port(port: int, process) -> None:
+def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
     """Wait until `process` listens."""
     import socket
 

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, drive, gone, shown, text, until
+from tests.console.driving import NOWHERE, Steps, drive, gone, shown, text, until
 from tests.console.live import HERE, THERE, Pair, talker
 from textual.pilot import Pilot
 
@@ -24,7 +24,7 @@ def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def watch(app: ConsoleApp, steps) -> None:
+def watch(app: ConsoleApp, steps: Steps) -> None:
     """Run `steps` on the console; stop its engine."""
     try:
         drive(app, steps)
@@ -49,7 +49,7 @@ def test_a_topic_of_either_sides_graph_is_added_flows_and_is_saved(
     pair = Pair(tmp_path)
     app = console(pair.client_path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "● LINKED", 20)
         await pilot.press("a", *"chatter")
         await shown(pilot, f"▌{sign} {CHATTER[:20]}", 20)
@@ -86,7 +86,7 @@ def test_a_restart_shows_its_steps_and_then_all_flows_again(tmp_path: Path) -> N
     pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
     app = console(pair.client_path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: flows(app.snapshot()), "20 Hz", 20)
         await pilot.press("R", "y")
         await shown(pilot, "✓ restarted", 20)
@@ -104,7 +104,7 @@ def test_a_restart_that_finds_nobody_says_so(tmp_path: Path) -> None:
     pair = Pair(tmp_path)
     app = console(pair.client_path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "✗ DOWN", 20)
         await pilot.press("R", "y")
         await shown(pilot, "✗ connecting to", 20)
@@ -117,7 +117,7 @@ def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
     app = ConsoleApp(None, None, config=NOWHERE, theme="dark")
     folders: list[Path] = []
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "a simulated robot")
         await pilot.press("d")
         await until(pilot, lambda: flows(app.snapshot(), "/odom"), "the odometry", 30)

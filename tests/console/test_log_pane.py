@@ -2,15 +2,17 @@
 
 from dataclasses import replace
 
-from tests.console.driving import NARROW, gone, listed, on_main, put, shown, text, until
+from tests.console.driving import NARROW, engine_of, gone, listed, on_main, put, shown, text, until
 from tests.console.scripted import LINK, NOW
+from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import Event, Level
+from rsb_console.app import ConsoleApp
 
 
-def happen(app, *events: Event) -> None:
+def happen(app: ConsoleApp, *events: Event) -> None:
     """The engine has `events`, and the console sees them."""
-    app.engine.happened += events
+    engine_of(app).happened += events
     app.pull()
 
 
@@ -19,7 +21,7 @@ NEWEST = Event(40, NOW, Level.INFO, "link.up", "newest")
 
 
 @on_main()
-async def test_log_levels_and_search(app, pilot) -> None:
+async def test_log_levels_and_search(app: ConsoleApp, pilot: Pilot[None]) -> None:
     happen(app, Event(5, NOW, Level.DEBUG, "link.up", "a detail"))
     assert "a detail" not in text(app)
     await pilot.press("L")
@@ -36,7 +38,7 @@ async def test_log_levels_and_search(app, pilot) -> None:
 
 
 @on_main()
-async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilot) -> None:
+async def test_the_log_follows_at_the_top_and_holds_still_further_down(app: ConsoleApp, pilot: Pilot[None]) -> None:
     log = app.main.log_pane
     await pilot.press("l", "j")
     held = log.selected
@@ -46,11 +48,12 @@ async def test_the_log_follows_at_the_top_and_holds_still_further_down(app, pilo
     await shown(pilot, "more 39")
     happen(app, NEWEST)
     await shown(pilot, "newest")
+    assert log.selected is not None
     assert log.selected.text == "newest"
 
 
 @on_main()
-async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot) -> None:
+async def test_the_log_follows_again_when_another_pane_gets_the_focus(app: ConsoleApp, pilot: Pilot[None]) -> None:
     log = app.main.log_pane
     await pilot.press("l", "G")
     held = log.selected
@@ -72,7 +75,7 @@ async def test_the_log_follows_again_when_another_pane_gets_the_focus(app, pilot
 
 
 @on_main()
-async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app, pilot) -> None:
+async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app: ConsoleApp, pilot: Pilot[None]) -> None:
     app.notify("words " * 20)
     await shown(pilot, "words words")
     assert "/robot2/scan channel 3: No route to host" in text(app)
@@ -80,16 +83,16 @@ async def test_toasts_leave_the_newest_log_lines_and_the_keys_alone(app, pilot) 
 
 
 @on_main(size=NARROW)
-async def test_a_long_line_of_the_log_can_be_read_whole(app, pilot) -> None:
+async def test_a_long_line_of_the_log_can_be_read_whole(app: ConsoleApp, pilot: Pilot[None]) -> None:
     words = " ".join(f"word{number}" for number in range(40))
-    app.engine.happened.append(Event(5, NOW, Level.ERROR, "link.up", words, "robot1"))
+    engine_of(app).happened.append(Event(5, NOW, Level.ERROR, "link.up", words, "robot1"))
     put(app, links=(LINK,))
     assert "word39" not in text(app)
     await pilot.press("l", "enter")
     await shown(pilot, "word39")
     await pilot.press("enter")
     await gone(pilot, "word39")
-    app.engine.now = replace(app.engine.now, routes=())
+    engine_of(app).now = replace(engine_of(app).now, routes=())
     app.pull()
     await pilot.press("enter")
     await shown(pilot, "word39")

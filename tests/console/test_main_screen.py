@@ -3,35 +3,49 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, drive, gone, on_main, put, scripted_app, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    drive,
+    engine_as,
+    engine_of,
+    gone,
+    on_main,
+    put,
+    scripted_app,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import FAULTY, LINK, NOW, ScriptedEngine, route
 from textual.pilot import Pilot
 from textual.widgets import Button
 
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_console.app import ConsoleApp
 
 
 @on_main()
-async def test_freezing_holds_the_view_only_and_says_so(app, pilot) -> None:
+async def test_freezing_holds_the_view_only_and_says_so(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("space")
     await shown(pilot, "VIEW FROZEN")
-    app.engine.happened.append(Event(5, NOW, Level.ERROR, "route.refused", "meanwhile"))
+    engine_of(app).happened.append(Event(5, NOW, Level.ERROR, "route.refused", "meanwhile"))
     put(app, route("/new"), links=(replace(LINK, state=State.DOWN, reason="gone"),))
     await shown(pilot, "✗ DOWN")  # the status line goes on
     assert "/robot1/scan" in text(app)
     assert "meanwhile" not in text(app)
-    assert app.engine.commands == []
+    assert engine_of(app).commands == []
     await pilot.press("space")
     await shown(pilot, "/new")
     await shown(pilot, "meanwhile")
 
 
 @on_main()
-async def test_refresh_rate(app, pilot) -> None:
+async def test_refresh_rate(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("minus")
     await shown(pilot, "LIVE 2 Hz")
     await pilot.press("plus", "plus", "plus")
@@ -42,14 +56,14 @@ def test_over_ssh_it_begins_at_two_hertz(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv("SSH_CONNECTION", "10.0.0.1 50000 10.0.0.2 22")
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "LIVE 2 Hz")
 
     drive(app, steps)
 
 
 @on_main()
-async def test_detail_says_why(app, pilot) -> None:
+async def test_detail_says_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, "Why it isn't flowing")
     assert "✗ publisher seen" in text(app)
     assert "no publisher of /scan in domain 4" in text(app)
@@ -60,7 +74,7 @@ async def test_detail_says_why(app, pilot) -> None:
 
 
 @on_main(size=NARROW)
-async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app, pilot) -> None:
+async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert "Ledger" not in text(app)
     await pilot.press("enter")
     await shown(pilot, "Ledger")
@@ -75,7 +89,7 @@ async def test_on_a_narrow_screen_detail_and_log_open_over_the_table(app, pilot)
 
 
 @on_main(size=(60, 12))
-async def test_even_smaller_it_works(app, pilot) -> None:
+async def test_even_smaller_it_works(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert "✗  /robot2/scan" in text(app)
     await pilot.press("l")
     await shown(pilot, "/robot2/scan channel 3")
@@ -84,7 +98,7 @@ async def test_even_smaller_it_works(app, pilot) -> None:
 
 
 @on_main()
-async def test_zoom(app, pilot) -> None:
+async def test_zoom(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("z")
     await gone(pilot, "Ledger")
     assert "Log" not in text(app)
@@ -93,16 +107,16 @@ async def test_zoom(app, pilot) -> None:
 
 
 @on_main()
-async def test_pause_and_resume(app, pilot) -> None:
+async def test_pause_and_resume(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("p")
-    await until(pilot, lambda: app.engine.commands == [("pause", "/robot2/scan", True)], "pause")
+    await until(pilot, lambda: engine_of(app).commands == [("pause", "/robot2/scan", True)], "pause")
     await pilot.press("j", "j", "p")
-    await until(pilot, lambda: app.engine.commands[1:] == [("pause", "/initialpose", False)], "resume")
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("pause", "/initialpose", False)], "resume")
     assert not list(app._notifications), "the log says it"
 
 
 @on_main()
-async def test_quitting_while_linked_asks_with_the_focus_on_no(app, pilot) -> None:
+async def test_quitting_while_linked_asks_with_the_focus_on_no(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("q")
     await shown(pilot, "Quit?")
     assert app.focused is app.screen.query_one("#no", Button)
@@ -119,14 +133,14 @@ async def test_quitting_while_linked_asks_with_the_focus_on_no(app, pilot) -> No
 
 
 @on_main()
-async def test_quitting_unlinked_does_not_ask(app, pilot) -> None:
+async def test_quitting_unlinked_does_not_ask(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, state=State.DOWN),))
     await pilot.press("q")
     await until(pilot, lambda: app._exit, "the end")
 
 
 @on_main()
-async def test_an_unencrypted_link_is_an_alarm_however_narrow(app, pilot) -> None:
+async def test_an_unencrypted_link_is_an_alarm_however_narrow(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, encrypted=False, cipher=""),))
     await shown(pilot, "NOT ENCRYPTED")
     assert "encrypted ✓" not in text(app)
@@ -135,7 +149,7 @@ async def test_an_unencrypted_link_is_an_alarm_however_narrow(app, pilot) -> Non
 
 
 @on_main()
-async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app, pilot) -> None:
+async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, state=State.WAITING, reason="not connected yet"),), role="server")
     await shown(pilot, "◌ WAIT")
     await pilot.press("c")
@@ -147,12 +161,12 @@ async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app, pilot) -> None
 
 
 @on_main(path=Path("robot1.yaml"))
-async def test_a_session_named_like_its_file_is_named_once(app, pilot) -> None:
+async def test_a_session_named_like_its_file_is_named_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert text(app).splitlines()[0].count("robot1") == 1
 
 
 @on_main(ascii_only=True)
-async def test_ascii_is_what_goes_out(app, pilot) -> None:
+async def test_ascii_is_what_goes_out(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert text(app).isascii()
     assert "enter detail" in text(app)
     await pilot.press("question_mark")
@@ -167,7 +181,7 @@ def test_copy_and_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.chdir(tmp_path)
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("y")
         assert app.clipboard == "/robot2/scan"
@@ -194,7 +208,7 @@ def test_an_export_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(folder)
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         folder.rmdir()
         await pilot.press("x")
@@ -214,12 +228,12 @@ class Dying(ScriptedEngine):
 @pytest.mark.parametrize("temporary", [False, True])
 def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: bool) -> None:
     app = scripted_app(make_engine=Dying, path=Path("there/nav2.yaml"), temporary=temporary)
-    ended = []
+    ended: list[str] = []
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         app._belongings.callback(ended.append, "the demo's robot")
-        dead = app.engine
+        dead = engine_as(app, Dying)
         dead.die()
         app.pull()
         await shown(pilot, "✗ STOPPED: R starts it anew, the ROS node is gone")
@@ -227,8 +241,8 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
         await shown(pilot, "● LINKED")
         await shown(pilot, "/robot2/scan")
         assert app.engine is not dead
-        assert app.engine.base == Path("there")
-        assert app.engine.session == dead.session
+        assert engine_of(app).base == Path("there")
+        assert engine_of(app).session == dead.session
         assert ended == []
 
     drive(app, steps)
@@ -237,7 +251,7 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
 def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "⏎ detail")
         footer = text(app).split("\n")[-1]
         for words in ("a add", "p pause", "/ filter", "f faults", "? help", "q quit"):
@@ -253,9 +267,9 @@ def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: 
     path.touch()
     app = scripted_app(path=path, temporary=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        app.engine.session = msgspec.structs.replace(app.engine.session, topics=(Topic("/new", "transmit"),))
+        engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=(Topic("/new", "transmit"),))
         assert recent_sessions() == []
         await pilot.press("w")  # is kept elsewhere, if at all
         await shown(pilot, "Save as")
@@ -276,10 +290,10 @@ def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: 
     ],
 )
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
-def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict, words: str) -> None:
+def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict[str, Any], words: str) -> None:
     app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, ()), **options)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         if "session" in options:
             await shown(pilot, "Open a session")
             await pilot.press("escape")
@@ -290,7 +304,7 @@ def test_an_empty_screen_says_what_to_press(size: tuple[int, int], options: dict
 
 
 @on_main(size=NARROW)
-async def test_a_dialog_has_the_only_keys(app, pilot) -> None:
+async def test_a_dialog_has_the_only_keys(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert "q quit" in text(app)
     await pilot.press("f5")
     await shown(pilot, "? every key")
@@ -311,7 +325,7 @@ def test_an_engine_that_cannot_start_says_why_and_the_console_stays() -> None:
 
     app = scripted_app(make_engine=Broken)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "port 49152 is taken by another program")
         await shown(pilot, "not started")
         assert app.is_running
@@ -332,7 +346,7 @@ def test_a_refused_command_is_said_in_words() -> None:
 
     app = scripted_app(make_engine=Refusing)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "p pause")
         await pilot.press("p")
         await shown(pilot, "there is no route any more")

@@ -5,28 +5,31 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import drive, fill, scripted_app, shown, text, until
+from tests.console.driving import drive, engine_of, fill, scripted_app, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
 from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Session, Topic
+from rsb_console.app import ConsoleApp
 from rsb_console.recents import LIMIT, recent_sessions, remember
 from rsb_console.saving import moved, unsaved
 
 pytestmark = pytest.mark.usefixtures("folder")
 
 
-async def shut(pilot: Pilot) -> None:
+async def shut(pilot: Pilot[None]) -> None:
     """Wait until no dialog is open."""
-    await until(pilot, lambda: pilot.app.screen is pilot.app.main, "the main screen")
+    app = pilot.app
+    assert isinstance(app, ConsoleApp)
+    await until(pilot, lambda: app.screen is app.main, "the main screen")
 
 
-def changed(app, *topics: Topic) -> Session:
+def changed(app: ConsoleApp, *topics: Topic) -> Session:
     """As if operators had changed the session's topics."""
-    app.engine.session = msgspec.structs.replace(app.engine.session, topics=topics)
-    return app.engine.session
+    engine_of(app).session = msgspec.structs.replace(engine_of(app).session, topics=topics)
+    return engine_of(app).session
 
 
 def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
@@ -34,7 +37,7 @@ def test_saving_asks_and_then_the_file_holds_what_runs(folder: Path) -> None:
     save(SESSION, path)
     app = scripted_app(path=path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         now = changed(app, Topic("/new", "transmit"))
         await pilot.press("w")
@@ -54,7 +57,7 @@ def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: 
     path.write_text(f"# mine\n{dump(SESSION)}")
     app = scripted_app(path=path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("w")
         await shown(pilot, "nothing has changed:")
@@ -71,7 +74,7 @@ def test_comments_and_layout_survive_a_save(folder: Path) -> None:
     path.write_text(text)
     app = scripted_app(session=load(path), path=path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         changed(app, Topic("/a", "transmit", protocol="udp"), Topic("/new", "transmit"))
         await pilot.press("w")
@@ -93,7 +96,7 @@ def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path
     app = scripted_app(path=path)
     edited = edited.format(dump(SESSION))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         changed(app, Topic("/new", "transmit"))
         path.write_text(edited)
@@ -107,7 +110,7 @@ def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path
     drive(app, steps)
 
 
-async def save_as(pilot: Pilot, path: str) -> None:
+async def save_as(pilot: Pilot[None], path: str) -> None:
     """Save the session to another file."""
     await pilot.press("W")
     await shown(pilot, "Save as")
@@ -120,7 +123,7 @@ def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> Non
     save(session, folder / "pc.yaml")
     app = scripted_app(session=session, path=folder / "pc.yaml")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("w")
         await shown(pilot, "nothing has changed:")
@@ -140,7 +143,7 @@ def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
     save(session, folder / "nav2.yaml")
     app = scripted_app(session=session, path=folder / "nav2.yaml")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await save_as(pilot, str(folder / "robots" / "r.yaml"))
         await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
@@ -161,7 +164,7 @@ def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
     save(session, old / "demo.yaml")
     app = scripted_app(session=session, path=old / "demo.yaml", temporary=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await save_as(pilot, "kept.yaml")
         await shown(pilot, "with its key: ")
@@ -184,7 +187,7 @@ def test_a_key_that_cannot_be_saved_is_told(folder: Path) -> None:
     session = msgspec.structs.replace(SESSION, key_file="gone.key")
     app = scripted_app(session=session, path=folder / "demo.yaml", temporary=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await save_as(pilot, "kept.yaml")
         await shown(pilot, "The key is not saved")
@@ -197,7 +200,7 @@ def test_what_cannot_be_saved_is_said(folder: Path) -> None:
     path = folder / "nav2.yaml"
     app = scripted_app(path=path)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         changed(app, Topic("/a", "transmit"), Topic("/a", "transmit"))
         await pilot.press("w")
@@ -211,7 +214,7 @@ def test_quitting_names_what_is_not_saved(folder: Path) -> None:
     save(SESSION, folder / "nav2.yaml")
     app = scripted_app(path=folder / "nav2.yaml")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         changed(app, Topic("/new", "transmit"))
         await pilot.press("q")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, choose, drive, empty_app, fill, gone, shown, text, until
+from tests.console.driving import NARROW, choose, drive, empty_app, engine_of, fill, form_of, gone, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
@@ -12,6 +12,7 @@ from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.recents import recent_sessions, remember
+from rsb_console.screens.welcome import WelcomeScreen
 
 BRINGUP = """\
 client_node:
@@ -35,7 +36,7 @@ pytestmark = pytest.mark.usefixtures("folder")
 def test_without_a_session_the_console_says_how_to_begin(size: tuple[int, int]) -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         for words in ("Demo", "Open a session", "Import", "Quit"):
             assert words in text(app)
@@ -51,7 +52,7 @@ def test_without_a_session_the_console_says_how_to_begin(size: tuple[int, int]) 
 def test_a_dialog_that_is_left_leads_back_to_the_welcome() -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Open a session")
         await pilot.press("down", "enter")
         await shown(pilot, "Session file")
@@ -66,7 +67,7 @@ def test_a_dialog_that_is_left_leads_back_to_the_welcome() -> None:
 def test_readonly_begins_with_what_writes_nothing() -> None:
     app = empty_app(readonly=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Open a session")
         assert "New session" not in text(app)
         assert "Import" not in text(app)
@@ -82,13 +83,14 @@ def test_a_recent_session_is_a_digit_away(folder: Path) -> None:
     remember(folder / "nav2.yaml")
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "1  nav2")
+        assert isinstance(app.screen, WelcomeScreen)
         assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
         await pilot.press("1")
         await until(pilot, lambda: app.engine is not None, "an engine")
-        assert app.engine.session == SESSION
-        assert app.engine.base == folder
+        assert engine_of(app).session == SESSION
+        assert engine_of(app).base == folder
 
     drive(app, steps)
 
@@ -101,11 +103,11 @@ def test_a_session_is_found_by_a_few_letters_and_opened(folder: Path) -> None:
         save(msgspec.structs.replace(SESSION, name=name), folder / f"{name}.yaml")
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Open a session")
         await pilot.press("o", *"bet", "enter")
         await until(pilot, lambda: app.engine is not None, "an engine")
-        assert app.engine.session.name == "beta"
+        assert engine_of(app).session.name == "beta"
         assert recent_sessions() == [folder / "beta.yaml"]
 
     drive(app, steps)
@@ -124,13 +126,13 @@ def test_a_session_that_does_not_load_says_why_with_the_line(folder: Path, conte
         (folder / "broken.yaml").write_text(content)
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Open a session")
         await pilot.press("o")
         await shown(pilot, "Sessions")
         await fill(pilot, path=str(folder / "broken.yaml"))
         await pilot.press("enter")
-        problem = app.screen.form.fields["path"].problem
+        problem = form_of(app).fields["path"].problem
         await until(pilot, lambda: words in str(problem.content), f"{words!r} beneath the path")
         assert app.engine is None
 
@@ -144,7 +146,7 @@ def test_a_session_that_does_not_load_says_why_with_the_line(folder: Path, conte
 def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(folder: Path, size: tuple[int, int]) -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         await pilot.press("n")
         await shown(pilot, "Session file")
@@ -159,7 +161,7 @@ def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(folder: Path, size:
         name="robot1", role="client", server_ip="10.0.0.20", server_port=49152, domain_id=3, use_name=True,
         key_file="robot1.key",
     )  # fmt: skip
-    assert load(folder / "robot1.yaml") == expected == app.engine.session
+    assert load(folder / "robot1.yaml") == expected == engine_of(app).session
     assert (folder / "robot1.key").stat().st_mode & 0o777 == 0o600
     read_key(folder / "robot1.key")
 
@@ -168,7 +170,7 @@ def test_a_key_that_is_there_is_taken_and_known_by_its_fingerprint(folder: Path)
     key = write_key(folder / "shared.key")
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         await pilot.press("n")
         await shown(pilot, "Session file")
@@ -202,13 +204,13 @@ def test_a_new_session_with_a_mistake_is_not_written(folder: Path) -> None:
     right = {"name": "robot1", "server_ip": "10.0.0.20", "server_port": "49152"}
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         await pilot.press("n")
         await shown(pilot, "Session file")
         await fill(pilot, **right)
         for key, typed, words in MISTAKES:
-            field = app.screen.form.fields[key]
+            field = form_of(app).fields[key]
             await fill(pilot, **{key: typed})
             await pilot.press("enter")
             await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
@@ -223,7 +225,7 @@ def test_a_file_is_overwritten_only_with_a_yes(folder: Path) -> None:
     (folder / "robot1.yaml").write_text("# mine\n")
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "New session")
         await pilot.press("n")
         await shown(pilot, "Session file")
@@ -248,10 +250,10 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
     (folder / "config" / "bringup.yaml").write_text(BRINGUP.format(protocol="UDP"))
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Import")
         await pilot.press("i", *"bri", "enter")
-        await until(pilot, lambda: app.screen.form.fields["name"].control.has_focus, "the next field")
+        await until(pilot, lambda: form_of(app).fields["name"].control.has_focus, "the next field")
         await fill(pilot, name="robot1", path="robot1.yaml", domain_id="x")
         await pilot.press("enter")
         await shown(pilot, "'x' is not a whole number")
@@ -264,7 +266,7 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
     drive(app, steps)
     imported = load(folder / "robot1.yaml")
     expected = Topic("/scan", "transmit", "sensor_msgs/msg/LaserScan", "udp", 12004, "sensor_data")
-    assert imported == app.engine.session
+    assert imported == engine_of(app).session
     assert imported.topics == (expected,)
     assert imported.domain_id == 7
 
@@ -283,7 +285,7 @@ def robots(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(robots: Path, typed: str) -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Import")
         await pilot.press("i")
         await shown(pilot, "config/bringup.yaml")
@@ -291,7 +293,7 @@ def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(ro
         await shown(pilot, "the file is there: ⏎ takes it")
         assert "no such file" not in text(app)
         await pilot.press("enter")
-        form = app.screen.form
+        form = form_of(app)
         await until(pilot, lambda: form.fields["name"].control.has_focus, "the next field")
         assert form.values["name"] == "nav"
         await fill(pilot, name="robot1")
@@ -311,7 +313,7 @@ def test_a_file_that_is_there_is_not_said_to_be_missing_and_names_the_session(ro
 def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, typed: str, key: str, field: str) -> None:
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Open a session")
         await pilot.press(key)
         await until(pilot, lambda: hasattr(app.screen, "form"), "a form")
@@ -321,7 +323,7 @@ def test_a_path_to_nowhere_is_said_to_be_one(robots: Path, typed: str, key: str,
             await fill(pilot, **{field: typed})
             await shown(pilot, "no such file")
         await pilot.press("enter")
-        problem = app.screen.form.fields[field].problem
+        problem = form_of(app).fields[field].problem
         await until(pilot, lambda: problem.display or key == "i", "what is wrong")
 
     drive(app, steps)
@@ -331,7 +333,7 @@ def test_a_thesis_file_with_a_mistake_says_the_line(folder: Path) -> None:
     (folder / "bringup.yaml").write_text(BRINGUP.format(protocol="UDX"))
     app = empty_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Import")
         await pilot.press("i", *"bri", "enter")
         await fill(pilot, name="robot1", path="robot1.yaml")

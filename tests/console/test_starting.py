@@ -45,7 +45,7 @@ def test_restart_while_starting_makes_no_second_engine() -> None:
     made: list[Slow] = []
     app = scripted_app(make_engine=making(made))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: made, "an engine that starts")
         await pilot.press("R", "R")
         await pilot.pause()
@@ -64,7 +64,7 @@ def test_another_session_waits_until_the_first_has_started_and_stops_it() -> Non
     made: list[Slow] = []
     app = scripted_app(make_engine=making(made))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: made, "an engine that starts")
         app.run_session(SESSION, Path("other.yaml"))
         await pilot.pause()

@@ -9,6 +9,7 @@ import sys
 import termios
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.console.live import Pair, end, talker
@@ -66,7 +67,7 @@ class FarSide:
     def __exit__(self, *_: object) -> None:
         end(self.process)
 
-    def lines(self) -> list[dict]:
+    def lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.log.read_text().splitlines() if line.endswith("}")]
 
     def said(self, words: str) -> bool:
@@ -75,7 +76,7 @@ class FarSide:
     def assert_flowing(self, seconds: float = 30.0) -> None:
         """The topic flows on: between two statuses from now, about what the talker says has been delivered."""
         begin, deadline = time.time(), time.monotonic() + seconds
-        reports: list[dict] = []
+        reports: list[dict[str, Any]] = []
         while len(reports) < 2:
             assert time.monotonic() < deadline, "no status from the other side"
             time.sleep(0.1)
@@ -86,7 +87,7 @@ class FarSide:
 
 
 def test_the_first_picture_comes_within_eight_tenths_of_a_second(pair: Pair) -> None:
-    took = []
+    took: list[float] = []
     while len(took) < 6 and min(took, default=1.0) >= 0.8:  # the best of a few: others run on this machine
         with console(pair) as terminal:
             terminal.wait_for("Topics")

@@ -33,6 +33,8 @@ def test_four_are_shipped_without_a_mistake() -> None:
 @pytest.mark.parametrize(("name", "least"), [("dark", 4.5), ("light", 4.5), ("high-contrast", 7.0)])
 def test_what_is_read_stands_out(name: str, least: float) -> None:
     theme = SHIPPED.found[name]
+    assert theme.background is not None
+    assert theme.panel is not None
     for look in ("foreground", "success", "warning", "error", "primary", "secondary", "accent"):
         for ground in (theme.background, theme.panel, theme.variables["row-cursor"]):
             assert contrast(getattr(theme, look), ground) >= least, (look, ground)
@@ -98,7 +100,7 @@ def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) ->
     (tmp_path / "themes" / "mine.yaml").write_text('primary: "#ff00ff"')
     app = scripted_app(config=tmp_path, theme="mine")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "Themes left out")
         assert app.theme == "mine"
         assert len(app._notifications) == 1
@@ -109,7 +111,7 @@ def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) ->
 def test_an_unknown_theme_falls_back_and_is_named() -> None:
     app = scripted_app(theme="nope")
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "no theme is called 'nope'")
         assert app.theme == "dark"
 
@@ -135,7 +137,7 @@ def test_the_default_suits_the_terminal(environ: dict[str, str], expected: str) 
 def test_t_goes_through_all_themes() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         seen = {app.theme}
         for _ in range(3):
             await pilot.press("t")

@@ -1,10 +1,23 @@
 """Topics added, edited and removed by keyboard: picked from both graphs, refused in words, asked about."""
 
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import pytest
-from tests.console.driving import NARROW, choose, drive, fill, gone, scripted_app, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    choose,
+    drive,
+    engine_of,
+    fill,
+    form_of,
+    gone,
+    scripted_app,
+    shown,
+    text,
+    until,
+)
 from tests.console.scripted import SESSION, ScriptedEngine, route
 from textual.pilot import Pilot
 
@@ -22,7 +35,7 @@ SERVER = msgspec.structs.replace(
 def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[int, int]) -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a", *"dep")
         await shown(pilot, "▌→ /camera/depth")
@@ -31,9 +44,9 @@ def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[i
         await shown(pilot, "sensor_msgs/msg/Image")
         await shown(pilot, "● receive")
         await pilot.press("enter")
-        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
+        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
         expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image")  # QoS stays auto
-        assert app.engine.commands[-1] == ("add", expected, "robot1")
+        assert engine_of(app).commands[-1] == ("add", expected, "robot1")
         await shown(pilot, "/camera/depth: added")
 
     drive(app, steps, size=size)
@@ -42,13 +55,13 @@ def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[i
 def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a", *"/camera")
         await shown(pilot, "/camera/depth")
         await pilot.press("enter", "enter")
-        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
-        assert app.engine.commands[-1] == ("add", Topic("/camera", "transmit"), "robot1")
+        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
+        assert engine_of(app).commands[-1] == ("add", Topic("/camera", "transmit"), "robot1")
 
     drive(app, steps)
 
@@ -72,22 +85,22 @@ MISTAKES = [
 def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "Add a topic")
         await fill(pilot, topic="/scan")
         for key, typed, words in MISTAKES:
-            field = app.screen.form.fields[key]
+            field = form_of(app).fields[key]
             await fill(pilot, **{key: typed})
             await until(pilot, lambda f=field, w=words: w in str(f.problem.content), f"{words!r} beneath {key}")
-            app.screen.form.fields["direction"].control.focus()
+            form_of(app).fields["direction"].control.focus()
             await pilot.press("enter")
             await until(pilot, lambda f=field: f.control.has_focus, f"the focus on {key}")
             assert field.problem.display
             await fill(pilot, **{key: ""})
             await until(pilot, lambda f=field, k=key: k == "topic" or not f.problem.display, f"{key} to be right")
-        assert not any(command[0] == "add" for command in app.engine.commands)
+        assert not any(command[0] == "add" for command in engine_of(app).commands)
         await pilot.press("escape")
         await gone(pilot, "Add a topic")
 
@@ -95,15 +108,15 @@ def test_a_mistake_is_said_beside_its_field_and_nothing_is_added() -> None:
 
 
 @pytest.mark.parametrize(("qos", "typed"), [(20, "5"), ("sensor_data", "5"), ({"depth": 3}, "{depth: 3}5")])
-def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: object, typed: str) -> None:
+def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: str | int | dict[str, Any], typed: str) -> None:
     routes = (route("/scan", spec=Topic("/scan", "receive", qos=qos)),)
     app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/scan")
         await pilot.press("e")
         await shown(pilot, "Edit /scan")
-        control = app.screen.form.fields["qos"].control
+        control = form_of(app).fields["qos"].control
         control.focus()
         await until(pilot, lambda: control.has_focus, "the focus")
         await pilot.press("5")
@@ -115,7 +128,7 @@ def test_qos_policies_are_gone_on_with_but_another_qos_is_replaced(qos: object, 
 def test_a_topic_that_crosses_already_is_refused_in_the_form() -> None:
     app = scripted_app(session=msgspec.structs.replace(SESSION, topics=(Topic("/scan", "transmit"),)))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "Add a topic")
@@ -135,7 +148,7 @@ RADIO = msgspec.structs.replace(SESSION, bluetooth_address="B8:27:EB:11:22:33")
 def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetooth(size: tuple[int, int]) -> None:
     app = scripted_app(session=RADIO)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "Add a topic")
@@ -147,9 +160,9 @@ def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetoot
         await shown(pilot, "31 is not an RFCOMM channel")
         await fill(pilot, port="5")
         await pilot.press("enter")
-        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
+        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
         expected = Topic("/scan", "transmit", protocol="bluetooth", port=5)
-        assert app.engine.commands[-1] == ("add", expected, "robot1")
+        assert engine_of(app).commands[-1] == ("add", expected, "robot1")
 
     drive(app, steps, size=size)
 
@@ -159,11 +172,11 @@ def test_a_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> Non
     routes = (route("/scan", spec=Topic("/scan", "receive", protocol="bluetooth", port=5)),)
     app = scripted_app(session=session, make_engine=lambda session, base: ScriptedEngine(session, base, routes))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/scan")
         await pilot.press("e")
         await shown(pilot, "bluetooth   ")
-        assert app.screen.form.values["protocol"] == "bluetooth"
+        assert form_of(app).values["protocol"] == "bluetooth"
 
     drive(app, steps)
 
@@ -171,7 +184,7 @@ def test_a_topic_that_goes_over_bluetooth_can_be_edited(session: Session) -> Non
 def test_without_a_bluetooth_address_bluetooth_is_not_offered() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "○ udp")
@@ -185,21 +198,21 @@ def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
     routes = (route("/scan", spec=spec),)
     app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/scan")
         await pilot.press("e")
         await shown(pilot, "{reliability: best_effort, depth: 3}")
         await pilot.press("enter")
         await gone(pilot, "Edit /scan")
-        assert app.engine.commands == [], "nothing was changed"
+        assert engine_of(app).commands == [], "nothing was changed"
         await pilot.press("e")
         await shown(pilot, "Edit /scan")
         await fill(pilot, max_rate="5")
         await choose(pilot, "compression", "zstd")
         await pilot.press("enter")
-        await until(pilot, lambda: app.engine.commands, "the command")
+        await until(pilot, lambda: engine_of(app).commands, "the command")
         became = msgspec.structs.replace(spec, max_rate=5, compression="zstd")
-        assert app.engine.commands == [("edit", "/scan", became)]
+        assert engine_of(app).commands == [("edit", "/scan", became)]
 
     drive(app, steps)
 
@@ -207,16 +220,16 @@ def test_an_edit_begins_with_what_is_and_sends_what_became() -> None:
 def test_removing_asks_with_the_focus_on_no() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("d", "enter")
         await gone(pilot, "Remove /robot2/scan?")
         await pilot.press("d", "escape")
         await gone(pilot, "Remove /robot2/scan?")
-        assert app.engine.commands == []
+        assert engine_of(app).commands == []
         await pilot.press("d", "y")
-        await until(pilot, lambda: app.engine.commands, "the command")
-        assert app.engine.commands == [("remove", "/robot2/scan")]
+        await until(pilot, lambda: engine_of(app).commands, "the command")
+        assert engine_of(app).commands == [("remove", "/robot2/scan")]
 
     drive(app, steps)
 
@@ -225,24 +238,24 @@ def test_on_a_server_the_form_asks_which_client() -> None:
     links = ("robot1", "robot2")
 
     class Server(ScriptedEngine):
-        def __init__(self, *args) -> None:
+        def __init__(self, *args: Any) -> None:
             super().__init__(*args)
             (link,) = self.now.links
             self.now = replace(self.now, links=tuple(replace(link, name=name) for name in links))
 
     app = scripted_app(session=SERVER, make_engine=Server)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "● robot1   ○ robot2")
         assert "transmit ←" in text(app)
         await choose(pilot, "link", "robot2")
-        await until(pilot, lambda: ("topics", "robot2") in app.engine.commands, "a look at robot2's graph")
+        await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")
         await fill(pilot, topic="/scan")
         await pilot.press("enter", "enter")
-        await until(pilot, lambda: app.engine.commands[-1][:1] == ("add",), "the command")
-        assert app.engine.commands[-1] == ("add", Topic("/scan", "transmit"), "robot2")
+        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
+        assert engine_of(app).commands[-1] == ("add", Topic("/scan", "transmit"), "robot2")
 
     drive(app, steps)
 
@@ -250,11 +263,11 @@ def test_on_a_server_the_form_asks_which_client() -> None:
 def test_a_restart_asks_then_shows_its_steps() -> None:
     app = scripted_app()
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("R", "enter")
         await gone(pilot, "Restart the bridge?")
-        assert app.engine.commands == []
+        assert engine_of(app).commands == []
         await pilot.press("R", "y")
         await shown(pilot, "✓ restarted")
         assert text(app).index("telling the peer") < text(app).index("sockets closed") < text(app).index("restarted")
@@ -267,12 +280,12 @@ def test_a_restart_asks_then_shows_its_steps() -> None:
 def test_readonly_has_none_of_it() -> None:
     app = scripted_app(readonly=True)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a", "e", "d", "R", "w", "o")
         await pilot.pause()
         assert app.screen is app.main
-        assert app.engine.commands == []
+        assert engine_of(app).commands == []
 
     drive(app, steps)
 
@@ -308,8 +321,10 @@ def test_topics_flow_from_publishers_to_where_somebody_listens(is_server: bool) 
 
 @pytest.mark.parametrize("publisher_here", [True, False])
 def test_a_topic_with_a_publisher_here_and_a_subscriber_there_is_told_by_the_publisher(publisher_here: bool) -> None:
-    graphs = [info("/a")], [info("/a", 0, 1)]
-    (offer,) = offers_of(Ends(False, "robot1", False), *(graphs if publisher_here else reversed(graphs)), [])
+    here, there = [info("/a")], [info("/a", 0, 1)]
+    if not publisher_here:
+        here, there = there, here
+    (offer,) = offers_of(Ends(False, "robot1", False), here, there, [])
     assert f"1 publisher {'here' if publisher_here else 'there'}" in "".join(piece for piece, _ in offer.line(80))
     assert offer.fills["direction"] == ("transmit" if publisher_here else "receive")
 

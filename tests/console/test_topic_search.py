@@ -1,9 +1,10 @@
 """The add form's list while a side is slow to say what it has, or does not say it."""
 
 from concurrent.futures import Future
+from typing import Any
 
 import pytest
-from tests.console.driving import drive, gone, scripted_app, shown, text, until
+from tests.console.driving import drive, engine_as, gone, scripted_app, shown, text, until
 from tests.console.scripted import ScriptedEngine
 from textual.pilot import Pilot
 
@@ -19,8 +20,8 @@ class SlowPeer(ScriptedEngine):
         asked: the questions to the peer, oldest first.
     """
 
-    def __init__(self, *args: object) -> None:
-        super().__init__(*args)  # type: ignore[arg-type]
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self.asked: list[Future[list[TopicInfo]]] = []
 
     def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
@@ -46,15 +47,15 @@ def _look_often(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_answer_that_takes_many_looks_fills_the_list() -> None:
     app = scripted_app(make_engine=SlowPeer)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "/camera/depth")  # this side's own
         await shown(pilot, "waiting for the other side's topics")
-        looks = app.engine.looks
-        await until(pilot, lambda: app.engine.looks > looks + 3, "it goes on looking at this side")
-        assert len(app.engine.asked) == 1
-        app.engine.asked[0].set_result(FAR)
+        looks = engine_as(app, SlowPeer).looks
+        await until(pilot, lambda: engine_as(app, SlowPeer).looks > looks + 3, "it goes on looking at this side")
+        assert len(engine_as(app, SlowPeer).asked) == 1
+        engine_as(app, SlowPeer).asked[0].set_result(FAR)
         await shown(pilot, "/far")
         assert "/camera/depth" in text(app)
 
@@ -64,14 +65,14 @@ def test_an_answer_that_takes_many_looks_fills_the_list() -> None:
 def test_an_answer_that_never_comes_is_said_and_asked_for_again() -> None:
     app = scripted_app(make_engine=SlowPeer)
 
-    async def steps(pilot: Pilot) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "/camera/depth")
-        app.engine.asked[0].set_exception(EngineError("robot1 did not answer"))
+        engine_as(app, SlowPeer).asked[0].set_exception(EngineError("robot1 did not answer"))
         await shown(pilot, "robot1 did not answer")
-        await until(pilot, lambda: len(app.engine.asked) > 1, "it asks again")
-        app.engine.asked[1].set_result(FAR)
+        await until(pilot, lambda: len(engine_as(app, SlowPeer).asked) > 1, "it asks again")
+        engine_as(app, SlowPeer).asked[1].set_result(FAR)
         await shown(pilot, "/far")
         await gone(pilot, "robot1 did not answer")
 

@@ -2,35 +2,39 @@
 
 from dataclasses import replace
 
-from tests.console.driving import gone, listed, on_main, put, shown, text, until
+from tests.console.driving import engine_of, gone, listed, on_main, put, selected_topic, shown, text, until
 from tests.console.scripted import FAULTY, LINK, ROUTES, route
 from textual.events import Key
+from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import State
+from rsb_console.app import ConsoleApp
 
 
 @on_main()
-async def test_faults_stand_first_and_totals_above(app, pilot) -> None:
+async def test_faults_stand_first_and_totals_above(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert listed(app)[:2] == FAULTY
     assert "✗ 1 down  ▲ 1 stale  ‖ 1 paused  ● 5 ok" in text(app)
     assert "● LINKED 00:12:04  encrypted ✓" in text(app)
 
 
 @on_main()
-async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(app, pilot) -> None:
+async def test_the_cursor_begins_with_the_worst_and_then_stays_on_its_topic(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
     put(app, route("/worse", State.DOWN), *ROUTES)
-    assert app.main.selected.topic == "/robot2/scan"  # /worse sorts behind it
+    assert selected_topic(app) == "/robot2/scan"  # /worse sorts behind it
     put(app, route("/a/worse", State.DOWN), *ROUTES)
-    assert app.main.selected.topic == "/a/worse"
+    assert selected_topic(app) == "/a/worse"
     await pilot.press("j")
     put(app, route("/a/a/worse", State.DOWN), *ROUTES)
-    assert app.main.selected.topic == "/robot2/scan"
+    assert selected_topic(app) == "/robot2/scan"
     put(app, *(r for r in ROUTES if r.topic != "/robot2/scan"))
     assert app.main.selected is not None
 
 
 @on_main()
-async def test_moving(app, pilot) -> None:
+async def test_moving(app: ConsoleApp, pilot: Pilot[None]) -> None:
     table = app.main.topics
     for key, position in (
         ("j", 1),
@@ -47,7 +51,7 @@ async def test_moving(app, pilot) -> None:
 
 
 @on_main()
-async def test_five_hundred_topics_scroll_and_the_heading_stays(app, pilot) -> None:
+async def test_five_hundred_topics_scroll_and_the_heading_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *(route(f"/t{i:03d}") for i in range(500)))
     await pilot.press("G")
     await shown(pilot, "/t499  ")
@@ -59,7 +63,7 @@ async def test_five_hundred_topics_scroll_and_the_heading_stays(app, pilot) -> N
 
 
 @on_main()
-async def test_sorting(app, pilot) -> None:
+async def test_sorting(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("greater_than_sign")
     assert listed(app) == sorted(listed(app))
     await pilot.press("s")
@@ -72,7 +76,7 @@ async def test_sorting(app, pilot) -> None:
 
 
 @on_main()
-async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app, pilot) -> None:
+async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.click("#topics", offset=(12, 1))
     assert listed(app) == sorted(listed(app))
     await pilot.click("#topics", offset=(12, 1))
@@ -80,43 +84,43 @@ async def test_a_click_on_a_heading_sorts_by_it_and_again_turns_round(app, pilot
 
 
 @on_main()
-async def test_a_click_moves_the_cursor_and_another_one_opens(app, pilot) -> None:
+async def test_a_click_moves_the_cursor_and_another_one_opens(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.click("#topics", offset=(12, 3))
-    assert app.main.selected.topic == "/robot1/map"
+    assert selected_topic(app) == "/robot1/map"
     await pilot.click("#topics", offset=(12, 3))
     assert app.main.detail.has_focus
 
 
 @on_main()
-async def test_filtering_as_it_is_typed(app, pilot) -> None:
+async def test_filtering_as_it_is_typed(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("slash", *"scan$")
     await until(pilot, lambda: listed(app) == ["/robot2/scan", "/robot1/scan"], "both scans")
     await pilot.press("enter")
     await shown(pilot, "Topics ▸ /scan$ ▸ 2 of 8")
     await pilot.press("n")
-    assert app.main.selected.topic == "/robot1/scan"
+    assert selected_topic(app) == "/robot1/scan"
     await pilot.press("escape")
     assert len(listed(app)) == 8
 
 
 @on_main()
-async def test_what_is_typed_ahead_is_part_of_the_filter(app, pilot) -> None:
+async def test_what_is_typed_ahead_is_part_of_the_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
     for key in ("slash", "o", "d", "o", "m", "enter"):  # all at once, as a slow line delivers them
         app.post_message(Key(key, "/" if key == "slash" else key if len(key) == 1 else None))
     await shown(pilot, "Topics ▸ /odom ▸ 1 of 8")
     assert app.screen is app.main
-    assert app.engine.commands == []
+    assert engine_of(app).commands == []
 
 
 @on_main()
-async def test_an_inverted_filter(app, pilot) -> None:
+async def test_an_inverted_filter(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("slash", *"!robot", "enter")
     await until(pilot, lambda: len(listed(app)) == 4, "four topics")
     assert not any("robot" in topic for topic in listed(app))
 
 
 @on_main()
-async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app, pilot) -> None:
+async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("slash", *"scan(")
     await shown(pilot, "not a regular expression")
     assert listed(app) == ["/robot2/scan", "/robot1/scan"]
@@ -126,11 +130,11 @@ async def test_a_filter_that_is_no_regular_expression_is_refused_in_words(app, p
 
 
 @on_main()
-async def test_faults_only_and_from_fault_to_fault(app, pilot) -> None:
+async def test_faults_only_and_from_fault_to_fault(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("n")
-    assert app.main.selected.topic == "/robot1/map"
+    assert selected_topic(app) == "/robot1/map"
     await pilot.press("n")
-    assert app.main.selected.topic == "/robot2/scan"
+    assert selected_topic(app) == "/robot2/scan"
     await pilot.press("f")
     assert listed(app) == FAULTY
     await shown(pilot, "faults only ▸ 2 of 8")
@@ -141,7 +145,7 @@ async def test_faults_only_and_from_fault_to_fault(app, pilot) -> None:
 
 
 @on_main()
-async def test_a_servers_links_are_counted_and_peers_have_a_column(app, pilot) -> None:
+async def test_a_servers_links_are_counted_and_peers_have_a_column(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.resize_terminal(150, 36)
     other = replace(LINK, name="robot2", state=State.DOWN)
     put(app, *ROUTES, route("/scan", key="2", link="robot2"), links=(LINK, other), role="server")
