@@ -31,6 +31,8 @@ FLOWS_WITHIN = 15.0
 """s from when nothing keeps a topic from flowing until its messages come out, and from a message to the other end."""
 SETTLED_WITHIN = 6.0
 """s after the last message until both sides have counted it."""
+_SEEN_WITHIN = 5.0
+"""s from when a task fails until somebody must have asked why."""
 _SWEEP_EVERY = 600.0
 _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
@@ -211,8 +213,10 @@ class Invariants:
     def _check_tasks(self, run: Run) -> None:
         """No task dies unseen, and there are not more tasks and descriptors than topics explain."""
         world, name, process = self._world, run.station.name, run.process
-        for task in process.failed:
-            world.wrong(f"{name}: a task has died of {task._exception!r}: {task}")
+        for failed_at, task in process.failed:
+            if world.loop.time() - failed_at > _SEEN_WITHIN and task._log_traceback:
+                world.wrong(f"{name}: a task has died of {task._exception!r}, and nobody has looked: {task}")
+        process.failed = [each for each in process.failed if world.loop.time() - each[0] <= _SEEN_WITHIN]
         links = run.links()
         most = 4 * (len(links) + sum(len(link.routes) for link in links))
         if len(process.tasks) > _TASKS + most:

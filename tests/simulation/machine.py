@@ -97,7 +97,7 @@ class Process:
         context: to run its code in; tasks and timers inherit it.
         descriptors: its sockets and connections.
         tasks: those that have not ended.
-        failed: those that ended with an exception.
+        failed: those that ended with an exception, and when (s).
         most_descriptors: as `ulimit -n` has it.
         alive: it has not been killed. What is left of its code may still run, but reaches nobody.
     """
@@ -108,7 +108,7 @@ class Process:
         self.loop: SimulatedLoop = machine.network.loop
         self.descriptors: dict[Descriptor, None] = {}
         self.tasks: dict[asyncio.Task[Any], None] = {}
-        self.failed: list[asyncio.Task[Any]] = []
+        self.failed: list[tuple[float, asyncio.Task[Any]]] = []
         self.most_descriptors = 1024
         self.alive = True
         self.context = contextvars.copy_context()
@@ -141,7 +141,7 @@ class Process:
     def _task_ended(self, task: asyncio.Task[Any]) -> None:
         del self.tasks[task]
         if not task.cancelled() and task._exception is not None:  # without asking for it, which would make it seen
-            self.failed.append(task)
+            self.failed.append((self.loop.time(), task))
 
     def getaddrinfo(self, host: str | None, port: int | None, kind: int) -> list[tuple[Any, ...]]:
         """Look a name up, as `socket.getaddrinfo` does.

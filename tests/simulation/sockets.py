@@ -36,6 +36,8 @@ _BUFFER = 8 << 20
 _HEADERS = 28
 _IP_PKTINFO, _IP_MTU = 8, 14
 _FIRST_DESCRIPTOR = 16
+_TRANSPORTS = ("rsb_bridge.transport.", "aiohappyeyeballs.")
+"""Modules that get simulated sockets."""
 
 
 class Socket:
@@ -364,6 +366,5 @@ def simulated() -> Iterator[None]:
 
 
 def _transport_modules(name: str) -> list[ModuleType]:
-    users = ("rsb_bridge.transport.", "aiohappyeyeballs.")
-    modules = [module for key, module in tuple(sys.modules.items()) if key.startswith(users)]
+    modules = [module for key, module in tuple(sys.modules.items()) if key.startswith(_TRANSPORTS)]
     return [module for module in modules if vars(module).get(name) is sys.modules[name]]

@@ -16,7 +16,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.queue import Receiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+from rsb_bridge.telemetry.snapshots import ShownBridge, SnapshotPublisher
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import RawMessage
 
 _EPOCH = 1_700_000_000
+_SNAPSHOT_EVERY = 60.0
 T = TypeVar("T")
 
 
@@ -69,6 +70,15 @@ class _Events(EventLog):
     def add(self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "") -> None:
         super().add(level, code, text, link=link, topic=topic)
         self._told(level, code, text, link)
+
+
+class _Snapshots(SnapshotPublisher):
+    """A snapshot that nobody looks at; it is renewed all the same, now and then, for what that might do."""
+
+    async def run(self, bridge: ShownBridge) -> None:
+        while True:
+            await self.refresh(bridge)
+            await asyncio.sleep(_SNAPSHOT_EVERY)
 
 
 class Station:
@@ -173,7 +183,7 @@ class Run:
         )
         session = station.session
         blank = Snapshot(0.0, session.name, session.role, "", session.domain_id or 0, running=False)
-        return Bridge(context, station.keys, SnapshotPublisher(blank, self.events, station.clock))
+        return Bridge(context, station.keys, _Snapshots(blank, self.events, station.clock))
 
     def begin(self) -> None:
         """Start the engine."""
@@ -215,6 +225,10 @@ class Run:
         assert self._task is not None
         self.bridge.stop()
         await self._task
+        while tasks := tuple(self.process.tasks):  # as asyncio.run does
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks)
         self.node.stop()
         self.process.exit()
 

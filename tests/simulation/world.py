@@ -103,7 +103,7 @@ class World:
         encrypted = random.random() < 0.7
         names = [f"robot{number}" for number in range(1, random.choice(self.climate.robots) + 1)]
         secret = {name: Key(random.randbytes(32)) if encrypted else None for name in names}
-        self.network.names[SERVER_NAME] = ["10.0.0.1"]
+        self.network.names[SERVER_NAME] = random.choice((["10.0.0.1"], ["10.255.0.1", "10.0.0.1"]))
         self.server = self._station("pc", "10.0.0.1", self._server_session(names, random, encrypted=encrypted), secret)
         self.robots = [self._robot(name, 2 + index, {name: secret[name]}, random) for index, name in enumerate(names)]
 

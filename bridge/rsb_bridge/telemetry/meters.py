@@ -101,14 +101,17 @@ class RateMeter:
         messages, self._at_tick = self.count - self._at_tick, self.count
         seconds = max(1, round(elapsed))
         length = elapsed / seconds
+        same = not messages and not any(islice(self.history, max(0, len(self.history) + seconds - HISTORY)))
         for number in range(max(0, seconds - HISTORY), seconds):
             share = messages * (number + 1) // seconds - messages * number // seconds
             self._seconds.append((share, length))
             self.history.append(round(share / length))
         self._smoothed.add(self.bytes - self._bytes_at_tick, now)
         self._bytes_at_tick = self.bytes
-        self.usual_rate = self._usual_rate()
-        self.rate = self._rate()
+        if not same:  # else only quiet seconds have come and gone
+            self.usual_rate = self._usual_rate()
+        if messages or self.rate:
+            self.rate = self._rate()
 
     def _usual_rate(self) -> float | None:
         busy = [index for index, count in enumerate(self.history) if count]
