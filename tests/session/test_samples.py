@@ -1,5 +1,6 @@
 """The sample sessions and the systemd unit that ship with the project."""
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -12,6 +13,7 @@ from rsb_console.arguments import parser_and_commands
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = sorted(CONFIGS.glob("*.yaml"))
+PAGES = [CONFIGS.parent / "README.md", CONFIGS.parent / "CHANGELOG.md", *sorted((CONFIGS.parent / "docs").glob("*.md"))]
 UNIT = CONFIGS / "rsb-console@.service"
 
 
@@ -30,6 +32,12 @@ def test_the_two_sides_of_the_readmes_first_bridge_fit() -> None:
     assert (server.role, client.role) == ("server", "client")
     assert server.server_port == client.server_port
     assert [(each.name, each.key_file) for each in server.clients] == [(client.name, client.key_file)]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_between_the_pages_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)#:]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / link).exists(), link
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
