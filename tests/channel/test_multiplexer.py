@@ -194,6 +194,21 @@ def test_a_late_comer_does_not_make_up_for_its_silence() -> None:
     play(scene)
 
 
+def test_a_channel_may_send_while_its_last_message_waits() -> None:
+    bulk, late = Topic(1, always=100_000), Topic(2)
+
+    async def scene() -> None:
+        share(bulk, late)
+        bulk.flush()
+        await asyncio.sleep(0.3)
+        late.send(80)
+        late.send(90)
+        await asyncio.sleep(1)
+        assert [size for size, _ in late.arrived] == [80, 90]
+
+    play(scene)
+
+
 def test_a_closed_channel_sends_no_more() -> None:
     gone, stays = Topic(1, always=100_000), Topic(2)
 

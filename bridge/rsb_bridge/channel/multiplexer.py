@@ -51,9 +51,10 @@ class Multiplexer:
         return channel
 
     def join(self, channel: MultiplexedSender) -> None:
-        """A channel has chunks to send."""
-        channel.start = max(channel.start, self._time)
-        self._waiting.append(channel)
+        """A channel has chunks to send, perhaps besides others that wait already."""
+        if channel not in self._waiting:
+            channel.start = max(channel.start, self._time)
+            self._waiting.append(channel)
         self.pump()
 
     def leave(self, channel: MultiplexedSender) -> None:

@@ -342,7 +342,7 @@ class Link(ABC):
 
     def join_stream(self, shared: SharedStream, frame: bytes) -> None:
         """The peer wants a further route on a stream; raises ProtocolError or Refusal where that can't be."""
-        raise ProtocolError("an opening frame came on an open stream")
+        raise ProtocolError("unexpected preamble frame on an open stream")
 
     def is_closed_id(self, route_id: int) -> bool:
         """Whether a route was open under that id and is no longer."""
