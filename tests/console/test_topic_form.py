@@ -71,7 +71,7 @@ MISTAKES = [
     ("qos", "sensor_date", "did you mean sensor_data?"),
     ("qos", "{depth: 0}", "depth: 0 is out of range"),
     ("qos", "{depth", "is not one of auto"),
-    ("port", "70000", "70000 is not a port"),
+    ("port", "70000", "70000 is not a valid port"),
     ("port", "49152", "is the server_port"),
     ("port", "x", "'x' is not"),
     ("remote_topic", "scan", "did you mean /scan?"),
@@ -157,7 +157,7 @@ def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetoot
         await pilot.press("enter")
         await shown(pilot, "needs a channel")
         await fill(pilot, port="31")
-        await shown(pilot, "31 is not an RFCOMM channel")
+        await shown(pilot, "31 is not a valid RFCOMM channel")
         await fill(pilot, port="5")
         await pilot.press("enter")
         await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")

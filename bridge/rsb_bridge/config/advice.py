@@ -6,7 +6,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join
-from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.validation import domain_of, transport_of
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -63,9 +63,12 @@ def _topics(session: Session) -> Iterator[Problem]:
         location = join("topics", at)
         if topic.topic == session.shutdown_topic:
             yield Problem(location, f"{topic.topic} closes the bridge, too: it is the shutdown_topic")
-        rfcomm = session.is_bluetooth or topic.protocol == "bluetooth"
-        if topic.port is not None and not rfcomm and topic.port not in TOPIC_PORT:
-            yield Problem(join(location, "port"), f"a server refuses ports below {TOPIC_PORT.low} for topics")
+        transport = transport_of(topic, session)
+        if topic.port is not None and topic.port not in transport.topic_ports:
+            yield Problem(
+                join(location, "port"),
+                f"a server refuses {transport.port_kind}s below {transport.topic_ports.low} for topics",
+            )
         yield from _depth(topic, join(location, "qos"))
 
 

@@ -10,15 +10,20 @@ import msgspec
 
 from rsb_bridge.config.decoding import did_you_mean, join, read, show
 from rsb_bridge.config.keys import conceal
-from rsb_bridge.model.limits import CHANNEL, DOMAIN, NAME_BYTES, PORT, RATE, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.limits import CHANNEL, DOMAIN, NAME_BYTES, RATE, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import is_prefix, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Problem, Session, Topic, is_mac
 from rsb_bridge.model.type_names import expand_type_name
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.transport.transport import StreamTransport
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rsb_bridge.transport.transport import Transport
+
+_TRANSPORTS = default_transports()
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
@@ -91,7 +96,7 @@ def _within(location: str, outer: str) -> bool:
 def _session(session: Session) -> Iterator[Problem]:
     yield from _name(session.name, "name", use_name=session.use_name and not session.clients)
     yield from _address(session)
-    yield from _port(session.server_port, "server_port", bluetooth=session.is_bluetooth)
+    yield from _port(session.server_port, "server_port", _TRANSPORTS.of_link(session.server_ip))
     if session.domain_id is not None and session.domain_id not in DOMAIN:
         yield Problem("domain_id", f"{session.domain_id} is not a ROS domain: {DOMAIN}")
     yield from _key_files(session)
@@ -153,11 +158,16 @@ def _is_host(address: str) -> bool:
     return len(address) <= 253 and all(_HOST_LABEL.fullmatch(label) for label in labels) and not labels[-1].isdecimal()
 
 
-def _port(port: int, location: str, *, bluetooth: bool) -> Iterator[Problem]:
-    if bluetooth and port not in CHANNEL:
-        yield Problem(location, f"{port} is not an RFCOMM channel: {CHANNEL}")
-    elif port not in PORT:
-        yield Problem(location, f"{port} is not a port: {PORT}")
+def _port(port: int, location: str, transport: Transport) -> Iterator[Problem]:
+    if port not in transport.ports:
+        yield Problem(location, f"{port} is not a valid {transport.port_kind}: {transport.ports}")
+
+
+def transport_of(topic: Topic, session: Session | None) -> Transport:
+    """What carries a topic: its own transport, else the link's; without a session, an IP link's."""
+    if topic.protocol is not None:
+        return _TRANSPORTS[topic.protocol]
+    return _TRANSPORTS.of_link(session.server_ip if session is not None else "")
 
 
 def _key_files(session: Session) -> Iterator[Problem]:
@@ -186,10 +196,7 @@ def _topic(topic: Topic, location: str, session: Session | None, client: str | N
     if session is not None:
         yield from _protocol(topic, location, session)
     if topic.port is not None:
-        rfcomm = topic.protocol == "bluetooth" or (
-            topic.protocol is None and session is not None and session.is_bluetooth
-        )
-        yield from _port(topic.port, join(location, "port"), bluetooth=rfcomm)
+        yield from _port(topic.port, join(location, "port"), transport_of(topic, session))
     yield from _qos(topic.qos, join(location, "qos"))
     yield from _rate(topic.max_rate, join(location, "max_rate"))
     yield from _rate(topic.expected_rate, join(location, "expected_rate"))
@@ -279,8 +286,9 @@ def _clashes(session: Session) -> Iterator[Problem]:
     routes: dict[tuple[str, str], int] = {}
     ports: dict[tuple[str, int], str] = {}
     shared = "its server_port"
-    for protocol in ("bluetooth",) if session.is_bluetooth else ("tcp", "udp"):
-        ports[protocol, session.server_port] = shared
+    link = _TRANSPORTS.of_link(session.server_ip)
+    for name in (link.name, *link.companions):
+        ports[name, session.server_port] = shared
     for at, topic in enumerate(session.topics):
         location = join("topics", at)
         first = routes.setdefault((topic.topic, topic.direction), at)
@@ -288,14 +296,15 @@ def _clashes(session: Session) -> Iterator[Problem]:
             yield Problem(location, f"{topic.topic} ({topic.direction}) is there already, as topics[{first}]")
         if topic.port is None:
             continue
-        protocol = topic.protocol or ("bluetooth" if session.is_bluetooth else "tcp")
-        holder = ports.setdefault((protocol, topic.port), location)
+        transport = transport_of(topic, session)
+        holder = ports.setdefault((transport.name, topic.port), location)
         if holder == shared:
             yield Problem(join(location, "port"), f"{topic.port} is the server_port: leave port out to share it")
-        elif holder != location and protocol != "bluetooth":  # topics of one link share a channel
+        elif holder != location and not (isinstance(transport, StreamTransport) and transport.multiplexed):
             yield Problem(
                 join(location, "port"),
-                f"{protocol} port {topic.port} is taken by {holder}: give another, or leave it out",
+                f"{transport.name} {transport.port_kind} {topic.port} is taken by {holder}: "
+                "give another, or leave it out",
             )
 
 

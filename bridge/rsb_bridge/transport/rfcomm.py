@@ -55,8 +55,8 @@ class Rfcomm(StreamTransport):
     """Bluetooth RFCOMM. Two adapters have one connection on a channel, so the routes of a channel share it."""
 
     name = "bluetooth"
-    port_kind = "channel"
-    topic_ports = CHANNEL
+    port_kind = "RFCOMM channel"
+    ports = topic_ports = CHANNEL
     slow = True
     compression = "zstd"
     multiplexed = True

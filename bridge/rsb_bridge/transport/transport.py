@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
-from rsb_bridge.model.limits import TOPIC_PORT, Range
+from rsb_bridge.model.limits import PORT, TOPIC_PORT, Range
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
@@ -115,7 +115,8 @@ class _Transport(ABC):
 
     Attributes:
         name: of the transport in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
-        port_kind: what its numbers are called, ``port`` or ``channel``; transports of the same kind share them.
+        port_kind: what its numbers are called, for example ``port``; transports of the same kind share them.
+        ports: the numbers that there are.
         topic_ports: the numbers that a topic may name for itself.
         slow: it carries some 50 kB/s, so what may be lost should not queue for seconds.
         compression: of a topic that names none.
@@ -124,6 +125,7 @@ class _Transport(ABC):
 
     name: ClassVar[TransportName]
     port_kind: ClassVar[str] = "port"
+    ports: ClassVar[Range] = PORT
     topic_ports: ClassVar[Range] = TOPIC_PORT
     slow: ClassVar[bool] = False
     compression: ClassVar[Compression] = "none"
