@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_console.app import ConsoleApp
-from rsb_console.demo import running_demo
+from rsb_console.session.demo import running_demo
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The operator console: a Textual app around an engine that never waits for it."""
+"""The Textual app of the console, around an engine that never waits for it."""
 
 from __future__ import annotations
 
@@ -8,25 +8,27 @@ import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from textual import events, work
 from textual.app import App
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.snapshot import Snapshot
-from rsb_console import theming
-from rsb_console.actions import BY_ID, Action, Group, bindings
-from rsb_console.glyphs import AsciiFilter, ControlFilter
-from rsb_console.leaving import Leaving, finish, leave_on_signals, output_path, record_crash
-from rsb_console.palette import ActionsProvider
+from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_console.actions.registry import BY_ID, Action, Group, bindings
+from rsb_console.look import themes
+from rsb_console.look.glyphs import AsciiFilter, ControlFilter
+from rsb_console.operations.bridge import BridgeOperations
+from rsb_console.operations.sessions import SessionOperations
 from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
-from rsb_console.shell import FAILURE
-from rsb_console.terminal import ConsoleDriver, prefers_ascii, terminal_to_itself
+from rsb_console.screens.palette import ActionsProvider
+from rsb_console.terminal.driver import ConsoleDriver
+from rsb_console.terminal.shutdown import ShutdownReason, record_crash
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from concurrent.futures import Future
 
     from textual.filter import LineFilter
     from textual.screen import Screen
@@ -35,26 +37,29 @@ if TYPE_CHECKING:
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console import Console
 
     MakeEngine = Callable[[Session, Path], EngineApi]
 
+T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
-_LEFT_WITHIN = 10.0
+_ENDS_WITHIN = 10.0
+_FAILURE = 1
 
 
 class ConsoleApp(App[None]):
-    """The app: owns the engine's life, the themes, and what all screens share.
+    """Fulfils `rsb_console.console.Console`: owns the engine, the user's preferences, and the main screen.
 
     Args:
-        session: what to run; None: nothing yet.
-        path: the session's file; None: it is in none.
+        session: to run; None: none yet.
+        path: the session's file; None: it is in no file.
         readonly: nothing may be changed.
-        ascii_only: draw nothing but ASCII.
-        theme: its name; None: what suits the terminal.
-        config: the user's folder; None: the platform's.
-        make_engine: makes an engine of a session and the folder that its key files are relative to.
-        temporary: the session's file ends with it: see `run_session`.
+        ascii_only: draw only ASCII.
+        theme: its name; None: the one that suits the terminal.
+        config: the user's configuration folder; None: the platform's.
+        make_engine: makes an engine from a session and the folder of its key files.
+        temporary: the session's file is deleted when the session ends.
     """
 
     TITLE = "rsb-console"
@@ -75,47 +80,50 @@ class ConsoleApp(App[None]):
         temporary: bool = False,
     ) -> None:
         super().__init__(driver_class=ConsoleDriver)
-        self.path = path
-        self.readonly = readonly
-        self.ascii_only = ascii_only
-        self.config = theming.config_path() if config is None else config
         self.engine: EngineApi | None = None
         self.base = Path()
+        self.path = path
         self.saved: Session | None = None
         self.file: SessionFile | None = None
-        self._belongings = ExitStack()
+        self.temporary = temporary
+        self.readonly = readonly
+        self.ascii_only = ascii_only
+        self.note = "no session"
+        self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
+        self.config = themes.config_path() if config is None else config
+        self.preferences = Preferences(self.config, theme)
+        self.shutdown_reason = ShutdownReason.QUIT
+        self.terminal = 1
+        """File descriptor of the terminal."""
+        console: Console = self
+        self.sessions = SessionOperations(console)
+        bridge = BridgeOperations(console, lambda: self.main.selected)
+        self.main = MainScreen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
+        self._session = session
+        self._make_engine = make_engine or _make_engine
+        self._resources = ExitStack()
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
-        self.leaving = Leaving.QUIT
         self._deadline: threading.Timer | None = None
-        self.terminal = 1
-        self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
-        self.note = "no session"
-        self.main = MainScreen()
-        self._session, self.temporary = session, temporary
-        self._make_engine = make_engine or _make_engine
         self._filters_ascii = AsciiFilter()
         self._filters_control = ControlFilter()
-        self.preferences = Preferences(self.config, theme)
         self._last_event = 0
 
-    # -- start --------------------------------------------------------------------------------------------------------
+    # --- start
 
     def get_default_screen(self) -> Screen[Any]:
-        """The main screen is always the first."""
         return self.main
 
     def get_theme_variable_defaults(self) -> dict[str, str]:
-        """What the style sheet needs of a theme that doesn't say."""
-        return theming.VARIABLES
+        """The style sheet's variables that a theme need not define (Textual's)."""
+        return themes.VARIABLES
 
     def get_line_filters(self) -> Sequence[LineFilter]:
-        """Textual's, ours against control characters, and where nothing but ASCII may go out, that one."""
         filters = [*super().get_line_filters(), self._filters_control]
         return [*filters, self._filters_ascii] if self.ascii_only else filters
 
     def on_mount(self) -> None:
-        """Before the first picture: themes and keys."""
+        """Set themes and keys, before the first picture."""
         for name in self.available_themes:
             self.unregister_theme(name)
         for theme in self.preferences.themes.values():
@@ -124,37 +132,34 @@ class ConsoleApp(App[None]):
         self.set_keymap(self.preferences.keymap)
 
     def on_ready(self) -> None:
-        """After the first picture: what was wrong with them, and the session."""
-        for title, words in self.preferences.problems:
-            self.notify(words, title=title, severity="warning", markup=False, timeout=15)
+        """Tell what is wrong with the preferences, and start the session, after the first picture."""
+        for title, message in self.preferences.problems:
+            self.notify(message, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._session is not None:
-            self.run_session(self._session, self.path, temporary=self.temporary)
+            self._run_session(self._session, self.path, None, temporary=self.temporary)
         else:
-            self.main.action_welcome()
+            self.main.run_worker(self.sessions.welcome(), group=Group.SESSION, exclusive=True)
 
     def key_labels(self, action: Action) -> list[str]:
-        """The keys that do `action`, as they are written on a keyboard."""
         return self.preferences.key_labels(action, ascii_only=self.ascii_only)
 
-    # -- the engine ---------------------------------------------------------------------------------------------------
+    # --- the session
+
+    async def run_session(
+        self, session: Session, path: Path | None, resources: ExitStack | None = None, *, temporary: bool = False
+    ) -> None:
+        worker = self._run_session(session, path, resources, temporary=temporary)
+        await asyncio.shield(worker.wait())  # whoever waits may be cancelled; a start may not
 
     @work(group="session")
-    async def run_session(
-        self, session: Session, path: Path | None, belongings: ExitStack | None = None, *, temporary: bool = False
+    async def _run_session(
+        self, session: Session, path: Path | None, resources: ExitStack | None, *, temporary: bool
     ) -> None:
-        """Stop what runs and run `session` instead.
-
-        Args:
-            session: what to run.
-            path: its file; None: it is in none.
-            belongings: what is to end with it.
-            temporary: the file ends with it too, so nothing is kept by saving to it.
-        """
         async with self._changing:
             self.note = "stopping"
             await asyncio.to_thread(self.stop)
-            self._belongings = belongings or ExitStack()
+            self._resources = resources or ExitStack()
             self.base = Path() if path is None else path.parent
             self.temporary = temporary
             if temporary:
@@ -163,12 +168,14 @@ class ConsoleApp(App[None]):
                 self.saved_to(session, path)
             await self._start(session)
 
-    @work(group="session")
-    async def start_anew(self) -> None:
-        """Run the session again whose engine has ended by itself, or could not start."""
+    async def start_again(self) -> None:
         if self._changing.locked():
             self.notify(f"the bridge is {self.note}", timeout=3)
-            return
+        else:
+            await asyncio.shield(self._start_again().wait())
+
+    @work(group="session")
+    async def _start_again(self) -> None:
         async with self._changing:
             if self.engine is not None:
                 await asyncio.to_thread(self.engine.stop)
@@ -187,15 +194,14 @@ class ConsoleApp(App[None]):
         self.pull()
 
     def stop(self) -> None:
-        """Stop the engine, and what belongs to its session; takes up to some seconds."""
+        """Stop the engine and close the session's resources; may take some seconds."""
         if self.engine is not None:
             self.engine.stop()
-        self._belongings.close()
+        self._resources.close()
 
     def saved_to(self, session: Session, path: Path | None) -> None:
-        """What the session's file is, and what is in it."""
-        from rsb_console.recents import remember  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.saving import file_of  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.recents import remember  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
         self.path, self.saved = path, session
         self.file = None if path is None else file_of(path, session)
@@ -205,25 +211,34 @@ class ConsoleApp(App[None]):
             except OSError as error:
                 self.notify(f"the list of recent sessions: {error}", severity="warning", markup=False)
 
+    # --- the engine
+
     @property
     def linked(self) -> bool:
-        """Whether a peer is linked now."""
-        return any(link.state == "ok" for link in self.snapshot().links)
+        return any(link.state is State.OK for link in self.snapshot().links)
 
     def snapshot(self) -> Snapshot:
-        """The engine as it is now."""
         if self.engine is None:
             return Snapshot(time.time(), "", "", "", 0, running=False)
         return self.engine.snapshot()
 
     def peer_of(self, route: RouteSnapshot) -> str:
-        """What the other side of a route is called: a client's link has the client's own name, so there its address."""
         now = self.snapshot()
         return now.address if now.role == "client" else route.link
 
+    async def command(self, future: Future[T], done: str = "") -> bool:
+        try:
+            await asyncio.wrap_future(future)
+        except EngineError as error:
+            self.notify(str(error), title="Not done", severity="error", markup=False, timeout=10)
+            return False
+        if done:
+            self.notify(done, markup=False, timeout=3)
+        self.pull()
+        return True
+
     def pull(self) -> None:
-        """Show the engine as it is now."""
-        if not self.screen_stack:  # the app is ending; the timer does not know yet
+        if not self.screen_stack:  # the app is ending, and the timer not stopped yet
             return
         events = [] if self.engine is None else self.engine.events(self._last_event)
         if events:
@@ -231,17 +246,19 @@ class ConsoleApp(App[None]):
         self.main.show(self.snapshot(), events)
 
     def change_refresh_rate(self, step: int) -> None:
-        """Pull faster or slower by `step` places in `REFRESH_RATES`."""
-        at = REFRESH_RATES.index(self.refresh_rate) + step
-        self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, at))]
+        index = REFRESH_RATES.index(self.refresh_rate) + step
+        self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
         self._pulling.stop()
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         self.pull()
 
-    # -- actions ------------------------------------------------------------------------------------------------------
+    # --- actions
+
+    async def ask(self, dialog: Screen[T]) -> T | None:
+        return await self.push_screen_wait(dialog)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Nothing that changes anything while read-only."""
+        """Disable the actions that change something while read-only (Textual's)."""
         known = BY_ID.get(action)
         if known is not None and known.changes and self.readonly:
             return False
@@ -251,14 +268,13 @@ class ConsoleApp(App[None]):
         """Show every key."""
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
 
-        self.push_screen(HelpScreen())
+        self.push_screen(HelpScreen(self))
 
     def action_help_quit(self) -> None:
-        """Ctrl+C, which Textual only explains, means quit to an operator."""
+        """Ctrl+C: Textual would only explain it; to an operator it means quit."""
         self.action_quit()
 
     def action_palette(self) -> None:
-        """Open the command palette."""
         self.action_command_palette()
 
     def action_theme(self) -> None:
@@ -275,54 +291,56 @@ class ConsoleApp(App[None]):
                 "the mouse is the console's" if self._driver.mouse else "the mouse is the terminal's", timeout=3
             )
 
+    def request_quit(self) -> None:
+        self.action_quit()
+
     @work(exclusive=True, group="quit")
-    async def action_quit(self) -> None:  # type: ignore[override]  # a worker, for it asks
-        """Leave; ask first while linked, or while something is not saved."""
-        if await self.main.may_end("Quit?", "Quit"):
-            self.leave(Leaving.QUIT)
+    async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
+        if await self.sessions.confirm_end("Quit?", "Quit"):
+            self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:
-        """As Textual's, but a key that comes back from where the focus was may be part of the filter by now."""
+        """Handle an event as Textual does, but offer the filter keys that were forwarded to a widget out of focus."""
         if isinstance(event, events.Key) and event.is_forwarded and self.main.type_ahead(event):
             return
         await super().on_event(event)
 
-    # -- end ----------------------------------------------------------------------------------------------------------
+    # --- end
 
-    def leave(self, why: Leaving) -> None:
-        """End the app; what becomes of the engine is `run_console`'s to decide."""
-        self.leaving = why
+    def shut_down(self, reason: ShutdownReason) -> None:
+        """End the app; the engine goes on until `stop`."""
+        self.shutdown_reason = reason
         self.exit()
 
-    def leave_soon(self, why: Leaving) -> None:
-        """As `leave`, from a signal handler or another thread. An app that does not come to it ends all the same."""
+    def shut_down_soon(self, reason: ShutdownReason) -> None:
+        """As `shut_down`, from a signal handler or another thread; ends the process if the app hangs."""
         if self._deadline is None and not self.is_headless:
-            self._deadline = threading.Timer(_LEFT_WITHIN, self._end_at_once)
+            self._deadline = threading.Timer(_ENDS_WITHIN, self._end_at_once)
             self._deadline.daemon = True
             self._deadline.start()
-        self.call_later(self.leave, why)
+        self.call_later(self.shut_down, reason)
 
-    def has_left(self) -> None:
-        """The app has ended by itself: nobody needs to end it."""
+    def has_ended(self) -> None:
+        """The app has ended by itself, so the process need not be ended."""
         if self._deadline is not None:
             self._deadline.cancel()
 
     def _end_at_once(self) -> None:
         self.stop()
-        os._exit(FAILURE)
+        os._exit(_FAILURE)
 
     def terminal_gone(self) -> None:
-        """The terminal has hung up; the driver's thread says so."""
-        self.leave_soon(Leaving.HANGUP)
+        """The terminal has hung up; called by the driver's thread."""
+        self.shut_down_soon(ShutdownReason.HANGUP)
 
     def _fatal_error(self) -> None:
-        """An error nobody handled. Textual would print it with all local variables, which no operator can use."""
+        """Handle an unexpected error: Textual would print it with all local variables, which help no operator."""
         self.crashed()
         self._close_messages_no_wait()
 
     def crashed(self) -> None:
-        """Keep the error that is being handled, for a report."""
-        self.leaving = Leaving.CRASH
+        """Keep the exception that is being handled, for a report."""
+        self.shutdown_reason = ShutdownReason.CRASH
         record_crash()
 
 
@@ -330,52 +348,3 @@ def _make_engine(session: Session, base: Path) -> EngineApi:
     from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
 
     return Engine(session, base=base)
-
-
-def run_console(
-    path: Path | None,
-    *,
-    readonly: bool,
-    ascii_only: bool,
-    theme: str | None,
-    on_hangup: str,
-    session: Session | None = None,
-    mouse: bool = True,
-    temporary: bool = False,
-) -> int:
-    """Open the console, and stay until its end and the engine's.
-
-    Args:
-        path: a session file to run; None: `session`, or ask.
-        readonly: nothing may be changed.
-        ascii_only: draw nothing but ASCII, whatever the terminal can.
-        theme: its name; None: what suits the terminal.
-        on_hangup: ``stop`` or ``continue``: what the bridge does when the terminal hangs up.
-        session: runs if there is no `path`.
-        mouse: take the mouse from the terminal.
-        temporary: the session file ends with the console, as the demo's does.
-
-    Returns:
-        The exit code: 0, or 1 after a crash of the app.
-
-    Raises:
-        SessionError: the session file has mistakes.
-    """
-    from rsb_bridge.config.session_file import load  # noqa: PLC0415 -- not needed without a file
-
-    app = ConsoleApp(
-        load(path) if path is not None else session,
-        path,
-        readonly=readonly,
-        ascii_only=ascii_only or prefers_ascii(os.environ),
-        theme=theme,
-        temporary=temporary,
-    )
-    leave_on_signals(app)
-    try:
-        with terminal_to_itself(output_path()) as app.terminal:
-            app.run(mouse=mouse)
-    except Exception:  # noqa: BLE001 -- whatever befell the app, the bridge goes on
-        app.crashed()
-    app.has_left()
-    return finish(app, on_hangup)

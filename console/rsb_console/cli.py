@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 
-from rsb_console.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, complain
+from rsb_console.command.shell import FAILURE, INTERRUPTED, TERMINATED, USAGE, print_error
 
 TYPE_CHECKING = False  # without typing, which takes a while
 if TYPE_CHECKING:
@@ -46,11 +46,11 @@ def _terminated(*_: object) -> None:
 
 
 def _run(argv: list[str]) -> int:
-    from rsb_console.arguments import parser_and_commands
+    from rsb_console.command.arguments import parser_and_commands
 
     parser, names = parser_and_commands()
     if "_ARGCOMPLETE" in os.environ:
-        from rsb_console.completion import complete
+        from rsb_console.command.completion import complete
 
         complete(parser, names)
     arguments = parser.parse_args(_with_command(argv, names))
@@ -78,7 +78,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
         return argv
     meant = get_close_matches(first, names, n=1, cutoff=0.75)
     if meant and not Path(first).exists():
-        complain(f"{first}: neither a command nor a file; did you mean `rsb-console {meant[0]}`?")
+        print_error(f"{first}: neither a command nor a file; did you mean `rsb-console {meant[0]}`?")
         raise SystemExit(USAGE)
     return ["run", *argv]
 
@@ -99,9 +99,9 @@ def _unforeseen(error: Exception, *, show: bool) -> int:
         with log.open("a", encoding="utf-8") as file:
             file.writelines(traceback.format_exception(error))
     except OSError:
-        complain(f"{words} (details: again with --debug)")
+        print_error(f"{words} (details: again with --debug)")
     else:
-        complain(f"{words} (details: {log})")
+        print_error(f"{words} (details: {log})")
     return FAILURE
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_console import theming
-from rsb_console.actions import Action, KeymapError, load_keymap, split_keys
+from rsb_console.actions.keymap import KeymapError, load_keymap, split_keys
+from rsb_console.look.themes import default_theme, load_themes, shipped_path
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from textual.theme import Theme
+
+    from rsb_console.actions.registry import Action
 
 KEY_SIGNS = {
     "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
@@ -41,7 +43,7 @@ class Preferences:
         self._load_keys(config)
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
-        loaded = theming.load_themes(theming.shipped_path(), config / "themes")
+        loaded = load_themes(shipped_path(), config / "themes")
         self.themes = loaded.found
         problems = list(loaded.problems)
         if wanted is not None and wanted not in self.themes:
@@ -49,7 +51,7 @@ class Preferences:
             wanted = None
         if problems:
             self.problems.append(("Themes left out", "\n".join(problems)))
-        return wanted or theming.default_theme()
+        return wanted or default_theme()
 
     def _load_keys(self, config: Path) -> None:
         try:

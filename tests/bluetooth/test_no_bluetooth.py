@@ -15,7 +15,7 @@ from rsb_bridge.bluetooth import hci
 
 _REFUSED = """
 import ctypes, struct, sys
-from rsb_console.bt_scan import run_bt_scan
+from rsb_console.command.bt_scan import run_bt_scan
 
 PR_SET_NO_NEW_PRIVS, PR_SET_SECCOMP, SECCOMP_MODE_FILTER = 38, 22, 2
 LOAD, EQUAL, RETURN, ERRNO, ALLOW = 0x20, 0x15, 0x06, 0x50000, 0x7FFF0000

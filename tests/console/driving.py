@@ -107,7 +107,7 @@ async def fill(pilot: Pilot[None], **values: str) -> None:
     """Paste each value into the form's field of that key, in place of what is there."""
     for key, value in values.items():
         form = form_of(pilot.app)
-        await until(pilot, lambda f=form: not f.typed_ahead.covers(Paste("")), "a form that listens")
+        await until(pilot, lambda f=form: not f.input_guard.covers(Paste("")), "a form that listens")
         control = form.fields[key].control
         control.focus()
         control.value = ""

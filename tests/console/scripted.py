@@ -200,7 +200,7 @@ class ScriptedEngine:
         return self._done(None, "restart")
 
     def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
-        offers = [
+        suggestions = [
             TopicInfo("/camera/depth", "sensor_msgs/msg/Image", "", Qos(reliability="best_effort", depth=5), 1, 0)
         ]
-        return self._done(offers, "topics", link)
+        return self._done(suggestions, "topics", link)

@@ -6,18 +6,17 @@ import pytest
 from tests.console.driving import drive, engine_of, gone, scripted_app, shown, text, until
 from textual.pilot import Pilot
 
-from rsb_console.actions import ACTIONS, BY_ID, Action, Group, KeymapError, load_keymap, split_keys
-from rsb_console.app import ConsoleApp
-from rsb_console.screens.main import MainScreen
-from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.actions.keymap import KeymapError, load_keymap, split_keys
+from rsb_console.actions.registry import ACTIONS, BY_ID, Action, Group
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
-OWNER = dict.fromkeys(Group, MainScreen) | {Group.MOVE: CursorLines, Group.CONSOLE: ConsoleApp}
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)
 def test_every_action_has_its_handler(action: Action) -> None:
-    assert hasattr(OWNER[action.group], f"action_{action.id}")
+    app = scripted_app()
+    owner = {Group.MOVE: app.main.topics, Group.CONSOLE: app}.get(action.group, app.main)
+    assert callable(getattr(owner, f"action_{action.id}"))
 
 
 def test_no_id_and_no_key_twice() -> None:

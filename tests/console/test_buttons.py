@@ -18,7 +18,7 @@ BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in
     "Add a topic": ("a", "Direction"),
     "Edit": ("e", "Direction"),
     "Remove": ("d", "It stops crossing"),
-    "Restart?": ("R", "Every link is closed"),
+    "Restart?": ("R", "All links are closed"),
     "Quit?": ("q", "The bridge is linked"),
 }
 LABELS = {

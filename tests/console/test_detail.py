@@ -10,7 +10,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
-from rsb_console import formats
+from rsb_console.look import formats
 from rsb_console.widgets.detail import detail_lines
 
 

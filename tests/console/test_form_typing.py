@@ -71,8 +71,8 @@ def test_what_is_typed_between_create_and_its_refusal_lands_in_no_field(
             end()
             listening_at.append(text(app))
 
-        end = form.typed_ahead.end
-        monkeypatch.setattr(form.typed_ahead, "end", listen)
+        end = form.input_guard.end
+        monkeypatch.setattr(form.input_guard, "end", listen)
         monkeypatch.setattr(form, "settle", settle_and_type)
         type_at_once(app, "enter", "x", "backspace", "h", "z")
         await shown(pilot, "0 to 232")

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rsb_console import formats
+from rsb_console.look import formats
 
 ANY = st.floats(0, 1e7)
 

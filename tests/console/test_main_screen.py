@@ -232,7 +232,7 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        app._belongings.callback(ended.append, "the demo's robot")
+        app._resources.callback(ended.append, "the demo's robot")
         dead = engine_as(app, Dying)
         dead.die()
         app.pull()
@@ -261,7 +261,7 @@ def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details() -> None:
 
 
 def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: Path) -> None:
-    from rsb_console.recents import recent_sessions
+    from rsb_console.session.recents import recent_sessions
 
     path = tmp_path / "demo.yaml"
     path.touch()

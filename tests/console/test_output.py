@@ -3,7 +3,7 @@
 import os
 import threading
 
-from rsb_console.output import WAITING_LIMIT, LogWriter
+from rsb_console.command.log_writer import WAITING_LIMIT, LogWriter
 
 
 def lost_line(lost: int, reason: str) -> str:

@@ -13,8 +13,8 @@ from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Session, Topic
 from rsb_console.app import ConsoleApp
-from rsb_console.recents import LIMIT, recent_sessions, remember
-from rsb_console.saving import moved, unsaved
+from rsb_console.session.recents import LIMIT, recent_sessions, remember
+from rsb_console.session.saving import moved, unsaved
 
 pytestmark = pytest.mark.usefixtures("folder")
 

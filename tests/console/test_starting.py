@@ -1,5 +1,6 @@
 """The engine takes its time to start: whatever keys are pressed meanwhile, one engine runs in the end."""
 
+import asyncio
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -66,12 +67,13 @@ def test_another_session_waits_until_the_first_has_started_and_stops_it() -> Non
 
     async def steps(pilot: Pilot[None]) -> None:
         await until(pilot, lambda: made, "an engine that starts")
-        app.run_session(SESSION, Path("other.yaml"))
+        changing = asyncio.ensure_future(app.run_session(SESSION, Path("other.yaml")))
         await pilot.pause()
         assert len(made) == 1
         made[0].may_start.set()
         await until(pilot, lambda: len(made) == 2 and made[1].running, "the other session runs")
         assert made[0].was_started
         assert not made[0].running
+        await changing
 
     drive(app, steps)

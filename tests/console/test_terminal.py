@@ -16,7 +16,7 @@ from tests.console.live import Pair, end, talker
 from tests.console.terminal import COMMAND, Terminal
 
 from rsb_bridge.model.session import Topic
-from rsb_console.terminal import prefers_ascii
+from rsb_console.terminal.driver import prefers_ascii
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/console_{os.getpid()}/terminal"
@@ -25,18 +25,20 @@ CRASHING = """
 import sys
 from pathlib import Path
 from rsb_console import app
+from rsb_console.command.console import run_console
 app.ConsoleApp.action_theme = lambda self: 1 / 0
 path = Path(sys.argv[1])
-sys.exit(app.run_console(path, readonly=False, ascii_only=False, theme=None, on_hangup="stop"))
+sys.exit(run_console(path, readonly=False, ascii_only=False, theme=None, on_hangup="stop"))
 """
 
 NOISY = """
 import os, sys
 from pathlib import Path
 from rsb_console import app
+from rsb_console.command.console import run_console
 ready = app.ConsoleApp.on_ready
 app.ConsoleApp.on_ready = lambda self: [ready(self)] + [os.write(fd, b"[RTPS Error] no port") for fd in (1, 2)]
-code = app.run_console(None, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
+code = run_console(None, readonly=False, ascii_only=False, theme=None, on_hangup="stop")
 [os.write(fd, b"itself again %d" % fd) for fd in (1, 2)]
 sys.exit(code)
 """

@@ -7,9 +7,9 @@ from tests.console.driving import drive, scripted_app, shown
 from textual.color import Color
 from textual.pilot import Pilot
 
-from rsb_console import theming
+from rsb_console.look import themes
 
-SHIPPED = theming.load_themes(theming.shipped_path())
+SHIPPED = themes.load_themes(themes.shipped_path())
 
 
 def luminance(color: str) -> float:
@@ -47,7 +47,7 @@ def test_colours_are_of_the_256(name: str) -> None:
     """So a terminal without COLORTERM shows what was meant."""
     levels = {0, 95, 135, 175, 215, 255}
     theme = SHIPPED.found[name]
-    for key in ("primary", *theming.COLORS):
+    for key in ("primary", *themes.COLORS):
         color = getattr(theme, key)
         if color is not None:
             rgb = Color.parse(color).rgb
@@ -58,7 +58,7 @@ def test_colours_are_of_the_256(name: str) -> None:
 def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
     theme = SHIPPED.found["terminal"]
     assert theme.ansi
-    used = [getattr(theme, key) for key in ("primary", *theming.COLORS)] + list(theme.variables.values())
+    used = [getattr(theme, key) for key in ("primary", *themes.COLORS)] + list(theme.variables.values())
     assert all(color is None or color.startswith("ansi_") for color in used)
 
 
@@ -80,18 +80,18 @@ def test_the_terminal_theme_names_the_terminals_own_colours() -> None:
 def test_a_mistake_is_said(tmp_path: Path, content: str, words: str) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(content)
-    themes = theming.load_themes(tmp_path)
-    assert themes.found == {}
-    (problem,) = themes.problems
+    loaded = themes.load_themes(tmp_path)
+    assert loaded.found == {}
+    (problem,) = loaded.problems
     assert problem.startswith(str(path))
     assert words in problem
 
 
 def test_a_users_theme_stands_beside_the_shipped_ones_and_may_replace_one(tmp_path: Path) -> None:
     (tmp_path / "dark.yaml").write_text('primary: "#ffffff"')
-    themes = theming.load_themes(theming.shipped_path(), tmp_path)
-    assert themes.found["dark"].primary == "#ffffff"
-    assert "light" in themes.found
+    found = themes.load_themes(themes.shipped_path(), tmp_path).found
+    assert found["dark"].primary == "#ffffff"
+    assert "light" in found
 
 
 def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ def test_an_unknown_theme_falls_back_and_is_named() -> None:
     ],
 )
 def test_the_default_suits_the_terminal(environ: dict[str, str], expected: str) -> None:
-    assert theming.default_theme(environ) == expected
+    assert themes.default_theme(environ) == expected
 
 
 def test_t_goes_through_all_themes() -> None:

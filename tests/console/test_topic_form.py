@@ -24,7 +24,8 @@ from textual.pilot import Pilot
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_console.topic_draft import Ends, offers_of, topic_of, values_of
+from rsb_console.screens.topic_suggestions import suggestions_for
+from rsb_console.session.draft import Ends, topic_of, values_of
 
 SERVER = msgspec.structs.replace(
     SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"
@@ -313,8 +314,8 @@ def info(topic: str, publishers: int = 1, subscriptions: int = 0) -> TopicInfo:
 @pytest.mark.parametrize("is_server", [False, True])
 def test_topics_flow_from_publishers_to_where_somebody_listens(is_server: bool) -> None:
     here, there = [info("/a"), info("/b", 0, 1)], [info("/c"), info("/d", 0, 2)]
-    offers = offers_of(Ends(is_server, "robot1", use_name=False), here, there, bridged=[])
-    ways = {offer.value: offer.fills["direction"] for offer in offers}
+    suggestions = suggestions_for(Ends(is_server, "robot1", use_name=False), here, there, bridged=[])
+    ways = {suggestion.value: suggestion.fills["direction"] for suggestion in suggestions}
     to_there, to_here = ("receive", "transmit") if is_server else ("transmit", "receive")
     assert ways == {"/a": to_there, "/b": to_here, "/c": to_here, "/d": to_there}
 
@@ -324,7 +325,7 @@ def test_a_topic_with_a_publisher_here_and_a_subscriber_there_is_told_by_the_pub
     here, there = [info("/a")], [info("/a", 0, 1)]
     if not publisher_here:
         here, there = there, here
-    (offer,) = offers_of(Ends(False, "robot1", False), here, there, [])
+    (offer,) = suggestions_for(Ends(False, "robot1", False), here, there, [])
     assert f"1 publisher {'here' if publisher_here else 'there'}" in "".join(piece for piece, _ in offer.line(80))
     assert offer.fills["direction"] == ("transmit" if publisher_here else "receive")
 
@@ -333,17 +334,19 @@ def test_what_crosses_already_is_not_offered_again_from_either_end() -> None:
     crossing = route("/a", spec=Topic("/a", "transmit", remote_topic="/b"), remote_topic="/b", outgoing=True)
     ends = Ends(is_server=False, client="robot1", use_name=False)
     here, there = [info("/a"), info("/c")], [info("/b", 0, 1), info("/d", 0, 1)]
-    assert [offer.value for offer in offers_of(ends, here, there, [crossing])] == ["/c", "/d"]
-    back = offers_of(ends, [], [info("/b")], [crossing])
-    assert [(offer.value, offer.fills["direction"]) for offer in back] == [("/b", "receive")], "another's publisher"
+    assert [suggestion.value for suggestion in suggestions_for(ends, here, there, [crossing])] == ["/c", "/d"]
+    back = suggestions_for(ends, [], [info("/b")], [crossing])
+    assert [(suggestion.value, suggestion.fills["direction"]) for suggestion in back] == [("/b", "receive")], (
+        "another's publisher"
+    )
 
 
 @pytest.mark.parametrize("width", [73, 93])
 def test_a_long_name_is_cut_in_its_middle(width: int) -> None:
-    (offer,) = offers_of(
+    (suggestion,) = suggestions_for(
         Ends(False, "robot1", False), [info("/camera/front/left/depth/image_rect_raw/compressed")], [], []
     )
-    line = "".join(piece for piece, _ in offer.line(width))
+    line = "".join(piece for piece, _ in suggestion.line(width))
     assert "/camera/front" in line
     assert "compressed " in line
     assert len(line) <= width
@@ -351,5 +354,5 @@ def test_a_long_name_is_cut_in_its_middle(width: int) -> None:
 
 def test_the_servers_names_lose_the_clients_prefix() -> None:
     there = [info("/robot1/map"), info("/robot2/map"), info("/map")]
-    offers = offers_of(Ends(False, "robot1", use_name=True), [], there, [])
-    assert [(offer.value, offer.fills["direction"]) for offer in offers] == [("/map", "receive")]
+    suggestions = suggestions_for(Ends(False, "robot1", use_name=True), [], there, [])
+    assert [(suggestion.value, suggestion.fills["direction"]) for suggestion in suggestions] == [("/map", "receive")]

@@ -76,7 +76,8 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
 
 def test_what_libraries_print_is_kept_out_of_the_log() -> None:
     script = (
-        "import os; from rsb_console import shell; shell.keep_output_clean(); os.write(1, b'theirs'); shell.say('ours')"
+        "import os; from rsb_console.command import shell; "
+        "shell.keep_output_clean(); os.write(1, b'theirs'); shell.print_line('ours')"
     )
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
     assert (run.stdout, run.stderr) == ("ours\n", "theirs")
@@ -287,10 +288,14 @@ def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     assert "checks:7: topics[0].protocol" in rsb_console("checks").stderr
 
 
+def breaking(error: str) -> str:
+    """What makes `check` raise an error."""
+    function = f"def check(arguments): raise {error}"
+    return f"from rsb_console.command import commands\n{function}\ncommands.check = check"
+
+
 def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
-    broken = (
-        "from rsb_console import commands\ndef check(arguments): raise RuntimeError('sprocket')\ncommands.check = check"
-    )
+    broken = breaking("RuntimeError('sprocket')")
     run = in_process(broken, "check", "robot1.yaml")
     log = folder / "state" / "rsb-console" / "crash.log"
     assert run.returncode == 1
@@ -305,7 +310,7 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
 
 def test_an_interrupt_is_quiet() -> None:
     """The command raises what Ctrl-C raises: no command here runs long enough to be hit by a real one."""
-    broken = "from rsb_console import commands\ndef check(arguments): raise KeyboardInterrupt\ncommands.check = check"
+    broken = breaking("KeyboardInterrupt")
     run = in_process(broken, "check", "robot1.yaml")
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rsb_bridge.config.session_file import load, parse
-from rsb_console.arguments import parser_and_commands
+from rsb_console.command.arguments import parser_and_commands
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SAMPLES = sorted(CONFIGS.glob("*.yaml"))

@@ -11,22 +11,22 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, Adapter, Device, Scan, Use, held_channels, scan
-from rsb_console.widgets.cursor_lines import CursorLines
-from rsb_console.widgets.form import Words
+from rsb_console.widgets.form import Notice
 from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from textual.app import ComposeResult
 
-    from rsb_console.app import ConsoleApp
+    from rsb_console.console import Console
 
 CHANNELS_A_LINE = 15
 SIGNS = {Use.FREE: ("·", "dim"), Use.BUSY: ("✗", "down"), Use.OWN: ("●", "ok")}
 
 
-class Machines(CursorLines):
+class Machines(SelectableList):
     """One line an adapter or device."""
 
     sticky = 1
@@ -114,17 +114,17 @@ def _channel_lines(found: Scan) -> Iterator[Line]:
 class BluetoothScreen(ModalScreen[str | None]):
     """Scans as soon as it is shown; gives the MAC that was picked."""
 
-    app: ConsoleApp
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
         Binding("enter", "pick", show=False),
         Binding("s,f5", "scan", show=False),
     ]
 
-    def __init__(self) -> None:
+    def __init__(self, console: Console) -> None:
         super().__init__()
+        self.console = console
         self.machines, self.channels = Machines(), Channels()
-        self._problems, self._state, self._keys = Words("problem"), Words("hint"), Words("hint keys")
+        self._problems, self._state, self._keys = Notice("problem"), Notice("hint"), Notice("hint keys")
 
     def compose(self) -> ComposeResult:
         """Machines, channels, and what is missing."""
@@ -143,19 +143,21 @@ class BluetoothScreen(ModalScreen[str | None]):
     @work(exclusive=True)
     async def action_scan(self) -> None:
         """Look at everything again."""
-        self._state.say("scanning …")
-        engine = self.app.engine
+        self._state.set_text("scanning …")
+        engine = self.console.engine
         own = held_channels(engine.session, engine.snapshot()) if engine is not None else set()
         found = await asyncio.to_thread(lambda: asyncio.run(scan(own_channels=own)))
-        self._state.say("" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them.")
-        self._problems.say("\n".join(found.problems))
-        pick = "⏎ use as the server of a new session   " if found.adapters and not self.app.readonly else ""
-        self._keys.say(f"{pick}s scan again   esc close")
+        self._state.set_text(
+            "" if found.devices or not found.adapters else "No paired device: bluetoothctl pairs them."
+        )
+        self._problems.set_text("\n".join(found.problems))
+        pick = "⏎ use as the server of a new session   " if found.adapters and not self.console.readonly else ""
+        self._keys.set_text(f"{pick}s scan again   esc close")
         self.machines.show(found)
         self.channels.show(found)
 
     def action_pick(self) -> None:
         """Give the MAC under the cursor."""
         machine = self.machines.selected
-        if machine is not None and not self.app.readonly:
+        if machine is not None and not self.console.readonly:
             self.dismiss(machine.address)

@@ -9,7 +9,7 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_console import formats
+from rsb_console.look import formats
 from rsb_console.widgets.log import WORD
 
 if TYPE_CHECKING:

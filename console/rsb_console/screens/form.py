@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from textual import events
     from textual.app import ComposeResult
 
-    from rsb_console.app import ConsoleApp
-
 T = TypeVar("T")
 SEEN_AFTER = 0.1  # s from a refusal until its picture, which takes two or three refreshes; nobody has read it sooner
 
@@ -35,7 +33,6 @@ class FormScreen(ModalScreen[T | None]):
         yes: the label of the button that accepts.
     """
 
-    app: ConsoleApp
     BINDINGS: ClassVar = [Binding("escape", "dismiss", show=False)]
     AUTO_FOCUS = ".field Input, .field Choice"
 
@@ -85,19 +82,19 @@ class FormScreen(ModalScreen[T | None]):
 
     def submit(self) -> None:
         """Give the result away, or go to what is wrong; until either is to be seen, the form is deaf."""
-        self.form.typed_ahead.begin()
+        self.form.input_guard.begin()
         self.check()
         if self.form.settle():
             self.accept(self.result(self.form.values))
-        self.set_timer(SEEN_AFTER, self.form.typed_ahead.end)
+        self.set_timer(SEEN_AFTER, self.form.input_guard.end)
 
     def on_key(self, event: events.Key) -> None:
         """Keys that no field has taken: those typed ahead go no further."""
-        if self.form.typed_ahead.covers(event):
+        if self.form.input_guard.covers(event):
             event.stop()
             event.prevent_default()
         elif event.key == "enter" and isinstance(self.focused, Choice):
-            self.form.typed_ahead.begin()
+            self.form.input_guard.begin()
 
     def accept(self, result: T) -> object:
         """Take the result: the dialog's own, unless a subclass has more to do with it first."""

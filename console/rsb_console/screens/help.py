@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
-from rsb_console.actions import ACTIONS, Group
+from rsb_console.actions.registry import ACTIONS, Group
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
-    from rsb_console.app import ConsoleApp
+    from rsb_console.console import Console
 
 KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
@@ -56,8 +56,11 @@ class KeyList(LiveLines, can_focus=True):
 class HelpScreen(ModalScreen[None]):
     """Every key; any of escape, q, ? and enter leaves."""
 
-    app: ConsoleApp
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,enter", "dismiss", show=False)]
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self.console = console
 
     def compose(self) -> ComposeResult:
         """The list."""
@@ -65,15 +68,15 @@ class HelpScreen(ModalScreen[None]):
 
     def _lines(self, width: int) -> Iterator[Line]:
         room = max(20, width - KEYS_WIDTH - ID_WIDTH)
-        shown = [action for action in ACTIONS if not (action.changes and self.app.readonly)]
+        shown = [action for action in ACTIONS if not (action.changes and self.console.readonly)]
         order = list(Group)
         for group, actions in groupby(sorted(shown, key=lambda a: order.index(a.group)), key=lambda a: a.group):
             yield ((group.value, "head"),)
             for action in actions:
-                keys = "  ".join(self.app.key_labels(action))
+                keys = "  ".join(self.console.key_labels(action))
                 first, *more = textwrap.wrap(action.help, room - 2)
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
                 yield from ((((" " * KEYS_WIDTH + words), ""),) for words in more)
             yield ()
-        others = f"Other keys: {self.app.config / 'keys.yaml'}, one line each, like   pause: P"
+        others = f"Other keys: {self.console.config / 'keys.yaml'}, one line each, like   pause: P"
         yield from (((words, "dim"),) for words in textwrap.wrap(others, max(20, width), drop_whitespace=False))

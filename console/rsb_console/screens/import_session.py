@@ -11,11 +11,12 @@ from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.session_file import SessionError
 from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.model.limits import SAFE_DOMAIN
-from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
 from rsb_console.screens.new_session import YES_NO, number
-from rsb_console.screens.session_files import Opened, is_file, is_path, no_offer, offers, yaml_files
+from rsb_console.screens.saving import save_asking
+from rsb_console.screens.session_files import Opened, is_file, is_path, no_suggestion, suggestions, yaml_files
+from rsb_console.session.saving import path_problem
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from rsb_bridge.model.session import Role, Session
+    from rsb_console.console import Console
 
 ROLES: dict[str, Role | None] = {"": None, "client": "client", "server": "server"}
 MOST_PROBLEMS = 4
@@ -44,9 +46,14 @@ FIELDS = (
 
 
 class ImportScreen(FormScreen[Opened]):
-    """Import and save; gives the session if it is to be run."""
+    """Import and save; gives the session if it is to be run.
 
-    def __init__(self) -> None:
+    Args:
+        console: asks and tells.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
         self._bringup = PickField(BRINGUP, is_path)
         super().__init__("Import", [self._bringup, *(Field(spec) for spec in FIELDS)], "Import")
         self._made: Session | None = None
@@ -56,7 +63,7 @@ class ImportScreen(FormScreen[Opened]):
         """List the files."""
         super().on_mount()
         files = yaml_files(Path.cwd(), Path.cwd() / "config")
-        self._bringup.offer(list(offers(files, "here")), no_offer)
+        self._bringup.suggest(list(suggestions(files, "here")), no_suggestion)
 
     @on(Field.Changed)
     def _name_as_the_file(self, event: Field.Changed) -> None:
@@ -68,8 +75,8 @@ class ImportScreen(FormScreen[Opened]):
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
-        if event.offer is not None:
-            self._bringup.value = event.offer.value
+        if event.suggestion is not None:
+            self._bringup.value = event.suggestion.value
         self._bringup.touched = True
         self.check()
         self.form.fields["name"].control.focus()
@@ -118,11 +125,11 @@ class ImportScreen(FormScreen[Opened]):
     @work
     async def accept(self, result: Opened) -> None:
         """Save it, say what is different now, and ask whether to run it."""
-        if await save_asking(self.app, result.session, result.path):
+        if await save_asking(self.console, result.session, result.path):
             words = "\n".join(
                 ["Different from the thesis's bridge now:", *self._notes] if self._notes else ["All of it."]
             )
-            run = await self.app.push_screen_wait(ConfirmScreen(f"Imported. Run {result.path.name}?", words, "Run"))
+            run = await self.console.ask(ConfirmScreen(f"Imported. Run {result.path.name}?", words, "Run"))
             self.dismiss(result if run else None)
 
 

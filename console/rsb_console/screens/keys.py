@@ -14,12 +14,12 @@ from textual.widgets import Static
 
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
-from rsb_console.saving import path_problem
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
-from rsb_console.widgets.cursor_lines import CursorLines
-from rsb_console.widgets.form import Field, Spec, Words
+from rsb_console.session.saving import path_problem
+from rsb_console.widgets.form import Field, Notice, Spec
 from rsb_console.widgets.lines import Line, fit
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.session import Session
-    from rsb_console.app import ConsoleApp
+    from rsb_console.console import Console
 
 NAME_WIDTH = 30
 
@@ -79,7 +79,7 @@ def key_files(session: Session, base: Path) -> dict[Path, str]:
     return found
 
 
-class KeysTable(CursorLines):
+class KeysTable(SelectableList):
     """One line a key file."""
 
     sticky = 1
@@ -115,16 +115,16 @@ class KeysTable(CursorLines):
 class KeysScreen(ModalScreen[None]):
     """Look at the key files; `g` makes a key."""
 
-    app: ConsoleApp
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
         Binding("g", "generate", show=False, priority=True),
     ]
 
-    def __init__(self) -> None:
+    def __init__(self, console: Console) -> None:
         super().__init__()
+        self.console = console
         self.table = KeysTable()
-        self._words = Words("problem", id="key-words")
+        self._words = Notice("problem", id="key-words")
         self._made: dict[Path, str] = {}
 
     def compose(self) -> ComposeResult:
@@ -133,7 +133,7 @@ class KeysScreen(ModalScreen[None]):
             dialog.border_title = "Keys"
             yield self.table
             yield self._words
-            keys = "" if self.app.readonly else "g generate a key   "
+            keys = "" if self.console.readonly else "g generate a key   "
             yield Static(f"Both sides of a link need the same fingerprint.\n{keys}esc close", classes="hint keys")
 
     def on_mount(self) -> None:
@@ -142,20 +142,20 @@ class KeysScreen(ModalScreen[None]):
 
     def look(self) -> None:
         """Read the files again."""
-        engine = self.app.engine
-        files = self._made if engine is None else self._made | key_files(engine.session, self.app.base)
+        engine = self.console.engine
+        files = self._made if engine is None else self._made | key_files(engine.session, self.console.base)
         self.table.show([look_at(path, user) for path, user in files.items()])
-        self.on_cursor_lines_cursor_moved()
+        self.on_selectable_list_cursor_moved()
 
-    def on_cursor_lines_cursor_moved(self) -> None:
+    def on_selectable_list_cursor_moved(self) -> None:
         """Say what is to be known of the file."""
         file = self.table.selected
-        self._words.say("No key file yet: g makes one." if file is None else file.words)
+        self._words.set_text("No key file yet: g makes one." if file is None else file.words)
 
     @work
     async def action_generate(self) -> None:
         """Make a key."""
-        if self.app.readonly:
+        if self.console.readonly:
             return
         file = self.table.selected
         path = await self.app.push_screen_wait(GenerateScreen(Path(DEFAULT_KEY_FILE) if file is None else file.path))

@@ -12,10 +12,10 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.model.snapshot import State
-from rsb_console import formats
-from rsb_console.glyphs import STATE_SIGN, STATE_WORD
-from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.look import formats
+from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
-    from rsb_console.app import ConsoleApp
+    from rsb_console.console import Console
 
 HEADING = f" {'STATE':<8}{'NAME':<12}{'SINCE':>9}{'RTT':>8}{'CLOCK':>10}{'TOPICS':>7}{'RX':>9}{'TX':>9}  KEY"
 LABEL = 15  # cells of a figure's name
 
 
-class LinksTable(CursorLines):
+class LinksTable(SelectableList):
     """One line a link, the worst first."""
 
     sticky = 1
@@ -135,14 +135,14 @@ def _span(seconds: float | None) -> str:
 class LinksScreen(ModalScreen[None]):
     """All links, live."""
 
-    app: ConsoleApp
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
         Binding("r", "retry", show=False),
     ]
 
-    def __init__(self) -> None:
+    def __init__(self, console: Console) -> None:
         super().__init__()
+        self.console = console
         self.table, self.detail = LinksTable(), LinkDetail()
 
     def compose(self) -> ComposeResult:
@@ -151,26 +151,26 @@ class LinksScreen(ModalScreen[None]):
             dialog.border_title = "Links"
             yield self.table
             yield self.detail
-            yield Static("esc close" if self.app.readonly else "r try again now   esc close", classes="hint keys")
+            yield Static("esc close" if self.console.readonly else "r try again now   esc close", classes="hint keys")
 
     def on_mount(self) -> None:
         """Go on showing."""
-        self.set_interval(1 / self.app.refresh_rate, self.show)
+        self.set_interval(1 / self.console.refresh_rate, self.show)
         self.show()
 
     def show(self) -> None:
         """Show the links as they are now."""
-        self.table.show(self.app.snapshot())
+        self.table.show(self.console.snapshot())
         self.table.styles.height = min(self.table.line_count, 12)
         self.detail.show(self.table.selected)
 
-    def on_cursor_lines_cursor_moved(self) -> None:
+    def on_selectable_list_cursor_moved(self) -> None:
         """The detail follows."""
         self.detail.show(self.table.selected)
 
     @work
     async def action_retry(self) -> None:
         """Connect again now."""
-        link, engine = self.table.selected, self.app.engine
-        if link is not None and engine is not None and not self.app.readonly:
-            await self.app.main.command(engine.retry(link.name), f"{link.name}: trying again")
+        link, engine = self.table.selected, self.console.engine
+        if link is not None and engine is not None and not self.console.readonly:
+            await self.console.command(engine.retry(link.name), f"{link.name}: trying again")

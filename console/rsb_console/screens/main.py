@@ -1,15 +1,16 @@
-"""The main screen: topics, detail and log. How it is looked at; what is done to the bridge is in `operations`."""
+"""The main screen: topics, detail and log. What changes the bridge is in `rsb_console.operations`."""
 
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import TYPE_CHECKING
 
 from textual.containers import Horizontal
+from textual.screen import Screen
 
 from rsb_bridge.model.snapshot import Level
-from rsb_console.actions import ACTIONS, BY_ID, Group, bindings
-from rsb_console.screens.operations import OperationsScreen
+from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.keybar import KeyBar
 from rsb_console.widgets.log import LogPane, plain
@@ -18,13 +19,14 @@ from rsb_console.widgets.status import StatusBar, View
 from rsb_console.widgets.topics import TopicsTable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Awaitable, Callable, Mapping, Sequence
 
     from textual import events
     from textual.app import ComposeResult
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
-    from rsb_console.widgets.cursor_lines import CursorLines
+    from rsb_console.console import Console
+    from rsb_console.widgets.selectable_list import SelectableList
 
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
 
@@ -35,8 +37,16 @@ class Panes(Horizontal):
     BLANK = True  # the panes cover it: nothing to draw
 
 
-class MainScreen(OperationsScreen):
-    """Topics, detail and log."""
+class MainScreen(Screen[None]):
+    """Topics, detail and log.
+
+    Textual looks an action's handler up on the screen, as ``action_<id>``. Those of the view are methods here; those of
+    the operations are methods of other objects, named after the actions.
+
+    Args:
+        console: the app.
+        operations: for each group of actions an object with their methods, which may wait for dialogs.
+    """
 
     BINDINGS = bindings(Group.VIEW, Group.OPERATE, Group.SESSION)
     BLANK = True  # as its `Panes`
@@ -44,8 +54,13 @@ class MainScreen(OperationsScreen):
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (110, "-wide")]  # noqa: RUF012 -- Textual says it is no ClassVar
     VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short"), (30, "-tall")]  # noqa: RUF012 -- Textual says it is no ClassVar
 
-    def __init__(self) -> None:
+    def __init__(self, console: Console, operations: Mapping[Group, object]) -> None:
         super().__init__()
+        self.console = console
+        for action in ACTIONS:
+            if action.group in operations:
+                method = getattr(operations[action.group], action.id)
+                setattr(self, f"action_{action.id}", partial(self._run_operation, method, action.group))
         self.status, self.prompt, self.key_bar = StatusBar(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
         self._filtered: TopicsTable | LogPane = self.topics
@@ -53,8 +68,11 @@ class MainScreen(OperationsScreen):
         self._held: list[Event] = []
         self._possible: tuple[bool, ...] | None = None
 
+    def _run_operation(self, operation: Callable[[], Awaitable[None]], group: Group) -> None:
+        exclusive = group is Group.SESSION  # one that waits in a dialog gives way to another choice of a session
+        self.run_worker(operation(), group=group, exclusive=exclusive)
+
     def compose(self) -> ComposeResult:
-        """Status, panes, log, keys."""
         yield self.status
         with Panes(id="panes"):
             yield self.topics
@@ -92,31 +110,32 @@ class MainScreen(OperationsScreen):
         self.log_pane.clear()
 
     def _view(self, snapshot: Snapshot) -> View:
-        session = "" if self.app.path is None else self.app.path.stem
-        cause = "" if snapshot.running or self.app.engine is None else self._cause_of_death()
-        return View(session, self.app.refresh_rate, self._frozen_since, self.app.readonly, self.app.note, cause)
+        session = "" if self.console.path is None else self.console.path.stem
+        cause = "" if snapshot.running or self.console.engine is None else self._cause_of_death()
+        console = self.console
+        return View(session, console.refresh_rate, self._frozen_since, console.readonly, console.note, cause)
 
     def _cause_of_death(self) -> str:
         events = [*self.log_pane.events, *self._held]
         cause = next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
-        way_on = "" if self.app.readonly else f"{self._key('restart')} starts it anew"
+        way_on = "" if self.console.readonly else f"{self._key('restart')} starts it anew"
         return ", ".join(words for words in (way_on, cause) if words)
 
     def _key(self, action: str) -> str:
-        return self.app.key_labels(BY_ID[action])[0]
+        return self.console.key_labels(BY_ID[action])[0]
 
     def _why_empty(self, snapshot: Snapshot) -> str:
         """Why the table has no topic, and what to press."""
         if self.topics.routes:
             return f"Nothing here matches. {self._key('back')} shows all topics."
-        if self.app.engine is None:
-            if self.app.readonly:
+        if self.console.engine is None:
+            if self.console.readonly:
                 return "No session. Start the console with one: rsb-console --readonly SESSION"
             opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
             return f"No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
         if not snapshot.running:
-            return self._cause_of_death() if not self.app.note else ""
-        if self.app.readonly:
+            return self._cause_of_death() if not self.console.note else ""
+        if self.console.readonly:
             return "No topics yet."
         theirs = "They come with the clients; " if snapshot.role == "server" else ""
         return f"No topics yet. {theirs}{self._key('add_topic')} adds one."
@@ -125,11 +144,11 @@ class MainScreen(OperationsScreen):
         """Show the topic under the cursor."""
         if self.detail.display:
             route = self.topics.selected
-            self.detail.show(route, "" if route is None else self.app.peer_of(route))
+            self.detail.show(route, "" if route is None else self.console.peer_of(route))
 
     def show_keys(self) -> None:
         """Show the keys that do something now, if those have changed."""
-        possible = (self.app.screen is self, self.app.engine is not None, self.selected is not None)
+        possible = (self.app.screen is self, self.console.engine is not None, self.selected is not None)
         if possible == self._possible:
             return
         self._possible = possible
@@ -139,7 +158,7 @@ class MainScreen(OperationsScreen):
         self.key_bar.show(
             [
                 (
-                    self.app.key_labels(action)[0],
+                    self.console.key_labels(action)[0],
                     action.words,
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
                 )
@@ -153,7 +172,7 @@ class MainScreen(OperationsScreen):
         known = BY_ID.get(action)
         if known is None:
             return super().check_action(action, parameters)
-        if known.group is Group.OPERATE and self.app.engine is None:
+        if known.group is Group.OPERATE and self.console.engine is None:
             return None
         if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
             return None
@@ -161,7 +180,7 @@ class MainScreen(OperationsScreen):
 
     def on_key(self, event: events.Key) -> None:
         """Say why a key that would change something does nothing."""
-        if self.app.readonly and any(a.changes and event.key in self.app.preferences.keys(a) for a in ACTIONS):
+        if self.console.readonly and any(a.changes and event.key in self.console.preferences.keys(a) for a in ACTIONS):
             self.notify("read-only: nothing can be changed here", timeout=2)
 
     def on_screen_suspend(self) -> None:
@@ -177,12 +196,12 @@ class MainScreen(OperationsScreen):
         """The topic under the cursor."""
         return self.topics.selected
 
-    def on_cursor_lines_cursor_moved(self, event: CursorLines.CursorMoved) -> None:
+    def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
         """Detail follows the cursor."""
         if event.pane is self.topics:
             self.show_detail()
 
-    def on_cursor_lines_chosen(self, event: CursorLines.Chosen) -> None:
+    def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
         """A second click opens."""
         if event.pane in {self.topics, self.log_pane}:
             self.action_detail()
@@ -260,15 +279,15 @@ class MainScreen(OperationsScreen):
     def action_freeze(self) -> None:
         """Hold the picture, or let it go on."""
         self._frozen_since = time.time() if self._frozen_since is None else None
-        self.app.pull()
+        self.console.pull()
 
     def action_faster(self) -> None:
         """Refresh more often."""
-        self.app.change_refresh_rate(1)
+        self.console.change_refresh_rate(1)
 
     def action_slower(self) -> None:
         """Refresh less often."""
-        self.app.change_refresh_rate(-1)
+        self.console.change_refresh_rate(-1)
 
     def action_level(self) -> None:
         """Next log level."""
@@ -326,7 +345,7 @@ class MainScreen(OperationsScreen):
 
     def action_copy(self) -> None:
         """Copy the line under the cursor."""
-        from rsb_console.clipboard import copy  # noqa: PLC0415 -- seldom needed
+        from rsb_console.terminal.clipboard import copy  # noqa: PLC0415 -- seldom needed
 
         event, route = self.log_pane.selected, self.topics.selected
         text = plain(event) if self.log_pane.has_focus and event else route.topic if route else ""
@@ -335,7 +354,7 @@ class MainScreen(OperationsScreen):
 
     def action_export(self) -> None:
         """Write what the focused list shows to a file in the working folder."""
-        from rsb_console.export import export_log, export_topics  # noqa: PLC0415 -- seldom needed
+        from rsb_console.session.export import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
         try:
             path = (

@@ -12,8 +12,9 @@ from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key
 from rsb_bridge.config.session_file import validate
 from rsb_bridge.model.limits import CHANNEL, SAFE_DOMAIN
 from rsb_bridge.model.session import Session
-from rsb_console.saving import path_problem, save_asking
 from rsb_console.screens.form import FormScreen
+from rsb_console.screens.saving import save_asking
+from rsb_console.session.saving import path_problem
 from rsb_console.widgets.form import Field, Spec
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from textual.app import ComposeResult
+
+    from rsb_console.console import Console
 
 YES_NO = (("yes", "yes"), ("no", "no"))
 NUMBERS = ("server_port", "domain_id")
@@ -53,10 +56,12 @@ class NewSessionScreen(FormScreen[NewSession]):
     """Write a session file. Gives it when it is written, and its key is there.
 
     Args:
+        console: asks and tells.
         server_ip: to begin with.
     """
 
-    def __init__(self, server_ip: str = "") -> None:
+    def __init__(self, console: Console, server_ip: str = "") -> None:
+        self.console = console
         self._fields = {spec.key: Field(spec) for spec in FIELDS}
         self._fields["server_ip"].value = server_ip
         super().__init__("New session", list(self._fields.values()), "Create")
@@ -77,7 +82,8 @@ class NewSessionScreen(FormScreen[NewSession]):
             control.placeholder = f"{name}.{suffix}" if name else ""
         self._fields["key_file"].display = encrypted
         super().check()
-        self._fields["key_file"].note.say(self._about_key(self.result(self.form.values)) if encrypted and name else "")
+        about_key = self._about_key(self.result(self.form.values)) if encrypted and name else ""
+        self._fields["key_file"].note.set_text(about_key)
 
     def _about_key(self, new: NewSession) -> str:
         """What will become of the key."""
@@ -127,7 +133,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     @work
     async def accept(self, result: NewSession) -> None:
         """Make the key if there is none, then write the file; ask before one is overwritten."""
-        if not await save_asking(self.app, result.session, result.path):
+        if not await save_asking(self.console, result.session, result.path):
             return
         if result.session.use_encryption and not _key_path(result).exists():
             try:
@@ -152,7 +158,7 @@ class NewSessionScreen(FormScreen[NewSession]):
     async def _pick_bluetooth(self) -> None:
         from rsb_console.screens.bluetooth import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
 
-        address = await self.app.push_screen_wait(BluetoothScreen())
+        address = await self.console.ask(BluetoothScreen(self.console))
         if address:
             self._fields["server_ip"].value = address
             self._fields["server_port"].control.focus()

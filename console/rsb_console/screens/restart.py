@@ -13,7 +13,7 @@ from textual.screen import ModalScreen
 from textual.widgets import Button
 
 from rsb_bridge.api import EngineError
-from rsb_console.glyphs import DONE, FAILED
+from rsb_console.look.glyphs import DONE, FAILED
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:

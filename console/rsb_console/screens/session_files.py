@@ -11,12 +11,12 @@ from textual.widgets import Button
 
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.session_file import SessionError, load
-from rsb_console.recents import recent_sessions
-from rsb_console.saving import path_problem
 from rsb_console.screens.form import FormScreen
+from rsb_console.session.recents import recent_sessions
+from rsb_console.session.saving import path_problem
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import fit
-from rsb_console.widgets.picker import Offer, PickField
+from rsb_console.widgets.picker import PickField, Suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -45,7 +45,7 @@ def yaml_files(*folders: Path) -> list[Path]:
     return sorted(path for folder in folders for path in folder.glob("*.y*ml") if path.is_file())
 
 
-def offers(files: list[Path], what: str) -> Iterator[Offer]:
+def suggestions(files: list[Path], what: str) -> Iterator[Suggestion]:
     """Files to pick from.
 
     Args:
@@ -54,7 +54,7 @@ def offers(files: list[Path], what: str) -> Iterator[Offer]:
     """
     for path in files:
         line = ((f"{path.name:<28} ", "strong"), (f"{what:<8} ", "dim"), (str(path.parent), "dim"))
-        yield Offer(str(path.resolve()), str(path), partial(fit, line))
+        yield Suggestion(str(path.resolve()), str(path), partial(fit, line))
 
 
 def is_file(path: Path) -> bool:
@@ -65,7 +65,7 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def no_offer(text: str) -> str:
+def no_suggestion(text: str) -> str:
     """What to say where none of the files offered is what was typed: a path need not be among them."""
     if not text:
         return "no YAML file here; type a path"
@@ -79,10 +79,11 @@ class SessionsScreen(FormScreen[Opened | str]):
     """Open a session, or go on to another way to get one: then gives the action's id.
 
     Args:
-        runs: whether a session runs, which could be saved.
+        runs: a session runs, and can be saved.
+        readonly: nothing may be changed.
     """
 
-    def __init__(self, *, runs: bool) -> None:
+    def __init__(self, *, runs: bool, readonly: bool) -> None:
         spec = Spec(
             "path",
             "Session",
@@ -92,13 +93,13 @@ class SessionsScreen(FormScreen[Opened | str]):
         )
         self._field = PickField(spec, is_path)
         super().__init__("Sessions", [self._field], "Open")
-        self._runs = runs
+        self._runs, self._readonly = runs, readonly
 
     def compose_buttons(self) -> ComposeResult:
         """The other ways, but for those that change nothing but files while read-only."""
         yield from super().compose_buttons()
         for action, label in MORE.items():
-            if not self.app.readonly and (self._runs or not action.startswith("save")):
+            if not self._readonly and (self._runs or not action.startswith("save")):
                 yield Button(label, id=action, compact=True)
 
     def on_mount(self) -> None:
@@ -107,7 +108,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         recent = recent_sessions()
         known = {path.resolve() for path in recent}
         here = [path for path in yaml_files(Path.cwd()) if path.resolve() not in known]
-        self._field.offer([*offers(recent, "recent"), *offers(here, "here")], no_offer)
+        self._field.suggest([*suggestions(recent, "recent"), *suggestions(here, "here")], no_suggestion)
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:

@@ -12,7 +12,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.limits import CHANNEL
 from rsb_bridge.model.qos import PROFILES
 from rsb_console.screens.form import FormScreen
-from rsb_console.topic_draft import Ends, offers_of, problems_of, topic_of, values_of
+from rsb_console.screens.topic_suggestions import suggestions_for
+from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
 
@@ -92,7 +93,7 @@ class TopicScreen(FormScreen[Draft]):
             if side not in self._awaited:
                 self._awaited.add(side)
                 self._ask(side)
-        self._offer()
+        self._suggest()
 
     @work(group="ask")
     async def _ask(self, side: str | None) -> None:
@@ -103,20 +104,20 @@ class TopicScreen(FormScreen[Draft]):
             self._errors[side] = str(error)
         self._awaited.discard(side)
         self._late.discard(side)
-        self._offer()
+        self._suggest()
 
-    def _offer(self) -> None:
+    def _suggest(self) -> None:
         """List what has been found, and say whose answer is missing."""
         link, now = self._link, self._engine.snapshot()
         bridged = [route for route in now.routes if route.link == link]
         field = self.form.fields["topic"]
         assert isinstance(field, PickField)
         late = "waiting for the other side's topics …" if link in self._late else ""
-        field.note.say(self._errors.get(link) or self._errors.get(None) or late)
+        field.note.set_text(self._errors.get(link) or self._errors.get(None) or late)
         waiting = self._awaited & {None, link}
         empty = "asking both sides …" if waiting else "no other topic on either side; type its whole name"
-        offers = offers_of(Ends.of(now, link), self._found.get(None, []), self._found.get(link, []), bridged)
-        field.offer(offers, lambda _text: empty)
+        suggestions = suggestions_for(Ends.of(now, link), self._found.get(None, []), self._found.get(link, []), bridged)
+        field.suggest(suggestions, lambda _text: empty)
 
     @on(Field.Changed)
     def _another_client(self, event: Field.Changed) -> None:
@@ -125,8 +126,8 @@ class TopicScreen(FormScreen[Draft]):
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
-        if event.offer is not None:
-            for key, value in {"topic": event.offer.value, **event.offer.fills}.items():
+        if event.suggestion is not None:
+            for key, value in {"topic": event.suggestion.value, **event.suggestion.fills}.items():
                 self.form.fields[key].value = value
         event.field.touched = True
         self.check()

@@ -9,17 +9,15 @@ from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_console.recents import recent_sessions
-from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.session.recents import recent_sessions
 from rsb_console.widgets.lines import Line, fit
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from textual.app import ComposeResult
-
-    from rsb_console.app import ConsoleApp
 
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
@@ -35,7 +33,7 @@ WATCHING = ("demo", "sessions", "quit")
 RECENT = 5
 
 
-class Menu(CursorLines):
+class Menu(SelectableList):
     """The choices, then the recent sessions, and at last to quit.
 
     Args:
@@ -68,7 +66,6 @@ class Menu(CursorLines):
 class WelcomeScreen(ModalScreen[str]):
     """Gives one of `CHOICES`, or the path of a recent session."""
 
-    app: ConsoleApp
     BINDINGS: ClassVar = [
         Binding("enter", "choose", show=False),
         Binding("escape", "dismiss('')", show=False),
@@ -101,7 +98,7 @@ class WelcomeScreen(ModalScreen[str]):
         """What is under the cursor."""
         self.dismiss(self.menu.cursor_key)
 
-    def on_cursor_lines_chosen(self) -> None:
+    def on_selectable_list_chosen(self) -> None:
         """A second click chooses."""
         self.action_choose()
 

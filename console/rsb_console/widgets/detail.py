@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.snapshot import State
-from rsb_console import formats
-from rsb_console.actions import Group, bindings
-from rsb_console.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
+from rsb_console.actions.registry import Group, bindings
+from rsb_console.look import formats
+from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 from rsb_console.widgets.topics import carries, present_rate
 

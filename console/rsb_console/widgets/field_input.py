@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from textual.widgets import Input
 
-from rsb_console.widgets.typed_ahead import TypedAhead
+from rsb_console.widgets.input_guard import InputGuard
 
 if TYPE_CHECKING:
     from textual import events
@@ -16,7 +16,7 @@ class FieldInput(Input):
     """One line of text, deaf from its submission until what became of that is to be seen.
 
     Attributes:
-        typed_ahead: the form's.
+        input_guard: the form's.
         submits: whether enter submits the form.
 
     Args:
@@ -27,7 +27,7 @@ class FieldInput(Input):
 
     def __init__(self, value: str, blank: str, *, edited: bool = False) -> None:
         super().__init__(value, placeholder=blank, compact=True, select_on_focus=not edited)
-        self.typed_ahead = TypedAhead()
+        self.input_guard = InputGuard()
         self.submits = True
 
     # Textual calls these of every class, Input's after ours, unless the default is prevented.
@@ -37,17 +37,17 @@ class FieldInput(Input):
             self.cursor_position = len(self.value)
 
     async def _on_key(self, event: events.Key) -> None:
-        if self.typed_ahead.covers(event):
+        if self.input_guard.covers(event):
             event.stop()
             event.prevent_default()
         elif event.key == "enter" and self.submits:
             # As a binding it would be run only after the keys that are here already.
-            self.typed_ahead.begin()
+            self.input_guard.begin()
             event.stop()
             event.prevent_default()
             await self.action_submit()
 
     def _on_paste(self, event: events.Paste) -> None:
-        if self.typed_ahead.covers(event):
+        if self.input_guard.covers(event):
             event.stop()
             event.prevent_default()

@@ -13,7 +13,7 @@ from textual.widgets import Input, Static
 
 from rsb_console.widgets.choice import Choice
 from rsb_console.widgets.field_input import FieldInput
-from rsb_console.widgets.typed_ahead import TypedAhead
+from rsb_console.widgets.input_guard import InputGuard
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -45,20 +45,20 @@ class Spec:
     edited: bool = False
 
 
-class Words(Static):
+class Notice(Static):
     """A line or more of text from anywhere, which takes no room while there is none."""
 
     def __init__(self, classes: str, *, id: str | None = None) -> None:  # noqa: A002 -- Textual's name
         super().__init__(markup=False, classes=classes, id=id)
         self.display = False
-        self._words = ""
+        self._text = ""
 
-    def say(self, words: str) -> None:
-        """Show `words`."""
-        if words != self._words:  # Textual would lay the screen out anew even for the same
-            self._words = words
-            self.update(words)
-            self.display = bool(words)
+    def set_text(self, text: str) -> None:
+        """Show a text; an empty one takes no room."""
+        if text != self._text:  # Textual lays the screen out again even for the same text
+            self._text = text
+            self.update(text)
+            self.display = bool(text)
 
 
 class Field(Vertical):
@@ -92,8 +92,8 @@ class Field(Vertical):
         self.control: FieldInput | Choice = (
             Choice(spec.options, spec.value) if spec.options else FieldInput(spec.value, spec.blank, edited=spec.edited)
         )
-        self.problem = Words("problem")
-        self.note = Words("hint note")
+        self.problem = Notice("problem")
+        self.note = Notice("hint note")
 
     def compose(self) -> ComposeResult:
         """Label and control beside each other, what is to be said about the value beneath."""
@@ -146,12 +146,12 @@ class Form(VerticalScroll, can_focus=False):
     def __init__(self, fields: Sequence[Field]) -> None:
         super().__init__(classes="form")
         self.fields = {field.spec.key: field for field in fields}
-        self.help = Words("hint help")
-        self.problem = Words("problem", id="form-problem")
-        self.typed_ahead = TypedAhead()
+        self.help = Notice("hint help")
+        self.problem = Notice("problem", id="form-problem")
+        self.input_guard = InputGuard()
         for field in fields:
             if isinstance(field.control, FieldInput):
-                field.control.typed_ahead = self.typed_ahead
+                field.control.input_guard = self.input_guard
         self._problems: Mapping[str, str] = {}
 
     def compose(self) -> ComposeResult:
@@ -171,9 +171,9 @@ class Form(VerticalScroll, can_focus=False):
         """
         self._problems = problems
         for key, field in self.fields.items():
-            field.problem.say(problems.get(key, "") if field.is_ready else "")
+            field.problem.set_text(problems.get(key, "") if field.is_ready else "")
         elsewhere = [words for key, words in problems.items() if key not in self.values]
-        self.problem.say("\n".join(elsewhere))
+        self.problem.set_text("\n".join(elsewhere))
 
     def settle(self) -> bool:
         """Whether nothing is wrong; else every problem is shown, and the focus is on the first."""
@@ -189,4 +189,4 @@ class Form(VerticalScroll, can_focus=False):
         """Say what the focused field is for."""
         for field in self.fields.values():
             if field.control is event.widget:
-                self.help.say(field.spec.help)
+                self.help.set_text(field.spec.help)

@@ -67,7 +67,7 @@ class LiveLines(ScrollView):
 
     def sync(self) -> None:
         """Redraw what differs from what is on screen."""
-        give_way()
+        yield_gil()
         size = Size(0, self.line_count)
         if size != self.virtual_size:
             self.virtual_size = size
@@ -102,7 +102,7 @@ class LiveLines(ScrollView):
     def render_lines(self, crop: Region) -> list[Strip]:
         """Draw the lines in `crop` (Textual's line API), which asks all panes whenever one of them has changed."""
         if self._finished is None or self._finished[0] != crop:
-            give_way()
+            yield_gil()
             self._measure()
             self._finished = crop, super().render_lines(crop)
         return self._finished[1]
@@ -135,7 +135,7 @@ class LiveLines(ScrollView):
         self.sync()
 
 
-def give_way() -> None:
+def yield_gil() -> None:
     """Let the bridge's threads run, before a pane's worth of work.
 
     A thread that only computes keeps the interpreter from all others for 5 ms, unless it sleeps. Having it taken from

@@ -6,9 +6,9 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Level
-from rsb_console import formats
-from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.look import formats
 from rsb_console.widgets.lines import LiveLines
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,7 +23,7 @@ LOOK = {Level.DEBUG: "dim", Level.INFO: "", Level.WARNING: "stale", Level.ERROR:
 WORD = {Level.DEBUG: "debug", Level.INFO: "info", Level.WARNING: "WARN", Level.ERROR: "ERROR"}
 
 
-class LogPane(CursorLines):
+class LogPane(SelectableList):
     """Events, newest first. At the top it follows; further down it holds still while new ones come in.
 
     When the focus goes to another pane it follows again.

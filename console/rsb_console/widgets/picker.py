@@ -10,10 +10,10 @@ from textual import on
 from textual.binding import Binding
 from textual.widgets import Input
 
-from rsb_console.widgets.cursor_lines import CursorLines
 from rsb_console.widgets.field_input import FieldInput
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, fit
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ CURSOR = "▌"
 WHOLE = 1000  # cells in which nothing is cut
 
 
-class Offer(NamedTuple):
+class Suggestion(NamedTuple):
     """One thing to pick.
 
     Attributes:
@@ -40,29 +40,29 @@ class Offer(NamedTuple):
     fills: Mapping[str, str] = MappingProxyType({})
 
 
-class Offers(CursorLines, can_focus=False):
-    """The offers that match what is typed."""
+class SuggestionList(SelectableList, can_focus=False):
+    """The suggestions that match what is typed."""
 
     def __init__(self) -> None:
-        super().__init__(classes="offers")
-        self._offers: dict[str, Offer] = {}
+        super().__init__(classes="suggestions")
+        self._suggestions: dict[str, Suggestion] = {}
         self._empty = ""
         self.marks_cursor = True
 
-    def show(self, offers: Sequence[Offer], words: Sequence[str], empty: str) -> None:
-        """List those of `offers` that hold all of `words`; if there are none, say `empty`."""
+    def show(self, suggestions: Sequence[Suggestion], words: Sequence[str], empty: str) -> None:
+        """List those of `suggestions` that hold all of `words`; if there are none, say `empty`."""
         self._empty = empty
-        self._offers = {offer.key: offer for offer in offers if _holds(offer, words)}
-        self.show_keys(list(self._offers))
+        self._suggestions = {suggestion.key: suggestion for suggestion in suggestions if _holds(suggestion, words)}
+        self.show_keys(list(self._suggestions))
 
     @property
-    def current(self) -> Offer | None:
+    def current(self) -> Suggestion | None:
         """The one under the cursor; None: there is none."""
-        return None if self.cursor_key is None else self._offers[self.cursor_key]
+        return None if self.cursor_key is None else self._suggestions[self.cursor_key]
 
     @property
     def line_count(self) -> int:
-        """One an offer, or those that say why there is none."""
+        """One an suggestion, or those that say why there is none."""
         return len(self.keys) or len(self._empty_lines)
 
     @property
@@ -74,15 +74,15 @@ class Offers(CursorLines, can_focus=False):
         if not self.keys:
             return ((f" {self._empty_lines[index]}", "dim"),)
         sign = CURSOR if self.is_cursor(index) else " "
-        return fit(((sign, "key"), *self._offers[self.keys[index]].line(self.size.width - 1)), self.size.width)
+        return fit(((sign, "key"), *self._suggestions[self.keys[index]].line(self.size.width - 1)), self.size.width)
 
     def is_cursor(self, index: int) -> bool:
         """Whether enter would pick line `index`."""
         return self.marks_cursor and bool(self.keys) and super().is_cursor(index)
 
 
-def _holds(offer: Offer, words: Sequence[str]) -> bool:
-    text = f"{offer.value} {''.join(piece for piece, _ in offer.line(WHOLE))}".casefold()
+def _holds(suggestion: Suggestion, words: Sequence[str]) -> bool:
+    text = f"{suggestion.value} {''.join(piece for piece, _ in suggestion.line(WHOLE))}".casefold()
     return all(word in text for word in words)
 
 
@@ -105,23 +105,23 @@ class PickField(Field):
     ]
 
     class Picked(Field.Changed):
-        """An offer was picked, or a text was kept as it stands.
+        """An suggestion was picked, or a text was kept as it stands.
 
         Attributes:
-            offer: what was picked; None: the text in the field.
+            suggestion: what was picked; None: the text in the field.
         """
 
-        def __init__(self, field: Field, offer: Offer | None) -> None:
+        def __init__(self, field: Field, suggestion: Suggestion | None) -> None:
             super().__init__(field)
-            self.offer = offer
+            self.suggestion = suggestion
 
     def __init__(self, spec: Spec, is_literal: Callable[[str], bool]) -> None:
         super().__init__(spec)
         self.add_class("-picker")
         assert isinstance(self.control, FieldInput)
         self.control.submits = False  # enter picks
-        self.list = Offers()
-        self._offers: Sequence[Offer] = ()
+        self.list = SuggestionList()
+        self._suggestions: Sequence[Suggestion] = ()
         self._is_literal = is_literal
         self._entered = False
         self._empty: Callable[[str], str] = str
@@ -131,20 +131,20 @@ class PickField(Field):
         yield from super().compose()
         yield self.list
 
-    def offer(self, offers: Sequence[Offer], empty: Callable[[str], str]) -> None:
+    def suggest(self, suggestions: Sequence[Suggestion], empty: Callable[[str], str]) -> None:
         """Set what can be picked.
 
         Args:
-            offers: in the order of the list.
+            suggestions: in the order of the list.
             empty: what to say where nothing matches the text that it is given.
         """
-        self._offers, self._empty = offers, empty
+        self._suggestions, self._empty = suggestions, empty
         self._relist()
 
     def _relist(self) -> None:
         literal = self._is_literal(self.value)
         self.list.marks_cursor = self._entered or not literal
-        self.list.show(self._offers, self.value.casefold().split(), self._empty(self.value))
+        self.list.show(self._suggestions, self.value.casefold().split(), self._empty(self.value))
 
     @property
     def is_ready(self) -> bool:
@@ -152,7 +152,7 @@ class PickField(Field):
         return super().is_ready and not (self.control.has_focus and self.list.marks_cursor)
 
     @property
-    def picked(self) -> Offer | None:
+    def picked(self) -> Suggestion | None:
         """What enter would pick; None: the text as it stands."""
         return self.list.current if self.list.marks_cursor else None
 
@@ -167,7 +167,7 @@ class PickField(Field):
         event.prevent_default()
         self.post_message(self.Picked(self, self.picked))
 
-    def on_cursor_lines_chosen(self) -> None:
+    def on_selectable_list_chosen(self) -> None:
         """A second click picks too."""
         self.post_message(self.Picked(self, self.list.current))
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_console import formats
-from rsb_console.glyphs import STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look import formats
+from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.snapshot import State
-from rsb_console import formats
-from rsb_console.glyphs import IN, OUT, STATE_SIGN, STATE_WORD, sparkline
-from rsb_console.widgets.cursor_lines import CursorLines
+from rsb_console.look import formats
+from rsb_console.look.glyphs import IN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import clip
+from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,7 +119,7 @@ def layout(width: int, *, peers: bool) -> tuple[tuple[Column, int], ...]:
     return tuple((column, column.width or rest) for column in shown)
 
 
-class TopicsTable(CursorLines):
+class TopicsTable(SelectableList):
     """All routes of a snapshot, one a line; the cursor stays on its route."""
 
     sticky = 1

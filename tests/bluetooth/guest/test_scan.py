@@ -14,7 +14,7 @@ import pytest
 from rsb_bridge.bluetooth import bluez, hci
 from rsb_bridge.bluetooth.bluez import read_bluez
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, scan
-from rsb_console.bt_scan import run_bt_scan
+from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import holding, wait_until
 

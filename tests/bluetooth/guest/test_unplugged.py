@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rsb_bridge.bluetooth import hci
 from rsb_bridge.bluetooth.scan import scan
-from rsb_console.bt_scan import run_bt_scan
+from rsb_console.command.bt_scan import run_bt_scan
 
 from .conftest import wait_until
 

@@ -13,8 +13,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, State
-from rsb_console.output import LogWriter
-from rsb_console.shell import FAILURE, OK, complain, keep_output_clean
+from rsb_console.command.log_writer import LogWriter
+from rsb_console.command.shell import FAILURE, OK, keep_output_clean, print_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -51,7 +51,7 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
         try:
             engine.start()
         except EngineError as error:
-            complain(str(error))
+            print_error(str(error))
             return FAILURE
         return bridge_until_told(engine, signals, log_format=log_format, status_every=status_every)
 
@@ -64,7 +64,9 @@ def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
         crashed: how the console went: say so, and exit non-zero in the end.
     """
     if crashed:
-        complain("the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)")
+        print_error(
+            "the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)"
+        )
     with Signals(ignore_hangup=True) as signals:
         code = bridge_until_told(engine, signals)
     return FAILURE if crashed else code

@@ -1,31 +1,24 @@
-"""A topic while an operator writes it: the form's texts, what they make, and what both graphs offer."""
+"""A topic while an operator writes it: the texts of the form, the topic they make, and its mistakes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-from rich.cells import cell_len
 
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
-from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Session, Topic
-from rsb_console.glyphs import IN, OUT
-from rsb_console.widgets.lines import Line, fit_middle
-from rsb_console.widgets.picker import Offer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping
 
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
+    from rsb_bridge.model.snapshot import Snapshot
 
 NUMBERS = ("port", "max_rate", "expected_rate", "stale_after")
-_NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name has what is left, but no less than this
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,65 +115,3 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
     for problem in found:
         words.setdefault(problem.location.partition(".")[0] or "topic", problem.message)
     return words
-
-
-def offers_of(
-    ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Sequence[RouteSnapshot]
-) -> list[Offer]:
-    """What both graphs have that is not bridged yet, by name.
-
-    A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
-    What has both, one on each side, is told by its publisher.
-
-    Args:
-        ends: of the link.
-        here: this side's graph.
-        there: the other side's.
-        bridged: the link's routes; neither end of one is offered the same way again.
-    """
-    taken = {(route.spec.topic, route.spec.direction) for route in bridged}
-    crossing = {
-        (is_here, route.topic if is_here else route.remote_topic, route.outgoing)
-        for route in bridged
-        for is_here in (True, False)
-    }
-    infos = [(info, is_here) for graph, is_here in ((here, True), (there, False)) for info in graph]
-    offers: dict[str, Offer] = {}
-    for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
-        offer = _offer(ends, info, is_here)
-        if (
-            offer is not None
-            and (is_here, info.topic, is_here == bool(info.publishers)) not in crossing
-            and (offer.value, offer.fills["direction"]) not in taken
-        ):
-            offers.setdefault(offer.key, offer)
-    return sorted(offers.values(), key=lambda offer: offer.value)
-
-
-def _offer(ends: Ends, info: TopicInfo, is_here: bool) -> Offer | None:
-    """What the client would call it; None: it is not the client's to bridge."""
-    on_server = is_here == ends.is_server
-    name = ends.client_topic(info.topic, on_server=on_server)
-    if name is None:
-        return None
-    fills = {
-        "direction": "receive" if on_server == bool(info.publishers) else "transmit",
-        "type": info.type_name or AUTO,
-    }
-    return Offer(f"{fills['direction']} {name}", name, partial(_line, info, is_here), fills)
-
-
-def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
-    name_width = max(_NAME_WIDTH, width - 2 - _WHERE_WIDTH - _TYPE_WIDTH)
-    count, what = (info.publishers, "publisher") if info.publishers else (info.subscriptions, "subscriber")
-    return (
-        (f"{OUT if is_here == bool(info.publishers) else IN} ", ""),
-        *_column(info.topic, name_width, "strong"),
-        *_column(f"{count} {what}{'s' if count > 1 else ''} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
-        (info.type_name.replace("/msg/", "/") or "several types", ""),
-    )
-
-
-def _column(text: str, width: int, look: str) -> Line:
-    cut = fit_middle(text, width - 1)
-    return (cut, look), (" " * (width - cell_len(cut)), "")

@@ -11,7 +11,7 @@ OK, FAILURE, USAGE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 _MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some programs go through all that they may have
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Write a line to standard output."""
     sys.stdout.write(encoded(f"{text}\n").decode(sys.stdout.encoding))
 
@@ -38,6 +38,6 @@ def allow_many_descriptors() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
-def complain(text: str) -> None:
+def print_error(text: str) -> None:
     """Write a message to standard error, under the command's name."""
     sys.stderr.write(f"rsb-console: {text}\n")

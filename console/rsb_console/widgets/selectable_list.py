@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from textual.geometry import Region
 from textual.message import Message
 
-from rsb_console.actions import Group, bindings
+from rsb_console.actions.registry import Group, bindings
 from rsb_console.widgets.lines import LiveLines
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from textual import events
 
 
-class CursorLines(LiveLines, can_focus=True):
+class SelectableList(LiveLines, can_focus=True):
     """A list of keyed items, one a line, below `sticky` lines of heading.
 
     `show_keys` sets the items; a subclass draws each in `line`.
@@ -31,12 +31,12 @@ class CursorLines(LiveLines, can_focus=True):
             pane: the list.
         """
 
-        def __init__(self, pane: CursorLines) -> None:
+        def __init__(self, pane: SelectableList) -> None:
             super().__init__()
             self.pane = pane
 
         @property
-        def control(self) -> CursorLines:
+        def control(self) -> SelectableList:
             """The list."""
             return self.pane
 

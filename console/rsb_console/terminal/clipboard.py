@@ -8,10 +8,10 @@ import subprocess
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rsb_console.app import ConsoleApp
+    from textual.app import App
 
 
-def copy(app: ConsoleApp, text: str) -> str:
+def copy(app: App[object], text: str) -> str:
     """Copy `text`.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Session files written from the console: what is not saved yet, where key files are from there, overwriting asks."""
+"""What saving a session takes: what is not saved yet, and where its key files are from another folder."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.config.files import typed_path
-from rsb_bridge.config.keys import Key, KeyFileError, copy_key, key_path, read_key
-from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same, save
+from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
+from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from rsb_bridge.model.session import Session, Topic
-    from rsb_console.app import ConsoleApp
 
 
 def unsaved(saved: Session, now: Session) -> str:
@@ -128,67 +127,3 @@ def file_of(path: Path, session: Session) -> SessionFile | None:
     except SessionError:
         return None
     return file if same(file.session, session) else None
-
-
-async def save_elsewhere(app: ConsoleApp, session: Session, path: Path) -> bool:
-    """As `save_asking`, for what runs: its key files are named as from the new file.
-
-    Args:
-        app: its session runs; where that is temporary, its key goes along.
-        session: what runs, with its key files named as from `app.base`.
-        path: of the file.
-
-    Returns:
-        Whether the file holds the session now, and its key is there.
-    """
-    note = topics_note(session)
-    if not app.temporary:
-        return await save_asking(app, moved(session, app.base, path.parent), path, note=note, opened=app.file)
-    try:
-        session, files = rescued(session, app.base, path.parent)
-        if not await save_asking(app, session, path, note=note):
-            return False
-        for file, key in files.items():
-            copy_key(key, file)
-            app.notify(f"with its key: {file}", markup=False)
-    except KeyFileError as error:
-        app.notify(str(error), title="The key is not saved", severity="error", markup=False, timeout=15)
-        return False
-    return True
-
-
-async def save_asking(
-    app: ConsoleApp, session: Session, path: Path, *, note: str = "", opened: SessionFile | None = None
-) -> bool:
-    """Write a session file; ask before one is changed or overwritten, and tell the operator how it went.
-
-    Args:
-        app: asks and tells.
-        session: with its key files named as from `path`.
-        path: of the file. One that says the same already is left alone.
-        note: what to tell besides.
-        opened: the file that the session came from: its comments and layout are kept.
-
-    Returns:
-        Whether the file holds the session now.
-    """
-    from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
-
-    if file_of(path, session) is not None:
-        app.notify(f"nothing has changed: {path} is as it would be saved{note}", markup=False, timeout=8 if note else 3)
-        return True
-    try:
-        if path.exists():  # noqa: ASYNC240 -- one stat
-            title, words, yes = f"Overwrite {path.name}?", "What is in the file now is replaced.", "Overwrite"
-            if opened is not None and opened.is_at(path):
-                opened.check_unchanged()
-                words = f"Changes: {unsaved(opened.session, session)}. The rest of the file stays, comments too."
-                title, yes = f"Save {path.name}?", "Save"
-            if not await app.push_screen_wait(ConfirmScreen(title, words, yes)):
-                return False
-        save(session, path, opened)
-    except SessionError as error:
-        app.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
-        return False
-    app.notify(f"saved: {path}{note}", markup=False, timeout=8 if note else 3)
-    return True

@@ -1,23 +1,12 @@
-"""Everything an operator can do, in one registry: key bindings, footer, help and command palette are made from it.
-
-A key is remapped in the user's ``keys.yaml`` by the action's id::
-
-    pause: P
-    move_down: j,down,ctrl+n
-"""
+"""The registry of everything an operator can do. Key bindings, footer, help and command palette are made from it."""
 
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import yaml
 from textual.binding import Binding
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
 
 class Group(StrEnum):
@@ -123,51 +112,3 @@ BY_ID = {action.id: action for action in ACTIONS}
 def bindings(*groups: Group) -> list[Any]:
     """Textual's bindings of the actions in `groups`."""
     return [Binding(a.keys, a.id, a.words, id=a.id, show=False) for a in ACTIONS if a.group in groups]
-
-
-class KeymapError(ValueError):
-    """A mistake in ``keys.yaml``, in words."""
-
-
-def load_keymap(path: Path) -> dict[str, str]:
-    """Read the user's keys.
-
-    Args:
-        path: a YAML mapping of action ids to Textual key names; need not exist.
-
-    Returns:
-        Action ids to comma-separated keys.
-
-    Raises:
-        KeymapError: it cannot be read, names no action of ours, or gives one key to two actions.
-    """
-    try:
-        loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise KeymapError(f"{path}: {error}") from None
-    if loaded is None:
-        return {}
-    if not isinstance(loaded, dict):
-        raise KeymapError(f"{path}: must map action ids to keys, like 'pause: P'")
-    keymap = {str(action): str(keys) for action, keys in loaded.items()}
-    unknown = sorted(set(keymap) - set(BY_ID))
-    if unknown:
-        raise KeymapError(f"{path}: no action is called {', '.join(unknown)}; the help (?) lists them")
-    _refuse_shared_keys(path, keymap)
-    return keymap
-
-
-def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
-    owner: dict[str, str] = {}
-    for action in ACTIONS:
-        for key in split_keys(keymap.get(action.id, action.keys)):
-            if key in owner:
-                raise KeymapError(f"{path}: {key!r} is for both {owner[key]} and {action.id}; give one another key")
-            owner[key] = action.id
-
-
-def split_keys(keys: str) -> Iterable[str]:
-    """The keys of a comma-separated list."""
-    return (key.strip() for key in keys.split(",") if key.strip())

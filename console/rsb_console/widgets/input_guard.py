@@ -14,7 +14,7 @@ AT_MOST = 5.0  # s; a submission of which nobody says what became of it makes th
 LEAVING = ("escape", "ctrl+c")
 
 
-class TypedAhead:
+class InputGuard:
     """Knows by their times which keys and pastes those are; they may come long after, while the console is busy."""
 
     def __init__(self) -> None:

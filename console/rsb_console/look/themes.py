@@ -54,7 +54,7 @@ def config_path() -> Path:
 
 def shipped_path() -> Path:
     """Where the shipped themes are: in a checkout beside the packages, else installed as shared data."""
-    checkout = Path(__file__).parents[2]
+    checkout = Path(__file__).parents[3]
     if (checkout / "pyproject.toml").is_file():
         return checkout / "themes"
     return Path(sysconfig.get_path("data")) / "share" / "rsb_console" / "themes"

@@ -14,7 +14,7 @@ from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.config.validation import domain_of
-from rsb_console.shell import FAILURE, OK, USAGE, allow_many_descriptors, complain, say
+from rsb_console.command.shell import FAILURE, OK, USAGE, allow_many_descriptors, print_error, print_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -32,14 +32,14 @@ def run(arguments: Namespace) -> int:
     allow_many_descriptors()
     path: Path | None = arguments.session
     if path is None and arguments.no_ui:
-        complain("--no-ui needs a session file: rsb-console run --no-ui SESSION")
+        print_error("--no-ui needs a session file: rsb-console run --no-ui SESSION")
         return USAGE
     try:
         session = load(path) if path is not None else None
     except SessionError as error:
         return _refuse(error)
     if arguments.no_ui and path is not None and session is not None:
-        from rsb_console.headless import run_headless  # noqa: PLC0415 (needs ROS)
+        from rsb_console.command.headless import run_headless  # noqa: PLC0415 (needs ROS)
 
         return run_headless(
             path,
@@ -50,7 +50,7 @@ def run(arguments: Namespace) -> int:
         )
     if not _can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
         return USAGE
-    from rsb_console.app import run_console  # noqa: PLC0415 (needs Textual)
+    from rsb_console.command.console import run_console  # noqa: PLC0415 (needs Textual)
 
     return run_console(
         path,
@@ -70,17 +70,17 @@ def check(arguments: Namespace) -> int:
     except SessionError as error:
         return _refuse(error)
     for line in _summary(session):
-        say(line)
+        print_line(line)
     keys = tuple(_keys(session, path))
     for warning in _warnings(session, keys):
-        say(f"warning: {warning}")
+        print_line(f"warning: {warning}")
     return USAGE if any(isinstance(key, KeyFileError) for key in keys) else OK
 
 
 def _refuse(error: SessionError) -> int:
     """Say what is wrong with a session file: with the file as a whole, or in its lines."""
     in_lines = any(problem.line for problem in error.problems)
-    complain(f"a session file with mistakes\n{error}" if in_lines else str(error))
+    print_error(f"a session file with mistakes\n{error}" if in_lines else str(error))
     return USAGE
 
 
@@ -90,15 +90,17 @@ def keygen(arguments: Namespace) -> int:
     try:
         key = write_key(path, force=arguments.force)
     except KeyFileError as error:
-        complain(str(error))
+        print_error(str(error))
         return FAILURE
-    say(f"{path}: a new key, fingerprint {fingerprint(key)}. Copy the file to the other side, and keep it to yourself.")
+    print_line(
+        f"{path}: a new key, fingerprint {fingerprint(key)}. Copy the file to the other side, and keep it to yourself."
+    )
     return OK
 
 
 def bt_scan(arguments: Namespace) -> int:
     """List Bluetooth adapters and their busy channels."""
-    from rsb_console.bt_scan import run_bt_scan  # noqa: PLC0415 (needs D-Bus)
+    from rsb_console.command.bt_scan import run_bt_scan  # noqa: PLC0415 (needs D-Bus)
 
     return run_bt_scan(arguments.adapter, arguments.json)
 
@@ -108,7 +110,7 @@ def demo(arguments: Namespace) -> int:
     allow_many_descriptors()
     if not arguments.no_ui and not _can_draw("rsb-console demo --no-ui"):
         return USAGE
-    from rsb_console.demo import run_demo  # noqa: PLC0415 (needs ROS)
+    from rsb_console.command.demo import run_demo  # noqa: PLC0415 (needs ROS)
 
     return run_demo(ui=not arguments.no_ui, seconds=arguments.seconds)
 
@@ -117,7 +119,7 @@ def import_thesis(arguments: Namespace) -> int:
     """Write a session made of the thesis's bringup.yaml; what became different goes to standard error."""
     output: Path | None = arguments.output
     if output is not None and output.exists() and not arguments.force:
-        complain(f"{output}: exists already; --force replaces it")
+        print_error(f"{output}: exists already; --force replaces it")
         return FAILURE
     key_file = arguments.key_file
     if key_file is not None and output is not None and not key_file.is_absolute():
@@ -136,15 +138,15 @@ def import_thesis(arguments: Namespace) -> int:
         if output is not None:
             save(session, output)
     except SessionError as error:
-        complain(f"not imported\n{error}")
+        print_error(f"not imported\n{error}")
         missing = {each.location for each in error.problems if not each.line} & _IMPORT_OPTIONS.keys()
         for location in sorted(missing):  # those in the file have its line
-            complain(f"{location} is given with {_IMPORT_OPTIONS[location]}")
+            print_error(f"{location} is given with {_IMPORT_OPTIONS[location]}")
         return USAGE
     if output is None:
-        say(dump(session).removesuffix("\n"))
+        print_line(dump(session).removesuffix("\n"))
     for note in notes:
-        complain(note)
+        print_error(note)
     return OK
 
 
@@ -231,5 +233,5 @@ def _can_draw(instead: str) -> bool:
     elif os.environ.get("TERM", "") in ("", "dumb"):
         reason = "TERM says this one can't draw"
     if reason:
-        complain(f"the console needs a terminal, and {reason}. Without it: {instead}")
+        print_error(f"the console needs a terminal, and {reason}. Without it: {instead}")
     return reason is None

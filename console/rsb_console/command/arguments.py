@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
-from rsb_console import commands
-from rsb_console.shell import say
+from rsb_console.command import commands
+from rsb_console.command.shell import print_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,10 +58,10 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
 
 
 def _complete(action: argparse.Action, completer: str) -> None:
-    """Let `rsb_console.completion` say what a shell offers for an argument; looked up only while a shell completes."""
+    """Complete an argument with a function of `rsb_console.command.completion`."""
 
     def offers(**known: object) -> list[str]:
-        from rsb_console import completion  # noqa: PLC0415 (only while a shell completes)
+        from rsb_console.command import completion  # noqa: PLC0415 (only while a shell completes)
 
         found: list[str] = getattr(completion, completer)(**known)
         return found
@@ -121,5 +121,5 @@ class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version  # noqa: PLC0415 (only while a shell completes)
 
-        say(f"rsb-console {version('rsb-console')}")
+        print_line(f"rsb-console {version('rsb-console')}")
         parser.exit()

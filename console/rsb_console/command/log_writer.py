@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_console.shell import encoded
+from rsb_console.command.shell import encoded
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth.scan import ANY_ADAPTER, CHANNELS, Scan, Use, scan
-from rsb_console.shell import FAILURE, OK, complain, say
+from rsb_console.command.shell import FAILURE, OK, print_error, print_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -26,12 +26,12 @@ def run_bt_scan(adapter: str | None, as_json: bool) -> int:
     """
     found = asyncio.run(scan(adapter))
     if as_json:
-        say(json.dumps(asdict(found), indent=2))
+        print_line(json.dumps(asdict(found), indent=2))
     else:
         for line in _lines(found):
-            say(line)
+            print_line(line)
         for problem in found.problems:
-            complain(problem)
+            print_error(problem)
     return OK if found.usable else FAILURE
 
 

@@ -1,0 +1,79 @@
+"""The console as a command: the app in the terminal, and what becomes of the bridge when the app ends."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.session_file import load
+from rsb_console.app import ConsoleApp
+from rsb_console.command.shell import FAILURE, OK, print_error
+from rsb_console.terminal.driver import prefers_ascii, terminal_to_itself
+from rsb_console.terminal.shutdown import ShutdownReason, crash_path, output_path, shut_down_on_signals
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rsb_bridge.model.session import Session
+
+
+def run_console(
+    path: Path | None,
+    *,
+    readonly: bool,
+    ascii_only: bool,
+    theme: str | None,
+    on_hangup: str,
+    session: Session | None = None,
+    mouse: bool = True,
+    temporary: bool = False,
+) -> int:
+    """Open the console, and return when both it and the engine have ended.
+
+    Args:
+        path: the session file to run; None: run `session`, or ask.
+        readonly: nothing may be changed.
+        ascii_only: draw only ASCII, whatever the terminal can do.
+        theme: its name; None: the one that suits the terminal.
+        on_hangup: ``stop`` or ``continue``: what the bridge does when the terminal hangs up.
+        session: runs if there is no `path`.
+        mouse: take the mouse from the terminal.
+        temporary: the session file is deleted when the console ends, as the demo's is.
+
+    Returns:
+        The exit code: 0, or 1 after a crash of the app.
+
+    Raises:
+        SessionError: the session file has mistakes.
+    """
+    app = ConsoleApp(
+        load(path) if path is not None else session,
+        path,
+        readonly=readonly,
+        ascii_only=ascii_only or prefers_ascii(os.environ),
+        theme=theme,
+        temporary=temporary,
+    )
+    shut_down_on_signals(app.shut_down_soon)
+    try:
+        with terminal_to_itself(output_path()) as app.terminal:
+            app.run(mouse=mouse)
+    except Exception:  # noqa: BLE001 -- the bridge survives any failure of the app
+        app.crashed()
+    app.has_ended()
+    return _finish(app, on_hangup)
+
+
+def _finish(app: ConsoleApp, on_hangup: str) -> int:
+    """Stop the engine, or bridge on without the app. Returns the exit code."""
+    crashed = app.shutdown_reason is ShutdownReason.CRASH
+    hung_up = app.shutdown_reason is ShutdownReason.HANGUP
+    code = FAILURE if crashed else OK
+    if crashed:
+        print_error(f"the console has crashed; please report {crash_path()}")
+    if app.engine is not None and (crashed or (hung_up and on_hangup == "continue")):
+        from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
+
+        code = bridge_on(app.engine, crashed=crashed)
+    app.stop()
+    return code

@@ -1,0 +1,74 @@
+"""``rsb-console demo``: the demo session in the console, or headless with a table of counts at its end."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine import Engine
+from rsb_console.command.headless import Signals, bridge_until_told
+from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, keep_output_clean, print_error, print_line
+from rsb_console.session.demo import running_demo
+
+if TYPE_CHECKING:
+    from rsb_console.session.demo import Demo
+
+
+def run_demo(*, ui: bool, seconds: float | None) -> int:
+    """Run the demo.
+
+    Args:
+        ui: in the console; else headless.
+        seconds: s to run headless; None: until a signal.
+
+    Returns:
+        The exit code; headless, 0 only if every topic crossed.
+    """
+    try:
+        with Signals(ignore_hangup=False) as signals, running_demo() as demo:
+            if signals.caught:
+                return INTERRUPTED
+            if ui:
+                return _in_console(demo)
+            code = _headless(demo, signals, seconds)
+    except EngineError as error:
+        print_error(str(error))
+        return FAILURE
+    return code or _print_counts(demo)
+
+
+def _in_console(demo: Demo) -> int:
+    from rsb_console.command.console import run_console  # noqa: PLC0415 -- needs Textual
+
+    return run_console(demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop", temporary=True)
+
+
+def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:
+    keep_output_clean()
+    print_line(f"a simulated robot, a desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}")
+    sys.stdout.flush()
+    engine = Engine(demo.session, base=demo.path.parent)
+    engine.start()
+    code = bridge_until_told(engine, signals, seconds=seconds)
+    demo.desk.stop()
+    demo.robot.stop()
+    return code
+
+
+def _print_counts(demo: Demo) -> int:
+    """Print how many messages each end published and received. Returns the exit code."""
+    print_line(f"{'topic':<12} {'published':>10} {'received':>10}")
+    failed = []
+    for sender, receiver in ((demo.robot, demo.desk), (demo.desk, demo.robot)):
+        for topic, published in sender.published.items():
+            if all(topic != bridged.topic for bridged in demo.session.topics):
+                continue
+            received = receiver.received.get(topic, 0)
+            print_line(f"{topic:<12} {published:>10} {received:>10}  {'ok' if received else 'NOTHING CAME'}")
+            if not received:
+                failed.append(topic)
+    if failed or not demo.robot.published or not demo.desk.published:
+        print_error(f"the demo failed: {', '.join(failed) or 'the robot or the desk did not run'}")
+        return FAILURE
+    return OK

@@ -1,0 +1,136 @@
+"""What screens and operations may ask of the app around them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+    from contextlib import ExitStack
+    from pathlib import Path
+
+    from textual.notifications import SeverityLevel
+    from textual.screen import Screen
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.config.session_file import SessionFile
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_console.actions.registry import Action
+    from rsb_console.preferences import Preferences
+
+T = TypeVar("T")
+
+
+class Console(Protocol):
+    """One engine under one session, shown by one app.
+
+    Attributes:
+        engine: the engine that runs or ran last; None: there was none yet.
+        base: the folder that the session's key files are relative to.
+        path: the session file; None: the session is in no file.
+        saved: the session as the file has it; None: it is in no file.
+        file: that file as it was opened, with its comments; None: the session is in no file, or it has changed.
+        temporary: the session's file is deleted when the session ends, as the demo's is.
+        readonly: nothing may be changed.
+        note: what the console is doing with the session (``starting``); empty: nothing.
+        refresh_rate: Hz.
+        preferences: the user's themes and keys.
+        config: the folder that those are in.
+    """
+
+    engine: EngineApi | None
+    base: Path
+    path: Path | None
+    saved: Session | None
+    file: SessionFile | None
+    temporary: bool
+    readonly: bool
+    note: str
+    refresh_rate: float
+    preferences: Preferences
+    config: Path
+
+    # --- the session
+
+    async def run_session(
+        self, session: Session, path: Path | None, resources: ExitStack | None = None, *, temporary: bool = False
+    ) -> None:
+        """Stop the engine, and start one for another session.
+
+        Args:
+            session: to run.
+            path: its file; None: it is in no file.
+            resources: closed when the session ends.
+            temporary: the file is among those resources, so that saving to it keeps nothing.
+        """
+        ...
+
+    async def start_again(self) -> None:
+        """Start the same session on a new engine, after the old one has ended or could not start."""
+        ...
+
+    def saved_to(self, session: Session, path: Path | None) -> None:
+        """Remember that a file holds the session."""
+        ...
+
+    # --- the engine
+
+    @property
+    def linked(self) -> bool:
+        """Whether a peer is linked."""
+        ...
+
+    def snapshot(self) -> Snapshot:
+        """The engine's state; an empty one without an engine."""
+        ...
+
+    def peer_of(self, route: RouteSnapshot) -> str:
+        """The name of a route's other side: a client's link has the client's own name, so there the address."""
+        ...
+
+    async def command(self, future: Future[T], done: str = "") -> bool:
+        """Wait for a command to the engine, and tell the operator if it failed.
+
+        Args:
+            future: from the engine.
+            done: what to tell on success; empty: nothing, because the log does.
+
+        Returns:
+            Whether it succeeded.
+        """
+        ...
+
+    # --- the operator
+
+    async def ask(self, dialog: Screen[T]) -> T | None:
+        """Show a dialog and wait for its answer. Only from a worker."""
+        ...
+
+    def notify(
+        self,
+        message: str,
+        *,
+        title: str = "",
+        severity: SeverityLevel = "information",
+        timeout: float | None = None,
+        markup: bool = True,
+    ) -> None:
+        """Show a message for a while (Textual's)."""
+        ...
+
+    def key_labels(self, action: Action) -> list[str]:
+        """The keys of an action, as they are written on a keyboard."""
+        ...
+
+    def pull(self) -> None:
+        """Show the engine's present state now."""
+        ...
+
+    def change_refresh_rate(self, step: int) -> None:
+        """Refresh faster or slower by so many steps."""
+        ...
+
+    def request_quit(self) -> None:
+        """Quit, after a question if that loses something."""
+        ...

@@ -1,0 +1,84 @@
+"""What changes the bridge: each action of the registry's `Group.OPERATE` is a command to the engine."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console import Console
+
+
+class BridgeOperations:
+    """Methods named after their actions, each run as a worker.
+
+    Args:
+        console: the app.
+        selected: gives the topic under the cursor.
+    """
+
+    def __init__(self, console: Console, selected: Callable[[], RouteSnapshot | None]) -> None:
+        self._console = console
+        self._selected = selected
+
+    async def pause(self) -> None:
+        """Pause the topic under the cursor, or resume it."""
+        engine, route = self._console.engine, self._selected()
+        if engine is not None and route is not None:
+            await self._console.command(engine.pause(route.key, route.state is not State.PAUSED))
+
+    async def retry(self) -> None:
+        engine = self._console.engine
+        if engine is not None:
+            await self._console.command(engine.retry(), "trying again")
+
+    async def add_topic(self) -> None:
+        from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine = self._console.engine
+        if engine is None:
+            return
+        draft = await self._console.ask(TopicScreen(engine))
+        if draft is not None:
+            hint = "" if engine.session.role == "client" else "; to keep it, add it to the client's session file"
+            await self._console.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added{hint}")
+
+    async def edit_topic(self) -> None:
+        from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, route = self._console.engine, self._selected()
+        if route is None or engine is None:
+            return
+        draft = await self._console.ask(TopicScreen(engine, route))
+        if draft is not None and draft.topic != route.spec:
+            await self._console.command(engine.edit_topic(route.key, draft.topic))
+
+    async def remove_topic(self) -> None:
+        """Remove the topic under the cursor, after a question."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, route = self._console.engine, self._selected()
+        if route is None or engine is None:
+            return
+        message = f"It stops crossing at once, on both sides of the link with {self._console.peer_of(route)}."
+        if await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
+            await self._console.command(engine.remove_topic(route.key))
+
+    async def restart(self) -> None:
+        """Close all links on both sides and open them again, after a question; start an engine that has ended."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.restart import RestartScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine = self._console.engine
+        if engine is None:
+            return
+        if not self._console.snapshot().running:
+            await self._console.start_again()
+            return
+        message = "All links are closed on both sides and opened again. No topic crosses for some seconds."
+        if await self._console.ask(ConfirmScreen("Restart the bridge?", message, "Restart")):
+            await self._console.ask(RestartScreen(engine))

@@ -1,0 +1,182 @@
+"""What concerns sessions and what belongs to them (the registry's `Group.SESSION`): files, keys, links, Bluetooth."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.session import Session
+    from rsb_console.console import Console
+
+
+class SessionOperations:
+    """Methods named after their actions, each run as a worker; a new one cancels the one before.
+
+    Args:
+        console: the app.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    async def confirm_end(self, title: str, yes: str) -> bool:
+        """Whether the session may end: asks while it is linked, or has changes that are not saved.
+
+        Args:
+            title: of the question.
+            yes: the label of the button that ends it.
+        """
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.saving import unsaved  # noqa: PLC0415 -- keeps the start short
+
+        engine, saved, reasons = self._console.engine, self._console.saved, []
+        if self._console.linked:
+            reasons.append("The bridge is linked and stops: no topic crosses any more.")
+        if engine is not None and saved is not None:
+            changes = unsaved(saved, engine.session)
+            if changes:
+                reasons.append(f"Not saved (w saves): {changes}.")
+        if not reasons:
+            return True
+        answer = await self._console.ask(ConfirmScreen(title, "\n".join(reasons), yes))
+        return answer is True
+
+    # --- choosing a session
+
+    async def welcome(self) -> None:
+        """Offer all ways to begin, until one has led to a session."""
+        from rsb_console.screens.welcome import WelcomeScreen  # noqa: PLC0415 -- keeps the start short
+
+        while choice := await self._console.ask(WelcomeScreen(readonly=self._console.readonly)):
+            if choice == "quit":
+                self._console.request_quit()
+                return
+            await self._begin(choice)
+            if self._console.engine is not None:
+                return
+
+    async def _begin(self, choice: str) -> None:
+        """Do what was chosen in a dialog: an action, or the path of a session file."""
+        actions = {
+            "demo": self.demo,
+            "new_session": self.new_session,
+            "import_session": self.import_session,
+            "sessions": self.sessions,
+            "save": self.save,
+            "save_as": self.save_as,
+        }
+        await (actions[choice]() if choice in actions else self._open(Path(choice)))
+
+    async def sessions(self) -> None:
+        from rsb_console.screens.session_files import SessionsScreen  # noqa: PLC0415 -- keeps the start short
+
+        runs = self._console.engine is not None
+        chosen = await self._console.ask(SessionsScreen(runs=runs, readonly=self._console.readonly))
+        if isinstance(chosen, str):
+            await self._begin(chosen)
+        elif chosen is not None:
+            await self._run(chosen.session, chosen.path)
+
+    async def _open(self, path: Path) -> None:
+        from rsb_bridge.config.session_file import SessionError, load  # noqa: PLC0415 -- not needed without a file
+
+        try:
+            session = load(path)
+        except SessionError as error:
+            self._console.notify(str(error), title="Not opened", severity="error", markup=False, timeout=15)
+        else:
+            await self._run(session, path)
+
+    async def new_session(self, server_ip: str = "") -> None:
+        from rsb_console.screens.new_session import NewSessionScreen  # noqa: PLC0415 -- keeps the start short
+
+        new = await self._console.ask(NewSessionScreen(self._console, server_ip))
+        if new is not None:
+            await self._run(new.session, new.path)
+
+    async def import_session(self) -> None:
+        """Import a bringup.yaml of the thesis."""
+        from rsb_console.screens.import_session import ImportScreen  # noqa: PLC0415 -- keeps the start short
+
+        imported = await self._console.ask(ImportScreen(self._console))
+        if imported is not None:
+            await self._run(imported.session, imported.path)
+
+    async def demo(self) -> None:
+        """Run the demo: a simulated robot on this machine."""
+        from rsb_console.session.demo import running_demo  # noqa: PLC0415 -- keeps the start short
+
+        if not await self.confirm_end("Run the demo instead?", "Run"):
+            return
+        self._console.notify("the simulated robot starts …", timeout=3)
+        resources = contextlib.ExitStack()
+        starting = asyncio.ensure_future(asyncio.to_thread(resources.enter_context, running_demo()))
+        try:
+            demo = await asyncio.shield(starting)
+        except EngineError as error:
+            self._console.notify(str(error), title="No demo", severity="error", markup=False, timeout=15)
+        except asyncio.CancelledError:
+            starting.add_done_callback(lambda _: resources.close())
+            raise
+        else:
+            await self._console.run_session(demo.session, demo.path, resources, temporary=True)
+
+    async def _run(self, session: Session, path: Path) -> None:
+        """Run a session instead of the present one, if the operator agrees."""
+        if await self.confirm_end(f"Run {path.name} instead?", "Run"):
+            await self._console.run_session(session, path)
+
+    # --- saving it
+
+    async def save(self) -> None:
+        """Save the session with the topics it has now."""
+        if self._console.path is None:
+            await self.save_as()
+        else:
+            await self._save_to(self._console.path)
+
+    async def save_as(self) -> None:
+        from rsb_console.screens.session_files import SaveAsScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine = self._console.engine
+        if engine is None:
+            self._console.notify("no session runs: there is nothing to save")
+            return
+        path = await self._console.ask(SaveAsScreen(self._console.path or Path(f"{engine.session.name}.yaml")))
+        if path is not None:
+            await self._save_to(path)
+
+    async def _save_to(self, path: Path) -> None:
+        from rsb_console.screens.saving import save_elsewhere  # noqa: PLC0415 -- keeps the start short
+
+        engine = self._console.engine
+        if engine is None:
+            return
+        session = engine.session
+        if await save_elsewhere(self._console, session, path):
+            self._console.saved_to(session, path)
+
+    # --- looking at what belongs to it
+
+    async def keys(self) -> None:
+        from rsb_console.screens.keys import KeysScreen  # noqa: PLC0415 -- keeps the start short
+
+        await self._console.ask(KeysScreen(self._console))
+
+    async def links(self) -> None:
+        from rsb_console.screens.links import LinksScreen  # noqa: PLC0415 -- keeps the start short
+
+        await self._console.ask(LinksScreen(self._console))
+
+    async def bluetooth(self) -> None:
+        """Scan for Bluetooth; a device that is picked becomes the server of a new session."""
+        from rsb_console.screens.bluetooth import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
+
+        address = await self._console.ask(BluetoothScreen(self._console))
+        if address is not None:
+            await self.new_session(address)

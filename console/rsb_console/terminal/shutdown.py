@@ -1,0 +1,64 @@
+"""The end of the app: why it came, the signals that bring it, and what is kept of a crash."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import traceback
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from platformdirs import user_log_path
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+    from types import FrameType
+
+
+class ShutdownReason(Enum):
+    """Why the app ended."""
+
+    QUIT = "quit"
+    TERMINATED = "terminated"
+    HANGUP = "hangup"
+    CRASH = "crash"
+
+
+SIGNALS = {
+    signal.SIGTERM: ShutdownReason.TERMINATED,
+    signal.SIGINT: ShutdownReason.TERMINATED,
+    signal.SIGHUP: ShutdownReason.HANGUP,
+}
+
+
+def shut_down_on_signals(shut_down: Callable[[ShutdownReason], None]) -> None:
+    """Have SIGTERM, SIGINT and SIGHUP call `shut_down`.
+
+    These handlers outlive the app's event loop, unlike asyncio's: a second SIGHUP is usual, and must not kill a bridge
+    that goes on without the console.
+    """
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        shut_down(SIGNALS[signal.Signals(number)])
+
+    for number in SIGNALS:
+        signal.signal(number, handle)
+
+
+def crash_path() -> Path:
+    """The file that describes the last crash."""
+    return user_log_path("rsb-console") / "crash.txt"
+
+
+def output_path() -> Path:
+    """The file that libraries' own output goes to while the app has the terminal."""
+    return user_log_path("rsb-console") / "output.txt"
+
+
+def record_crash() -> None:
+    """Write the exception that is being handled to `crash_path`, if that is possible."""
+    path = crash_path()
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(traceback.format_exc(), encoding="utf-8")
