@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _HOST = "127.0.0.1"
 _FIRST_DOMAIN, _DOMAIN_PAIRS = 64, 19
-_READY_WITHIN = 5.0  # s; after that the console shows that the bridge waits for the robot
+_READY_WITHIN = 15.0  # s; after that the console shows that the bridge waits for the robot
 # The robot also has /battery_state, for the operator to add.
 _TOPICS = (
     Topic(topic="/scan", direction="receive", protocol="udp", expected_rate=10.0),
