@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.wire.fields import RefuseCode
 
+_CLOSED_REMEMBERED = 4
+"""Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
+
 RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Close | Pause | Report
 """The control messages that are about routes."""
 
@@ -90,6 +93,7 @@ class RouteTable:
         self._context = context
         self._owner = owner
         self._by_id: dict[int, Route] = {}
+        self._closed: dict[int, Route] = {}  # by the ids of its last incarnations on this connection
         # Ids count on across connections, so that late messages from a closed connection match no route.
         self._next_id = 1 if owner.is_client else 2
         self._newest_of_peer = 0
@@ -106,10 +110,12 @@ class RouteTable:
     def disconnected(self, reason: str) -> None:
         """The connection is over: every route is closed until the next one."""
         self._by_id.clear()
+        self._closed.clear()
         self._refused.clear()
         self._newest_of_peer = 0
         for route in self.routes.values():
             route.close(reason)
+            route.closed_ids.clear()
 
     def destroy(self) -> None:
         """End all routes for good."""
@@ -148,14 +154,20 @@ class RouteTable:
 
     def remove(self, route: Route, reason: str) -> None:
         """Remove a route on both sides."""
-        if route.id:
-            self._owner.send(Close(route=route.id, reason=sanitize_text(reason), removed=True))
+        self._tell_removed(route, reason)
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
+
+    def _tell_removed(self, route: Route, reason: str) -> None:
+        """Tell the peer, by the last id that the route had where it is closed for now."""
+        if route_id := route.id or next(reversed(route.closed_ids), 0):
+            self._owner.send(Close(route=route_id, reason=sanitize_text(reason), removed=True))
 
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
         self.routes.pop(route.key, None)
         route.destroy()
+        for route_id in route.closed_ids:
+            del self._closed[route_id]
         route.log(Level.INFO, code, reason)
 
     def pause(self, route: Route, *, paused: bool) -> None:
@@ -187,7 +199,12 @@ class RouteTable:
 
     def closed(self, route_id: int) -> None:
         """An incarnation of a route is over."""
-        self._by_id.pop(route_id, None)
+        route = self._by_id.pop(route_id, None)
+        if route is not None:
+            self._closed[route_id] = route
+            route.closed_ids.append(route_id)
+            if len(route.closed_ids) > _CLOSED_REMEMBERED:
+                del self._closed[route.closed_ids.popleft()]
 
     def _reopen(self, route: Route, route_id: int) -> None:
         route.close("opened anew")
@@ -225,6 +242,8 @@ class RouteTable:
                 self._proposed(message)
             case Report():
                 self._take_report(message)
+            case Close(removed=True):
+                self._removed(message)
             case _:
                 route = self._by_id.get(message.route)
                 if route is not None:  # else it was closed here while the message was under way
@@ -263,7 +282,10 @@ class RouteTable:
         if known is not None and known.proposed_here and owner.is_client:
             raise LinkError(f"{authorized.topic} is bridged in that direction already")
         if known is not None and (known.proposed_here or not same_route(known.proposal, authorized)):
-            # Where both propose, the client's is the one that stays.
+            # Where both propose, the client's is the one that stays. The client may have removed it since, and taken up
+            # this side's.
+            if known.proposed_here:
+                self._tell_removed(known, "replaced by the client's")
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         route = known or self.add(topic_of(authorized), authorized, proposed_here=False)
@@ -300,6 +322,16 @@ class RouteTable:
             self._owner.log(Level.WARNING, EventCode.ROUTE_REFUSED, text, topic=proposal.topic)
         self._owner.send(Refuse(route=proposal.route, code=code, reason=sanitize_text(reason)))
 
+    def _removed(self, message: Close) -> None:
+        """The peer has removed a route, which may have been closed or opened again on this side meanwhile."""
+        route = self._by_id.get(message.route) or self._closed.get(message.route)
+        if route is None:
+            return  # both sides removed it
+        reason = f"removed by the other side: {message.reason}"
+        if route.id != message.route:
+            self._tell_removed(route, reason)
+        self._forget(route, EventCode.ROUTE_REMOVED, reason)
+
     def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
         match message:
             case Accept():
@@ -311,8 +343,6 @@ class RouteTable:
                 route.described(message)
             case Ready() if isinstance(route, OutgoingRoute):
                 route.peer_ready(message.before)
-            case Close() if message.removed:
-                self._forget(route, EventCode.ROUTE_REMOVED, f"removed by the other side: {message.reason}")
             case Close():
                 route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():

@@ -7,6 +7,7 @@ become ready.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import msgspec
@@ -104,6 +105,7 @@ class Route:
         instance: of the peer's process that its present or last opening is with.
         accepted: the peer said yes (or we did, to the peer's proposal).
         refusal: why there is no such route, in words; empty: nothing was refused.
+        closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
     """
 
@@ -125,6 +127,7 @@ class Route:
         self.accepted = False
         self.refusal = ""
         self.opened_at = 0.0
+        self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
         self.retry_at = 0.0
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)

@@ -1,0 +1,208 @@
+"""The route tables of both sides agree in the end, whatever crosses on the way."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.support.offline import FakePeer
+
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.link.route_table import RouteTable
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Coroutine
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.messages import Propose
+
+TOPIC = Topic("/chat", "transmit")
+
+
+class Side(FakePeer):
+    """One side of a link: its table, and the messages that are under way to it."""
+
+    linked_at = 0.0
+    connections = 1
+
+    def __init__(self, context: Context, *, is_client: bool) -> None:
+        super().__init__()
+        self.is_client = is_client
+        self.context = context
+        self.inbox: deque[Any] = deque()
+        self.other: Side
+        self.table = RouteTable(context, self)
+
+    # --- what an operator does, and what happens to a route
+
+    def add(self) -> None:
+        transport = self.context.transports["tcp"]
+        try:
+            proposal = proposal_of(TOPIC, transport, client_name="robot1", use_name=False)
+            self.table.add(TOPIC, proposal, proposed_here=True)
+        except LinkError:
+            pass  # it is there
+
+    def remove(self) -> None:
+        for route in tuple(self.table.routes.values()):
+            self.table.remove(route, "by an operator")
+
+    def pause(self, paused: bool) -> None:
+        for route in self.table.routes.values():
+            self.table.pause(route, paused=paused)
+
+    def lose(self) -> None:
+        for route in self.table.routes.values():
+            route.channel_lost("cut")
+
+    def hear(self) -> None:
+        if self.inbox:
+            self.table.handle(self.inbox.popleft())
+
+    @property
+    def state(self) -> dict[str, bool]:
+        return {key: route.paused for key, route in self.table.routes.items()}
+
+    # --- as the table's owner
+
+    def send(self, message: Any) -> None:
+        self.other.inbox.append(message)
+
+    def closed(self, route_id: int) -> None:
+        self.table.closed(route_id)
+
+    def authorize(self, proposal: Propose) -> Propose:
+        return proposal
+
+    async def prepare_port(self, route: Route) -> None:
+        return
+
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        with pytest.raises(StopIteration):  # nothing in it waits
+            work.send(None)
+        return None  # type: ignore[return-value]
+
+    def guarded(self, work: Callable[[], None]) -> None:
+        work()
+
+    def protocol_error(self, reason: str) -> None:
+        raise AssertionError(reason)
+
+    def log(self, level: Level, code: EventCode, text: str, *, topic: str = "") -> None:
+        pass
+
+
+Pair = tuple["Side", "Side"]
+
+
+@pytest.fixture
+def make_pair(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callable[[], Pair]:
+    def make() -> Pair:
+        client, server = Side(make_context(), is_client=True), Side(make_context(role="server"), is_client=False)
+        client.other, server.other = server, client
+        return client, server
+
+    return make
+
+
+def settle(pair: Pair, loop: VirtualLoop) -> None:
+    """Let all that is under way arrive, and half a minute pass."""
+    for _ in range(30):
+        while any(side.inbox for side in pair):
+            for side in pair:
+                side.hear()
+        loop.jump(1.0)
+        for side in pair:
+            side.table.tick()
+    while any(side.inbox for side in pair):
+        for side in pair:
+            side.hear()
+
+
+OPERATIONS = ("add", "remove", "pause", "resume", "lose", "hear")
+steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size=25)
+
+
+@given(steps, st.sampled_from(["client", "server", "nobody"]), st.booleans())
+@settings(max_examples=600, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
+    make_pair: Callable[[], Pair],
+    loop: VirtualLoop,
+    taken: list[tuple[bool, str]],
+    adds: str,
+    linked_first: bool,
+) -> None:
+    client, server = pair = make_pair()
+    if adds != "nobody":
+        (client if adds == "client" else server).add()
+    if linked_first:
+        settle(pair, loop)
+    for at_client, operation in taken:
+        side = client if at_client else server
+        match operation:
+            case "pause" | "resume":
+                side.pause(operation == "pause")
+            case _:
+                getattr(side, operation)()
+    settle(pair, loop)
+    assert client.state == server.state
+
+
+@pytest.mark.parametrize("proposer", ["client", "server"])
+@pytest.mark.parametrize("remover", ["client", "server"])
+@pytest.mark.parametrize("loser", ["client", "server"])
+@pytest.mark.parametrize("heard", range(6))
+def test_a_route_that_is_removed_while_its_connection_breaks_stays_removed(
+    proposer: str, remover: str, loser: str, heard: int, make_pair: Callable[[], Pair], loop: VirtualLoop
+) -> None:
+    """However much of it each side hears before the other's next step."""
+    pair = make_pair()
+    sides = {"client": pair[0], "server": pair[1]}
+    sides[proposer].add()
+    settle(pair, loop)
+    sides[loser].lose()
+    for number in range(heard):
+        pair[number % 2].hear()
+    if heard % 2:
+        loop.jump(1.5)
+        sides[proposer].table.tick()
+    sides[remover].remove()
+    settle(pair, loop)
+    assert pair[0].state == pair[1].state == {}
+
+
+def test_ids_of_closed_incarnations_are_remembered_within_bounds(
+    make_pair: Callable[[], Pair], loop: VirtualLoop
+) -> None:
+    client, server = pair = make_pair()
+    client.add()
+    for _ in range(100):
+        server.lose()
+        settle_shortly(pair, loop)
+    assert len(client.table._closed) == len(server.table._closed) == 4
+    client.remove()
+    settle_shortly(pair, loop)
+    assert client.table._closed == server.table._closed == {}
+
+
+def settle_shortly(pair: Pair, loop: VirtualLoop) -> None:
+    while any(side.inbox for side in pair):
+        for side in pair:
+            side.hear()
+    loop.jump(10.0)
+    for side in pair:
+        side.table.tick()
+    while any(side.inbox for side in pair):
+        for side in pair:
+            side.hear()
