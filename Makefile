@@ -22,7 +22,7 @@ test: $(STAMP) system lint
 # Two halves that take about as long, at once: what runs as programs beside each other, and what a person or a guest
 # machine drives. They share no domain, port or file.
 test-programs: $(STAMP)
-	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/engine tests/link tests/model tests/network tests/ros tests/route tests/session tests/system tests/transport
+	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/system tests/telemetry tests/transport
 
 test-people: $(STAMP)
 	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console tests/simulation

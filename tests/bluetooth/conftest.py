@@ -1,4 +1,4 @@
-"""The bed, as a fixture; what is in `guest` is collected only in the machine."""
+"""The VM, as a fixture; what is in `guest` is collected only in the VM."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-from tests.bluetooth.bed import debian, layers, machine
+from tests.bluetooth.vm import debian, layers, machine
 
 Run = Callable[[Sequence[str]], machine.Outcome]
 

@@ -1,4 +1,4 @@
-"""Operators of both sides pause and resume at once, or while the link is down: both sides end up alike."""
+"""Both sides pause and resume at once, or while the link is down: they end up in the same state."""
 
 from __future__ import annotations
 

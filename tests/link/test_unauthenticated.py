@@ -1,4 +1,4 @@
-"""What comes to the server's port and is no friend: refused in words on both sides, while the others are served."""
+"""Unauthenticated connections are refused, with the reason on both sides, while clients are served."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from tests.bluetooth.bed import debian
-from tests.bluetooth.bed.cpio import Archive
+from tests.bluetooth.vm import debian
+from tests.bluetooth.vm.cpio import Archive
 
 _HERE = Path(__file__).parent
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rsb-console" / "bluetooth-bed"

@@ -10,12 +10,12 @@ import tempfile
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
-from tests.bluetooth.bed.cpio import Archive
+from tests.bluetooth.vm.cpio import Archive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tests.bluetooth.bed.layers import Layers
+    from tests.bluetooth.vm.layers import Layers
 
 _PROJECT = Path(__file__).parents[3]
 _TAKEN_ALONG = ("bridge/rsb_bridge", "console/rsb_console", "tests/bluetooth")
@@ -62,7 +62,7 @@ def run(layers: Layers, selection: Sequence[str], *, time_limit: float = _TIME_L
         DiedError: there was no exit code.
     """
     command = shlex.join(["exec", "python3.11", "-m", "pytest", "-p", "no:cacheprovider", *selection])
-    with tempfile.TemporaryDirectory(prefix="bluetooth-bed-") as folder:
+    with tempfile.TemporaryDirectory(prefix="bluetooth-vm-") as folder:
         work = Path(folder)
         _write_initrd(work / "initrd", layers.initrd, command)
         serial = [work / name for name in ("console", "output", "exit")]

@@ -1,4 +1,4 @@
-"""The bed itself: it reports what happened inside, also when that is the machine's death."""
+"""The VM itself: it reports what happened inside, also when that is the machine's death."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.bluetooth.bed import debian, machine
-from tests.bluetooth.bed.cpio import Archive
+from tests.bluetooth.vm import debian, machine
+from tests.bluetooth.vm.cpio import Archive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tests.bluetooth.bed.layers import Layers
     from tests.bluetooth.conftest import Run
+    from tests.bluetooth.vm.layers import Layers
 
-_PROBES = "tests/bluetooth/guest/bed_probes.py"
+_PROBES = "tests/bluetooth/guest/vm_probes.py"
 
 
 def test_failures_inside_come_out_with_output_and_exit_code(run: Run) -> None:

@@ -1,4 +1,4 @@
-"""A peer that has the key and makes lines for the log as fast as it can send: the log stays readable, and says so."""
+"""A peer that makes log lines as fast as it can: the log stays readable, and says how many are left out."""
 
 from __future__ import annotations
 

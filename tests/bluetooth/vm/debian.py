@@ -29,7 +29,7 @@ PACKAGES = f"{_TOOLS} {_PYTHON} {_LIBRARIES}".split()
 
 
 class UnavailableError(Exception):
-    """The bed can't be set up on this machine; the message says why and what would help."""
+    """The VM cannot be set up on this machine; the message says why, and what would help."""
 
 
 class Release(NamedTuple):

@@ -1,4 +1,4 @@
-"""Whatever session there is, its file loads again to the same one; and saving never loses the old file."""
+"""A session that is saved loads again as it was, and a failing save leaves the old file."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Both sides agree on type, QoS and port, or say in words why they do not."""
+"""The two sides agree on type, QoS and port, or say why they do not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a peer can make the other side hold: bounded over its whole link, and no robot notices."""
+"""What a peer can make the other side hold is bounded over its whole link, and other links do not notice."""
 
 from __future__ import annotations
 

@@ -1,16 +1,16 @@
-"""``python -m tests.bluetooth.bed [--kernel VERSION] PYTEST-ARGUMENT...``: runs them in the machine."""
+"""``python -m tests.bluetooth.vm [--kernel VERSION] PYTEST-ARGUMENT...``: runs them in the machine."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 
-from tests.bluetooth.bed import debian, layers, machine
+from tests.bluetooth.vm import debian, layers, machine
 
 
 def main() -> int:
     """Run, print the output, return pytest's exit code."""
-    parser = argparse.ArgumentParser(prog="bluetooth-bed", description="Run pytest beside two Bluetooth adapters.")
+    parser = argparse.ArgumentParser(prog="bluetooth-vm", description="Run pytest beside two Bluetooth adapters.")
     parser.add_argument("--kernel", help="Debian's kernel to boot, as uname -r says it", default=None)
     parser.add_argument("--console", action="store_true", help="show the kernel's console as well")
     own, selection = parser.parse_known_args()
