@@ -21,7 +21,7 @@ RATE = 100  # Hz
 STALL = 3.0  # s
 
 
-@pytest.mark.parametrize("size", [20, 50_000])
+@pytest.mark.parametrize("size", [2_000, 50_000])
 def test_an_auto_topic_loses_nothing(size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
     """What a reliable topic brings in the meantime waits, and arrives when the link goes on."""
     out, there = robot.publisher("/count"), pc.listener("/count")

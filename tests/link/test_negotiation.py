@@ -167,17 +167,17 @@ def test_qos_follows_the_publishers(bridge: Bridge, robot: Domain, pc: Domain) -
         publisher.publish(text("new"))
         heard(there, count + 1)
 
-    crosses(best_effort, Qos("best_effort"))
+    crosses(best_effort, Qos("best_effort", depth=0))
     ends = (Qos("best_effort"), Qos("best_effort"))
     eventually(lambda: [end_qos(side) for side in (server, client)] == [ends, ends])
     robot.node.destroy_publisher(best_effort)
     latched = robot.publisher("/chat", qos=LATCHED)
-    crosses(latched, Qos(durability="transient_local"))
+    crosses(latched, Qos(durability="transient_local", depth=0))
     late = pc.listener("/chat", qos=LATCHED)
     assert heard(late, 1) == [text("new")]
     ends = (Qos(durability="transient_local"), Qos(durability="transient_local"))  # the stricter of two subscriptions
     eventually(lambda: [end_qos(side) for side in (server, client)] == [ends, ends])
-    crosses(robot.publisher("/chat", qos=BEST_EFFORT), Qos("best_effort"))
+    crosses(robot.publisher("/chat", qos=BEST_EFFORT), Qos("best_effort", depth=0))
 
 
 def end_qos(side: Engine) -> tuple[Qos | None, Qos | None]:

@@ -153,14 +153,14 @@ NO_HANDSHAKES = [
     (os.urandom(64) + b"\xff" * 64, "the other side is not an rsb-console"),
     (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", "the other side is not an rsb-console"),
     (struct.pack(">I", 2**32 - 1), "the other side is not an rsb-console"),
-    (frame(b"rsb\x09\x01whatever comes later"), "this side speaks version 1, the peer version 9"),
-    (frame(b"rsb\x01\x63"), "unknown preamble kind 99"),
-    (frame(b"rsb\x01\x01\x01\xffname"), "a CONTROL frame ends before its name does"),
-    (frame(b"rsb\x01\x01\x07\x01x"), "unknown cipher suite"),
-    (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(20)), "a handshake message of 20 bytes is too short"),
-    (frame(b"rsb\x01\x01\x01\x06robot1" + bytes(200)), "the two sides have different keys for 'robot1'"),
-    (frame(b"rsb\x01\x02short"), "a DATA frame ends before its route does"),
-    (frame(b"rsb\x01\x02" + bytes(28)), "unknown route"),
+    (frame(b"rsb\x09\x01whatever comes later"), "the peer version 9: update rsb-console on this side"),
+    (frame(b"rsb\x02\x63"), "unknown preamble kind 99"),
+    (frame(b"rsb\x02\x01\x01\xffname"), "a CONTROL frame ends before its name does"),
+    (frame(b"rsb\x02\x01\x07\x01x"), "unknown cipher suite"),
+    (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(20)), "a handshake message of 20 bytes is too short"),
+    (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)), "the two sides have different keys for 'robot1'"),
+    (frame(b"rsb\x02\x02short"), "a DATA frame ends before its route does"),
+    (frame(b"rsb\x02\x02" + bytes(28)), "unknown route"),
 ]
 
 
@@ -170,7 +170,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
     for number, (sent, words) in enumerate(NO_HANDSHAKES, 1):
         # each from an address of its own: five failures from one would slow the sixth down
         answer = talk(("127.0.0.1", bridge.port), sent, source=f"127.0.1.{number}")
-        assert answer[4:9] == b"rsb\x01\x04"
+        assert answer[4:9] == b"rsb\x02\x04"
         assert words.encode() in answer
         event = happened(server, EventCode.LINK_REJECTED, words) or happened(server, EventCode.LINK_WRONG_KEY, words)
         assert event
@@ -196,7 +196,7 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
             crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=8)) for _ in range(100)
         ]
         for stranger in strangers:
-            stranger.sendall(frame(b"rsb\x01\x01")[:5])
+            stranger.sendall(frame(b"rsb\x02\x01")[:5])
         eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))

@@ -385,3 +385,44 @@ def test_an_idle_node_costs_next_to_nothing(open_node: Callable[..., RosNode]) -
     before = time.process_time()
     time.sleep(1)  # the second measured
     assert time.process_time() - before < 0.05
+
+
+def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a publisher that was there before, nobody knows which messages the subscription should have had."""
+    monkeypatch.setattr("rsb_bridge.ros.rcl._DISCOVERED_WITHIN", -1.0)
+    node, other = open_node(), open_node(name="other")
+    before = other.advertise("/fast", STRING, "", DEEP, "link")
+    for _ in range(50):
+        before.publish(payload("too early"))
+    eventually(lambda: node.publishers("/fast"))
+    received = Received()
+    subscription = node.subscribe("/fast", STRING, "", Qos(depth=4), received, "link")
+    eventually(lambda: before.subscriber_count)
+    received.hold.clear()
+    before.publish(payload("block"))
+    assert received.blocked.wait(10)
+    newcomer = other.advertise("/fast", STRING, "", DEEP, "link")
+    eventually(lambda: newcomer.subscriber_count)
+    for number in range(100):
+        newcomer.publish(payload(str(number)))
+    received.hold.set()
+    eventually(lambda: received.payloads[-1] == payload("99"))
+    assert len(received.payloads) == 1 + 4
+    assert subscription.lost == 96
+
+
+def test_a_history_that_begins_late_is_no_loss(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rsb_bridge.ros.rcl._DISCOVERED_WITHIN", -1.0)
+    node, other = open_node(), open_node(name="other")
+    received = Received()
+    latched = Qos(durability="transient_local", history="keep_all")
+    subscription = node.subscribe("/map", STRING, "", latched, received, "link")
+    newcomer = other.advertise("/map", STRING, "", Qos(durability="transient_local", depth=2), "link")
+    for number in range(5):
+        newcomer.publish(payload(str(number)))
+    eventually(lambda: received.payloads[-1:] == [payload("4")])
+    assert subscription.lost == 0

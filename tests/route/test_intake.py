@@ -9,9 +9,8 @@ import pytest
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos, auto_depth
-from rsb_bridge.route.intake import Intake
+from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.telemetry.meters import RateMeter
-from rsb_bridge.wire.messages import Describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,9 +48,36 @@ class FakeSubscription:
         self.closed = True
 
 
-class Nobody:
+class Owner:
+    """Who the messages would be for.
+
+    Attributes:
+        meter: the rates so far.
+        events: codes of what was logged.
+    """
+
+    def __init__(self) -> None:
+        self.meter = RateMeter(0.0)
+        self.events: list[EventCode] = []
+
     def offer(self, batch: object) -> None:
         """Take nothing."""
+
+    def offer_latched(self, new: int, samples: object) -> None:
+        """Take nothing."""
+
+    def log_intake(self, level: object, code: EventCode, text: str) -> None:
+        self.events.append(code)
+
+
+def make_intake(
+    context: Context, owner: Owner, qos: Qos, *, automatic: bool, expected_rate: float | None = None
+) -> Intake:
+    """An intake that is subscribed."""
+    subject = Subject("/fast", "std_msgs/msg/String", "", qos, "robot1")
+    intake = Intake(context, owner, subject, automatic=automatic, expected_rate=expected_rate, known={})
+    intake.subscribe()
+    return intake
 
 
 @pytest.mark.parametrize(
@@ -73,23 +99,13 @@ def test_auto_keeps_five_seconds_within_bounds(rate: float | None, mean_size: fl
 def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
-    ros, rates, events = FakeRos(), RateMeter(0.0), list[EventCode]()
-    described = Describe(route=1, type="std_msgs/msg/String", type_hash="", qos=Qos())
-    intake = Intake(
-        make_context(ros),
-        Nobody(),
-        "/fast",
-        described,
-        "robot1",
-        log=lambda _, code, __: events.append(code),
-        rates=rates,
-        expected_rate=None,
-    )
+    ros, owner = FakeRos(), Owner()
+    intake = make_intake(make_context(ros), owner, Qos(depth=0), automatic=True)
     assert [each.qos.depth for each in ros.subscriptions] == [500]
 
     def second_passes() -> None:
-        rates.add(1000, 100_000, loop.time())
-        rates.tick(loop.time())
+        owner.meter.add(1000, 100_000, loop.time())
+        owner.meter.tick(loop.time())
         intake.tick()
         loop.run_until_complete(asyncio.sleep(1))
 
@@ -104,22 +120,20 @@ def test_a_busier_topic_gets_a_deeper_subscription_once_messages_are_lost(
     second_passes()
     assert len(ros.subscriptions) == 2
     assert intake.lost == 9
-    assert events == [EventCode.ROUTE_DEEPENED]
-    intake.close()
+    assert owner.events == [EventCode.ROUTE_DEEPENED]
+    assert intake.close() == 0
     assert ros.subscriptions[1].closed
 
 
-def test_a_depth_that_an_operator_gave_stands(make_context: Callable[..., Context]) -> None:
+def test_what_an_operator_gave_stands(make_context: Callable[..., Context]) -> None:
     ros = FakeRos()
-    described = Describe(route=1, type="std_msgs/msg/String", type_hash="", qos=Qos(depth=3))
-    Intake(
-        make_context(ros),
-        Nobody(),
-        "/slow",
-        described,
-        "robot1",
-        log=lambda *_: None,
-        rates=None,
-        expected_rate=1000.0,
-    )
-    assert ros.subscriptions[0].qos == Qos(depth=3)
+    make_intake(make_context(ros), Owner(), Qos(depth=3), automatic=False, expected_rate=1000.0)
+    make_intake(make_context(ros), Owner(), Qos(depth=0), automatic=True, expected_rate=1000.0)
+    assert [each.qos.depth for each in ros.subscriptions] == [3, 5000]
+
+
+def test_of_latched_topics_all_is_taken_that_publishers_keep(make_context: Callable[..., Context]) -> None:
+    ros = FakeRos()
+    latched = Qos(durability="transient_local", depth=1)
+    make_intake(make_context(ros), Owner(), latched, automatic=False)
+    assert ros.subscriptions[0].qos == Qos(durability="transient_local", history="keep_all", depth=1)

@@ -147,13 +147,24 @@ def test_a_plain_answer_to_an_encrypting_client_is_not_taken() -> None:
 # --- another version
 
 
-def other_version(frame: bytes) -> bytes:
-    return pack_frame(b"rsb\x09" + frame[4:])
+OTHER_VERSION = (
+    "this side speaks version 2 of the wire format, the peer version {}: update rsb-console on {}, which is older"
+)
+
+
+def other_version(frame: bytes, version: int = 9) -> bytes:
+    return pack_frame(b"rsb" + bytes((version,)) + frame[4:])
+
+
+def test_an_older_client() -> None:
+    server = make_server()
+    (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever"), 1))
+    assert event == Refused(RefusalCode.WRONG_VERSION, OTHER_VERSION.format(1, "the peer"))
 
 
 def test_a_client_of_another_version() -> None:
     server = make_server()
-    words = "this side speaks version 1, the peer version 9"
+    words = OTHER_VERSION.format(9, "this side")
     (event,) = server.receive_data(other_version(preamble_frame(Kind.CONTROL, b"whatever that means in version 9")))
     assert event == Refused(RefusalCode.WRONG_VERSION, words)
     assert server.data_to_send() == pack_frame(refuse_frame(RefusalCode.WRONG_VERSION, words))
@@ -163,7 +174,7 @@ def test_a_client_of_another_version() -> None:
 def test_a_server_of_another_version(kind: Kind) -> None:
     client = make_client()
     client.start()
-    words = "this side speaks version 1, the peer version 9"
+    words = OTHER_VERSION.format(9, "this side")
     events = client.receive_data(other_version(preamble_frame(kind, b"\x01whatever")))
     assert events == [Refused(RefusalCode.WRONG_VERSION, words)]
     assert client.data_to_send() == b""

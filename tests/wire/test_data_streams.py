@@ -45,7 +45,7 @@ def test_a_further_route_is_attached_by_the_same_frame(suite: Suite) -> None:
     [
         (preamble_frame(Kind.RETRY), ProtocolError, "unexpected RETRY frame after the preamble"),
         (preamble_frame(Kind.DATA), ProtocolError, "ends before its route does"),
-        (b"rsb\x01\x63", ProtocolError, "unknown preamble kind 99"),
+        (b"rsb\x02\x63", ProtocolError, "unknown preamble kind 99"),
         (b"rsb\x09\x02", Refusal, "the peer version 9"),
     ],
 )

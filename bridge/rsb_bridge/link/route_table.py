@@ -18,7 +18,7 @@ from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Peer, Route, route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.messages import Accept, Close, Describe, Pause, Propose, Ready, Refuse, Report
+from rsb_bridge.wire.messages import Accept, Close, Describe, Pause, Propose, Publishers, Ready, Refuse, Report
 
 if TYPE_CHECKING:
     import asyncio
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _CLOSED_REMEMBERED = 4
 """Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
 
-RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Close | Pause | Report
+RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Publishers | Close | Pause | Report
 """The control messages that are about routes."""
 
 
@@ -332,7 +332,9 @@ class RouteTable:
             self._tell_removed(route, reason)
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
-    def _about_route(self, route: Route, message: Accept | Refuse | Describe | Ready | Close | Pause) -> None:
+    def _about_route(
+        self, route: Route, message: Accept | Refuse | Describe | Ready | Publishers | Close | Pause
+    ) -> None:
         match message:
             case Accept():
                 route.set_peer_topic(message.topic)
@@ -342,7 +344,9 @@ class RouteTable:
             case Describe() if isinstance(route, IncomingRoute):
                 route.described(message)
             case Ready() if isinstance(route, OutgoingRoute):
-                route.peer_ready(message.before)
+                route.peer_ready(message)
+            case Publishers() if isinstance(route, IncomingRoute):
+                route.publishers_present(message.present)
             case Close():
                 route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():

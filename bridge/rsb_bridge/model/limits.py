@@ -47,8 +47,8 @@ DEPTH = Range(1, 100_000)
 """Messages that a QoS may ask for."""
 KEPT_DEPTH = 10_000
 """Messages that a receiver's publisher keeps for slow readers, whatever the QoS asks for."""
-LATCHED_DEPTH = 100
-"""Messages that a receiver's publisher keeps for late joiners, whatever the QoS asks for."""
+LATCHED_DEPTH = 1000
+"""Messages of one publisher that the receiving side keeps for late joiners, whatever the publisher keeps."""
 QOS_TIME = Range(0.001, 1e9)
 """s: a deadline or lifespan where there is one. The shortest costs no timer storm, the longest is 30 years."""
 RATE = Range(0.001, 1e6)

@@ -23,11 +23,13 @@ class RawMessage(NamedTuple):
         payload: the serialized message (CDR with its 4-byte encapsulation header).
         stamp: ns since the epoch on this machine's clock, when DDS received it.
         gid: its publisher's.
+        number: among its publisher's messages, from 1; 0: the middleware does not number them.
     """
 
     payload: bytes
     stamp: int
     gid: bytes = b""
+    number: int = 0
 
 
 class Endpoint(NamedTuple):
@@ -53,7 +55,11 @@ class Subscription(Protocol):
 
     @property
     def lost(self) -> int:
-        """Messages DDS lost before we could take them: gaps in each publisher's ``publication_sequence_number``."""
+        """Messages DDS lost before we could take them: gaps in each publisher's ``publication_sequence_number``.
+
+        Of a publisher that was there before the subscription, those before the first message taken are not counted:
+        they were published for others. Of a publisher that came later, they are.
+        """
         ...
 
     def close(self) -> None:

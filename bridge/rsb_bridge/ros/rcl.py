@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
+import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.context import Context
@@ -36,7 +37,9 @@ _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
 _UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
 _MOST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
-_PUBLISHERS_REMEMBERED = 256
+_PUBLISHERS_REMEMBERED = 1024
+_DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
+_LAST_NUMBER = 2**63 - 1
 
 _INFO = struct.Struct("@qqQQP16s?0P")
 """rmw_message_info_t: source and reception time in ns, publication and reception number, publisher's gid (its
@@ -168,8 +171,10 @@ class Participant:
         Raises:
             RosError: the type, the name or the QoS will not do.
         """
+        latched = qos.durability == "transient_local"
+        earlier = None if latched else frozenset(each.gid for each in self.publishers(topic))
         handle = self._create(_rclpy.Subscription, topic, type_name, type_hash, qos)
-        return Reader(handle, self._buffer)
+        return Reader(handle, self._buffer, earlier)
 
     def create_writer(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Writer:
         """A raw publisher; errors as `create_reader`.
@@ -235,10 +240,17 @@ class Reader:
         handle: rclpy's.
         address: of the rcl subscription; names the reader in `Participant.wait`.
         topic: its resolved name.
-        lost: messages missing between those taken, by each publisher's sequence numbers.
+        lost: messages missing between those taken, and before those of a publisher that came after the subscription.
     """
 
-    def __init__(self, handle: Any, buffer: _Buffer) -> None:
+    def __init__(self, handle: Any, buffer: _Buffer, earlier: frozenset[bytes] | None) -> None:
+        """Begin to count.
+
+        Args:
+            handle: rclpy's.
+            buffer: that messages are taken into, shared by the readers of a thread.
+            earlier: the publishers that were there before; None: what comes first is history, and none is new.
+        """
         self.handle = handle
         self.address: int = handle.pointer
         self.topic: str = handle.get_topic_name()
@@ -246,6 +258,8 @@ class Reader:
         self._buffer = buffer
         self._info = ctypes.create_string_buffer(_INFO.size)
         self._last: dict[bytes, int] = {}  # newest sequence number by publisher
+        self._earlier = earlier
+        self._made_at = time.monotonic()
 
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
         """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
@@ -266,23 +280,33 @@ class Reader:
             _, stamp, number, _, _, gid, _ = unpack(info)
             if gid in skip:
                 continue
-            previous = last.get(gid, 0)
-            if not previous:
+            if number > _LAST_NUMBER:
+                number = 0  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
+            previous = last.get(gid)
+            if previous is None:
+                previous = 0 if self._is_newcomer(gid) else number
                 self._forget_oldest()
-            elif number > previous + 1:
+            if number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp, gid))
+            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp, gid, number))
         return taken
 
     def close(self) -> None:
         """Free it."""
         self.handle.destroy_when_not_in_use()
 
+    def _is_newcomer(self, gid: bytes) -> bool:
+        """Whether a publisher came after the subscription, which so should have had its first message."""
+        if self._earlier is None or gid in self._earlier:
+            return False
+        return time.monotonic() - self._made_at > _DISCOVERED_WITHIN
+
     def _forget_oldest(self) -> None:
         """Make room for another publisher: short-lived ones must not fill the memory."""
         if len(self._last) >= _PUBLISHERS_REMEMBERED:
             del self._last[next(iter(self._last))]
+            self._earlier = None  # from now on, one that seems new may be one that was forgotten
 
 
 class Writer:

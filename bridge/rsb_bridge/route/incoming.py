@@ -15,15 +15,16 @@ from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.ros.graph import type_hint
-from rsb_bridge.route.latched import LATCHED_LIMIT, Latched
+from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.route import Peer, Route
-from rsb_bridge.wire.framing import MESSAGE_LIMIT, ZSTD, Message
+from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from rsb_bridge.channel.channel import ReceivingChannel
     from rsb_bridge.context import Context
@@ -35,10 +36,23 @@ EXPANSION_A_SECOND = 256 << 20
 """Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB, and to
 unpack and publish them keeps the thread of all links busy for 60 ms."""
 _INCOMPLETE_IN_A_ROW = 3
+_AUTO_DEPTH = 10  # messages
+_NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=_AUTO_DEPTH)
+"""Of messages whose sender does not say whose they are: they count as one publisher's."""
 
 
-class _ExpansionError(Exception):
-    """A peer's compressed messages would keep this side too busy."""
+class _NotPublishedError(Exception):
+    """A message that arrived is not published.
+
+    Attributes:
+        cause: that it is counted under.
+        code: of the event; None: there is nothing to say.
+    """
+
+    def __init__(self, cause: str, code: EventCode | None, text: str) -> None:
+        super().__init__(text)
+        self.cause = cause
+        self.code = code
 
 
 class IncomingRoute(Route):
@@ -49,8 +63,7 @@ class IncomingRoute(Route):
 
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._publisher: Publisher | None = None
-        self._latched: Latched | None = None
+        self._output: Publisher | LatchedTopic | None = None
         self._decompressor = zstandard.ZstdDecompressor()
         self._received = 0
         self._delivered = 0
@@ -80,25 +93,20 @@ class IncomingRoute(Route):
         if clash := self._type_clash(description):
             self._refuse_type(clash)
             return
-        if self._publisher is None or self._current() != (description.type, description.type_hash, description.qos):
-            self._close_publisher()
-            qos = _bounded(description.qos)
+        if self._output is None or self._current() != (description.type, description.type_hash, description.qos):
+            self._close_output()
             try:
-                self._publisher = self.context.ros.advertise(
-                    self.remote_topic,
-                    description.type,
-                    description.type_hash,
-                    qos,
-                    origin=self.peer.name,
-                )
-            except RosError as error:
+                self._output = self._make_output(description)
+            except (RosError, LatchedFullError) as error:
                 self._refuse_type(str(error))
                 return
-            if qos.durability == "transient_local":
-                self._latched = Latched(self.peer.latched, qos.depth)
             self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
+        newest: dict[bytes, int] = {}
+        if isinstance(self._output, LatchedTopic):
+            self._output.opened()
+            newest = self._output.newest()
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
-        self.peer.send(Ready(route=self.id, before=self._counted_before()))
+        self.peer.send(Ready(route=self.id, before=self._counted_before(), newest=newest))
         self.advance()
 
     def _counted_before(self) -> ReceivedReport | None:
@@ -106,6 +114,22 @@ class IncomingRoute(Route):
         if self._before is None or self._before[0] != self.peer.instance:
             return None  # another one has openings of the same ids
         return self._before[1]
+
+    def _make_output(self, description: Describe) -> Publisher | LatchedTopic:
+        qos = _bounded(description.qos)
+
+        def advertise(depth: int) -> Publisher:
+            return self.context.ros.advertise(
+                self.remote_topic,
+                description.type,
+                description.type_hash,
+                msgspec.structs.replace(qos, depth=depth),
+                origin=self.peer.name,
+            )
+
+        if qos.durability == "transient_local":
+            return LatchedTopic(self.context.loop, advertise, self.peer.latched, qos.depth, self._failed_later)
+        return advertise(qos.depth)
 
     def _current(self) -> tuple[object, ...]:
         return (self.type_name, self.type_hash, self.qos)
@@ -126,12 +150,12 @@ class IncomingRoute(Route):
 
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""
-        if self._publisher is None:
+        if self._output is None:
             self._hint = type_hint(self.context.ros, self.remote_topic)
             return
         if self.accepted and not self.paused and self.channel is None:
             self.peer.open_channel(self)
-        before, self._subscribers = self._subscribers, self._publisher.subscriber_count
+        before, self._subscribers = self._subscribers, self._output.subscriber_count
         if self._subscribers and self._subscribers == before and self._subscriber_qos is not None:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._clash = ""
@@ -143,22 +167,23 @@ class IncomingRoute(Route):
     def destroy(self) -> None:
         """End it for good, its publisher too."""
         super().destroy()
-        self._close_publisher()
+        self._close_output()
 
-    def _close_publisher(self) -> None:
-        if self._publisher is not None:
-            self._publisher.close()
-            self._publisher = None
-        if self._latched is not None:
-            self._latched.clear()
-            self._latched = None
+    def _close_output(self) -> None:
+        if self._output is not None:
+            self._output.close()
+            self._output = None
+
+    def publishers_present(self, publishers: Collection[bytes]) -> None:
+        """The sending side tells which publishers of a latched topic are there."""
+        if isinstance(self._output, LatchedTopic):
+            self._output.present(publishers)
 
     # --- messages
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Publish messages that arrived whole and authentic."""
-        publisher = self._publisher
-        if publisher is None:
+        if self._output is None:
             return
         now = self.context.wall_ns()
         count = size = 0
@@ -166,21 +191,11 @@ class IncomingRoute(Route):
         for payload, stamp, flags in messages:  # noqa: B007 — the last one's stamp is the batch's latency sample
             self._received += 1
             try:
-                content = self._decompress(payload) if flags & ZSTD else payload
-                if self._latched is not None and not self._latched.keep(len(content)):
-                    self._dropped["latched full"] += 1
-                    self._say(
-                        EventCode.ROUTE_LATCHED_FULL,
-                        f"this link's latched topics keep more than {LATCHED_LIMIT:,} bytes: give it a smaller depth",
-                    )
-                    continue
-                publisher.publish(content)
-            except _ExpansionError as error:
-                self._dropped["expands too much"] += 1
-                self._say(EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error))
-            except (RosError, zstandard.ZstdError) as error:
-                self._dropped["publish failed"] += 1
-                self._say(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+                self._publish(self._output, payload, flags)
+            except _NotPublishedError as error:
+                self._dropped[error.cause] += 1
+                if error.code is not None:
+                    self._say(error.code, str(error))
             else:
                 count += 1
                 size += len(payload)
@@ -190,8 +205,29 @@ class IncomingRoute(Route):
                 self.latency.add((now - stamp) / 1e9 + offset)
             self.count(count, size)
 
+    def _publish(self, output: Publisher | LatchedTopic, payload: bytes, flags: int) -> None:
+        """Publish one message, or raise _NotPublishedError."""
+        try:
+            header = _NO_HISTORY
+            if flags & HISTORY:
+                header, payload = split_history(payload)
+            content = self._decompress(payload) if flags & ZSTD else payload
+            if not isinstance(output, LatchedTopic):
+                output.publish(content)
+            elif not output.publish(header, content):
+                raise _NotPublishedError("already published", None, "")
+        except LatchedFullError as error:
+            raise _NotPublishedError("latched full", EventCode.ROUTE_LATCHED_FULL, str(error)) from None
+        except (RosError, zstandard.ZstdError, ProtocolError) as error:
+            raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
+
+    def _failed_later(self, error: Exception) -> None:
+        self._say(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+
     def tick(self) -> None:
         super().tick()
+        if isinstance(self._output, LatchedTopic):
+            self._output.tick()
         counts = self.channel.counts() if self.channel is not None else None
         expired = counts.expired if counts else 0
         if self._received != self._received_before:
@@ -207,9 +243,11 @@ class IncomingRoute(Route):
         if not 0 <= size <= MESSAGE_LIMIT:
             raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
         if not self.peer.expansion.take(size - len(payload), self.context.now()):
-            raise _ExpansionError(
+            raise _NotPublishedError(
+                "expands too much",
+                EventCode.ROUTE_EXPANDS_TOO_MUCH,
                 f"this link's compressed messages grow by more than {EXPANSION_A_SECOND:,} bytes a second here: "
-                "send less, or without compression"
+                "send less, or without compression",
             )
         return self._decompressor.decompress(payload)
 
@@ -260,7 +298,7 @@ class IncomingRoute(Route):
 
     def _failure(self) -> str:
         report = self._report
-        failed = report is not None and report.publishers and not report.subscribed and self._publisher is not None
+        failed = report is not None and report.publishers and not report.subscribed and self._output is not None
         return self.problem if failed else ""
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
@@ -302,6 +340,6 @@ class IncomingRoute(Route):
 def _bounded(qos: Qos) -> Qos:
     """What a publisher here keeps for late joiners and slow readers, whatever the peer asks for."""
     if qos.durability != "transient_local":
-        return qos if qos.depth <= KEPT_DEPTH else msgspec.structs.replace(qos, depth=KEPT_DEPTH)
+        return msgspec.structs.replace(qos, depth=min(qos.depth or _AUTO_DEPTH, KEPT_DEPTH))
     depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
     return msgspec.structs.replace(qos, history="keep_last", depth=depth)

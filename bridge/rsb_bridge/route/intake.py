@@ -2,121 +2,223 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.model.qos import auto_depth
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.route.histories import Histories
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable
+    from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, Subscription
+    from rsb_bridge.ros.api import OnFailure, RawMessage, Subscription
     from rsb_bridge.ros.queue import Receiver
+    from rsb_bridge.route.histories import Sample
     from rsb_bridge.telemetry.meters import RateMeter
-    from rsb_bridge.wire.messages import Describe
 
-    Log = Callable[[Level, EventCode, str], None]
+
+class IntakeOwner(Protocol):
+    """Who the messages are taken for.
+
+    Attributes:
+        meter: how many there were so far.
+    """
+
+    meter: RateMeter
+
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages of a volatile topic, oldest first."""
+        ...
+
+    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
+        """Take messages of a latched topic, of which `new` are new; of those that wait, some may come now."""
+        ...
+
+    def log_intake(self, level: Level, code: EventCode, text: str) -> None:
+        """Add an event about the subscription."""
+        ...
+
+
+class Subject(NamedTuple):
+    """What is subscribed to.
+
+    Attributes:
+        topic: its name.
+        type_name: of its type.
+        type_hash: of its type.
+        qos: as its publishers offer, or as an operator wants it.
+        origin: what this node publishes under the same origin is left out.
+    """
+
+    topic: str
+    type_name: str
+    type_hash: str
+    qos: Qos
+    origin: Hashable
 
 
 class Intake:
-    """A route's subscription. With ``qos: auto`` on a volatile topic its depth follows the topic's rate.
+    """A route's subscription, for one opening.
 
-    Attributes:
-        failure: why no messages are taken now, as an operator reads it; empty: they are.
+    With ``qos: auto`` the depth on a volatile topic follows the topic's rate. On a latched topic messages come with
+    what their publishers keep for late joiners, and none that the peer has.
     """
 
     def __init__(
         self,
         context: Context,
-        receiver: Receiver,
-        topic: str,
-        described: Describe,
-        origin: Hashable,
+        owner: IntakeOwner,
+        subject: Subject,
         *,
-        log: Log,
-        rates: RateMeter | None,
+        automatic: bool,
         expected_rate: float | None,
+        known: Mapping[bytes, int],
     ) -> None:
-        """Subscribe.
+        """Have nothing subscribed yet.
 
         Args:
             context: what every part of the engine shares.
-            receiver: gets the messages, on the I/O loop.
-            topic: its name.
-            described: its type and QoS.
-            origin: what this node publishes under the same origin is left out.
-            log: adds an event about the route.
-            rates: of the topic so far, to choose the depth by; None: the depth is as described.
+            owner: gets the messages, on the I/O loop.
+            subject: what to subscribe to.
+            automatic: whether depths are chosen here; False: they are as in the QoS.
             expected_rate: Hz, as an operator gave it; 0 or None: not given.
+            known: of a latched topic's publishers, the number of the newest message that the peer has.
+        """
+        self._context = context
+        self._owner = owner
+        self._subject = subject
+        self._automatic = automatic
+        self._expected_rate = expected_rate
+        self._subscription: LastingSubscription | None = None
+        self._histories: Histories | None = None
+        if subject.qos.durability == "transient_local":
+            self._histories = Histories(
+                context.loop, self._probe, self._emit, depth=0 if automatic else _kept(subject.qos), known=known
+            )
+        self._depth = 0
+        self._lost_before = self._lost_seen = 0
+
+    # --- the subscription
+
+    def subscribe(self) -> None:
+        """Begin to take messages.
 
         Raises:
             RosError: the topic cannot be subscribed to.
         """
-        self._context = context
-        self._receiver = receiver
-        self._topic = topic
-        self._described = described
-        self._origin = origin
-        self._log = log
-        self._rates = rates
-        self._expected_rate = expected_rate
-        self._depth = 0
-        self._lost_seen = 0
-        self._subscription = LastingSubscription(context.loop, self._subscribe, self._changed)
+        self._subscription = LastingSubscription(self._context.loop, self._subscribe, self._changed)
+
+    def unsubscribe(self) -> None:
+        """Take no more messages for now. May be called twice."""
+        if self._subscription is not None:
+            self._lost_before += self._subscription.lost
+            self._subscription.close()
+            self._subscription = None
+
+    def close(self) -> int:
+        """Take no more messages, and give out none that waits.
+
+        Returns:
+            How many waited.
+        """
+        self.unsubscribe()
+        return self._histories.close() if self._histories is not None else 0
+
+    @property
+    def active(self) -> bool:
+        """Whether it is subscribed, or about to be again after a failure."""
+        return self._subscription is not None
 
     @property
     def failure(self) -> str:
-        return self._subscription.failure
+        """Why no messages are taken now, as an operator reads it; empty: there was no failure."""
+        return self._subscription.failure if self._subscription is not None else ""
 
     @property
     def lost(self) -> int:
         """Messages that DDS lost before they could be taken."""
-        return self._subscription.lost
-
-    def close(self) -> None:
-        """Take no more messages."""
-        self._subscription.close()
+        return self._lost_before + (self._subscription.lost if self._subscription is not None else 0)
 
     def tick(self) -> None:
         """Once a second: subscribe anew, where DDS has lost messages that a deeper history would have kept."""
-        if self.lost == self._lost_seen:
+        if self._subscription is None or self.lost == self._lost_seen:
             return
         self._lost_seen = self.lost
         before, depth = self._depth, self._qos().depth
         if depth >= 2 * before:
             text = f"DDS lost messages: the subscription gets a depth of {depth:,} instead of {before:,}"
-            self._log(Level.INFO, EventCode.ROUTE_DEEPENED, text)
+            self._owner.log_intake(Level.INFO, EventCode.ROUTE_DEEPENED, text)
             self._subscription.reopen()
 
-    def _qos(self) -> Qos:
-        qos, rates = self._described.qos, self._rates
-        if rates is None:
-            return qos
-        rate = rates.usual_rate or rates.rate or self._expected_rate or None
-        mean_size = rates.bytes / rates.count if rates.count else 0.0
-        return msgspec.structs.replace(qos, depth=auto_depth(rate, mean_size))
+    def look(self, publishers: Collection[bytes]) -> None:
+        """Note which publishers the graph has, by their ids."""
+        if self._histories is not None:
+            self._histories.look(publishers)
 
-    def _subscribe(self, on_failure: OnFailure) -> Subscription:
-        qos = self._qos()
+    def _qos(self) -> Qos:
+        qos, meter = self._subject.qos, self._owner.meter
+        if qos.durability == "transient_local":
+            return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
+        if not self._automatic:
+            return qos
+        rate = meter.usual_rate or meter.rate or self._expected_rate or None
+        return msgspec.structs.replace(qos, depth=auto_depth(rate, meter.bytes / meter.count if meter.count else 0.0))
+
+    def _subscribe(self, on_failure: OnFailure | None) -> Subscription:
+        if self._histories is not None:
+            self._histories.resubscribed()
+        return self._subscribe_for(self, on_failure)
+
+    def _subscribe_for(self, receiver: Receiver, on_failure: OnFailure | None) -> Subscription:
+        subject, qos = self._subject, self._qos()
         self._depth = qos.depth
         return self._context.ros.subscribe(
-            self._topic,
-            self._described.type,
-            self._described.type_hash,
+            subject.topic,
+            subject.type_name,
+            subject.type_hash,
             qos,
-            lambda batch: self._context.ros_queue.put(self._receiver, batch),
-            self._origin,
+            lambda batch: self._context.ros_queue.put(receiver, batch),
+            subject.origin,
             on_failure,
         )
 
     def _changed(self) -> None:
         if self.failure:
-            self._log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
+            self._owner.log_intake(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, self.failure)
         else:
-            self._log(Level.INFO, EventCode.ROUTE_CONNECTED, f"subscribed again ({self._described.type})")
+            text = f"subscribed again ({self._subject.type_name})"
+            self._owner.log_intake(Level.INFO, EventCode.ROUTE_CONNECTED, text)
+
+    # --- messages, on the I/O loop
+
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages from ROS, oldest first."""
+        if self._histories is None:
+            self._owner.offer(batch)
+        else:
+            self._owner.offer_latched(self._histories.take(batch), ())
+
+    def _emit(self, samples: Sequence[Sample]) -> None:
+        self._owner.offer_latched(0, samples)
+
+    def _probe(self, take: Callable[[Sequence[RawMessage]], None]) -> Subscription:
+        if self._subscription is None:
+            raise RosError(f"{self._subject.topic} is not subscribed to")
+        return self._subscribe_for(_Receiver(take), None)
+
+
+class _Receiver:
+    def __init__(self, take: Callable[[Sequence[RawMessage]], None]) -> None:
+        self.offer = take
+
+
+def _kept(qos: Qos) -> int:
+    return LATCHED_DEPTH if qos.history == "keep_all" else max(1, qos.depth)

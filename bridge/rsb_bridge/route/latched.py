@@ -1,42 +1,302 @@
-"""What latched topics' publishers keep for late joiners, counted: what is small on the wire may be large here."""
+"""A latched topic on the receiving side: late joiners here get what late joiners on the sending side get.
+
+Every publisher of the sending side has publishers of its own here, which keep as many of its messages as it keeps
+itself. A DDS publisher's depth cannot change, and how much a publisher keeps may become known only as it publishes. So
+a history may be spread over several publishers here, each with some of its messages.
+"""
 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.limits import LATCHED_DEPTH
+from rsb_bridge.ros.api import RosError
+
 if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Collection, Iterable, Iterator
+
+    from rsb_bridge.ros.api import Publisher
     from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.history import HistoryHeader
 
 LATCHED_LIMIT = 1 << 30
-"""Bytes that all latched topics of a link keep together: one of the longest messages at the usual depth is 640 MiB."""
+"""Bytes that all latched topics of a link keep together."""
+PUBLISHER_COST = 1 << 20
+"""Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""
+_MESSAGE_COST = 256  # bytes
+_ALONE = 16
+"""Messages of a growing history for which there is a publisher each, so that each can be dropped alone."""
+_MATCHED_WITHIN = 0.5  # s
+_LOOKS_AGAIN_AFTER = 0.02  # s
+_ACKNOWLEDGED_WITHIN = 0.5  # s
+_ASKED = 4
+"""Publishers asked for their subscribers: the oldest, which have been discovered by all."""
+_GONE_AFTER = 10.0
+"""Seconds that a history outlives its publisher: the sender may have just started, and not have discovered it yet."""
 
 
-class Latched:
-    """The sizes of the messages in one publisher's history."""
+class LatchedFullError(Exception):
+    """The link's latched topics would keep too much."""
 
-    def __init__(self, budget: Budget, depth: int) -> None:
-        """Begin with none.
+    def __init__(self) -> None:
+        super().__init__(
+            f"this link's latched topics keep more than {LATCHED_LIMIT:,} bytes ({PUBLISHER_COST:,} are counted with "
+            "each publisher): give some a smaller depth"
+        )
+
+
+class _Output:
+    """A publisher here, and what it keeps.
+
+    Attributes:
+        publisher: it.
+        depth: messages that it keeps.
+        made_at: s.
+        kept: number and size of each message that it keeps, oldest first.
+    """
+
+    def __init__(self, publisher: Publisher, depth: int, now: float) -> None:
+        self.publisher = publisher
+        self.depth = depth
+        self.made_at = now
+        self.kept: deque[tuple[int, int]] = deque()
+
+    @property
+    def full(self) -> bool:
+        return len(self.kept) >= self.depth
+
+
+@dataclass(slots=True)
+class _History:
+    """What one publisher of the sending side keeps.
+
+    Attributes:
+        seen_at: s, when it was last known to be there.
+        newest: number of its newest message that came here.
+        outputs: the publishers here that have its messages.
+        waiting: messages that wait for the newest output to be discovered.
+    """
+
+    seen_at: float
+    newest: int = 0
+    outputs: list[_Output] = field(default_factory=list)
+    waiting: deque[tuple[_Output, bytes]] = field(default_factory=deque)
+
+
+class LatchedTopic:
+    """The histories of one topic, for as long as its type and QoS stay. It belongs to the I/O loop."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        advertise: Callable[[int], Publisher],
+        budget: Budget,
+        depth: int,
+        failed: Callable[[Exception], None],
+    ) -> None:
+        """Have a first publisher, so that the topic is there before its first message.
 
         Args:
-            budget: of the publisher's link.
-            depth: messages that the publisher keeps; the oldest give way.
-        """
-        self._budget = budget
-        self._depth = depth
-        self._sizes: deque[int] = deque()
+            loop: the I/O loop.
+            advertise: makes a publisher with a depth; may raise RosError.
+            budget: of the publishers' link.
+            depth: of a history that nothing is known of yet.
+            failed: told of what went wrong later: with a message that had waited, or with a publisher.
 
-    def keep(self, size: int) -> bool:
-        """Have a message of `size` bytes kept; False: the link's latched topics keep too much, so do not publish it."""
-        full = len(self._sizes) == self._depth
-        if not self._budget.take(size - self._sizes[0] if full else size):
+        Raises:
+            RosError: there can be no publisher.
+            LatchedFullError: there may be no more.
+        """
+        self._loop = loop
+        self._advertise = advertise
+        self._budget = budget
+        self._failed = failed
+        self._histories: dict[bytes, _History] = {}
+        self._retired: deque[tuple[float, _Output]] = deque()
+        self._present: frozenset[bytes] = frozenset()
+        self._timer: asyncio.TimerHandle | None = None
+        self._first_depth = depth
+        self._spare: _Output | None = None
+        self._spare = self._output(depth)
+
+    @property
+    def subscriber_count(self) -> int:
+        """Subscriptions of other nodes that match now."""
+        return max((output.publisher.subscriber_count for output in islice(self._outputs(), _ASKED)), default=0)
+
+    def newest(self) -> dict[bytes, int]:
+        """The number of the newest message of each publisher of the sending side."""
+        return {publisher: history.newest for publisher, history in self._histories.items() if history.newest}
+
+    def close(self) -> None:
+        """Close all publishers: nothing is kept any more."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for output in (*self._outputs(), *(output for _, output in self._retired)):
+            self._close(output)
+        self._spare = None
+        self._retired.clear()
+        self._histories.clear()
+
+    # --- publishers of the sending side
+
+    def opened(self) -> None:
+        """A new opening begins: the sender may not know yet who is there."""
+        for history in self._histories.values():
+            history.seen_at = self._loop.time()
+
+    def present(self, publishers: Collection[bytes]) -> None:
+        """The sender tells which of its publishers are there."""
+        now = self._loop.time()
+        self._present = frozenset(publishers)
+        for publisher in publishers:
+            if publisher in self._histories:
+                self._histories[publisher].seen_at = now
+
+    def tick(self) -> None:
+        """Once a second: drop the histories of publishers that are gone, and what is kept no longer."""
+        now = self._loop.time()
+        for publisher, history in tuple(self._histories.items()):
+            if publisher in self._present:
+                history.seen_at = now
+            elif now - history.seen_at > _GONE_AFTER:
+                del self._histories[publisher]
+                self._retire(history.outputs)
+        self._keep_one(now)
+        while self._retired and now - self._retired[0][0] >= _ACKNOWLEDGED_WITHIN:
+            self._close(self._retired.popleft()[1])
+
+    # --- messages
+
+    def publish(self, header: HistoryHeader, content: bytes) -> bool:
+        """Publish a message, now or as soon as its publisher is discovered by those who have discovered the others.
+
+        Returns:
+            Whether it was new; one that was published before is left out.
+
+        Raises:
+            RosError: the middleware refused it.
+            LatchedFullError: it would be too much to keep.
+        """
+        now = self._loop.time()
+        history = self._histories.setdefault(header.publisher, _History(now))
+        if header.number and header.number <= history.newest:
             return False
-        if full:
-            self._sizes.popleft()
-        self._sizes.append(size)
+        history.seen_at = now
+        number = header.number or history.newest + 1
+        depth = min(header.depth, LATCHED_DEPTH)
+        output = self._output_for(history, number, depth)
+        evicted = output.kept[0][1] if output.full else 0
+        if not self._budget.take(len(content) + _MESSAGE_COST - evicted):
+            raise LatchedFullError
+        if output.full:
+            output.kept.popleft()
+        output.kept.append((number, len(content) + _MESSAGE_COST))
+        history.newest = number
+        if history.waiting or not self._matched(output, now):
+            history.waiting.append((output, content))
+            self._look_again()
+        else:
+            output.publisher.publish(content)
+        self._drop_older(history, number - depth)
         return True
 
-    def clear(self) -> None:
-        """The publisher is gone, and its history with it."""
-        self._budget.give(sum(self._sizes))
-        self._sizes.clear()
+    def _output_for(self, history: _History, number: int, depth: int) -> _Output:
+        """Where the next message of a history goes, so that just the newest `depth` are kept."""
+        outputs = history.outputs
+        if outputs and outputs[-1].depth == depth:
+            return outputs[-1]
+        filled = [output for output in outputs if output.kept]
+        oldest = min(filled, key=lambda output: output.kept[0][0], default=None)
+        if oldest is not None and oldest.full and sum(len(output.kept) for output in filled) == depth:
+            return oldest  # the message that gives way is kept no longer on the sending side either
+        needed = [output for output in filled if output.kept[-1][0] > number - depth]
+        count = sum(len(output.kept) for output in needed)
+        for output in needed:
+            if count < depth and not output.full:
+                return output
+        if not needed or count >= depth:
+            made = self._output(depth)
+        else:
+            made = self._output(max(depth - count, count if count >= _ALONE else 1))
+        outputs.append(made)
+        return made
+
+    def _drop_older(self, history: _History, number: int) -> None:
+        """Drop the outputs of a history all of whose messages have that number or an older one."""
+        kept = [output for output in history.outputs if not output.kept or output.kept[-1][0] > number]
+        if len(kept) < len(history.outputs):
+            self._retire(output for output in history.outputs if output not in kept)
+            history.outputs = kept
+
+    # --- outputs
+
+    def _outputs(self) -> Iterator[_Output]:
+        if self._spare is not None:
+            yield self._spare
+        for history in self._histories.values():
+            yield from history.outputs
+
+    def _output(self, depth: int) -> _Output:
+        """One of that depth: the spare one, if it will do."""
+        spare = self._spare
+        if spare is not None and spare.depth == depth:
+            self._spare = None
+            return spare
+        if not self._budget.take(PUBLISHER_COST):
+            raise LatchedFullError
+        try:
+            return _Output(self._advertise(depth), depth, self._loop.time())
+        except RosError:
+            self._budget.give(PUBLISHER_COST)
+            raise
+
+    def _keep_one(self, now: float) -> None:
+        """Have a publisher even without any history, so that the topic stays; a spare one is closed when others do."""
+        if self._histories:
+            if self._spare is not None and now - self._spare.made_at > _MATCHED_WITHIN:
+                self._retire([self._spare])
+                self._spare = None
+        elif self._spare is None:
+            try:
+                self._spare = self._output(self._first_depth)
+            except (RosError, LatchedFullError) as error:
+                self._failed(error)
+
+    def _retire(self, outputs: Iterable[_Output]) -> None:
+        """Close outputs a little later: their last messages may still be on their way to a subscriber."""
+        now = self._loop.time()
+        self._retired.extend((now, output) for output in outputs)
+
+    def _close(self, output: _Output) -> None:
+        output.publisher.close()
+        self._budget.give(PUBLISHER_COST + sum(size for _, size in output.kept))
+        output.kept.clear()
+
+    def _matched(self, output: _Output, now: float) -> bool:
+        """Whether those who have discovered the other publishers have discovered an output's, or had time to."""
+        if now - output.made_at >= _MATCHED_WITHIN:
+            return True
+        return output.publisher.subscriber_count >= self.subscriber_count
+
+    def _look_again(self) -> None:
+        if self._timer is None:
+            self._timer = self._loop.call_later(_LOOKS_AGAIN_AFTER, self._publish_waiting)
+
+    def _publish_waiting(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        for history in self._histories.values():
+            while history.waiting and self._matched(history.waiting[0][0], now):
+                output, content = history.waiting.popleft()
+                try:
+                    output.publisher.publish(content)
+                except RosError as error:
+                    self._failed(error)
+            if history.waiting:
+                self._look_again()

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, ClassVar
 
+import msgspec
 import zstandard
 
 from rsb_bridge.model.codes import EventCode
@@ -13,13 +15,16 @@ from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
-from rsb_bridge.route.intake import Intake
+from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
+from rsb_bridge.route.throttle import Throttle
 from rsb_bridge.transport.transport import DatagramTransport
-from rsb_bridge.wire.framing import ZSTD, Message
-from rsb_bridge.wire.messages import Describe, Propose
+from rsb_bridge.wire.fields import MOST_PUBLISHERS
+from rsb_bridge.wire.framing import HISTORY, ZSTD, Message
+from rsb_bridge.wire.history import publisher_id
+from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
@@ -28,7 +33,9 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.histories import Sample
 
+_AUTO_DEPTH = 10
 _QUEUE_BYTES = 32 * 1024 * 1024
 _SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
 _BATCH = 16
@@ -55,8 +62,8 @@ class OutgoingRoute(Route):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._intake: Intake | None = None
         self._queue = SendQueue()
-        self._interval = int(1e9 / proposal.max_rate) if proposal.max_rate else 0
-        self._due = 0
+        self._throttle = Throttle(proposal.max_rate)
+        self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._largest = self.transport.largest_message
         self._ledger = RouteLedger()
@@ -70,11 +77,22 @@ class OutgoingRoute(Route):
 
     # --- setting up
 
-    def peer_ready(self, before: ReceivedReport | None) -> None:
+    def peer_ready(self, ready: Ready) -> None:
         """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
-        if not self._ledger.settle(before, self.peer.instance):
+        if not self._ledger.settle(ready.before, self.peer.instance):
             self.doubt(_LIMITED)
         self._ready = True
+        described = self._described
+        if described is not None:
+            self._end_intake()
+            self._intake = Intake(
+                self.context,
+                self,
+                Subject(self.topic, described.type, described.type_hash, described.qos, self.peer.name),
+                automatic=self.proposal.qos is None,
+                expected_rate=self.spec.expected_rate,
+                known=ready.newest,
+            )
         self.advance()
 
     def advance(self) -> None:
@@ -106,9 +124,10 @@ class OutgoingRoute(Route):
             self.peer.send(described)
         if not self._ready:
             return
+        self._look_who_is_present()
         if self.channel is None:
             self.peer.open_channel(self)
-        if self.channel is not None and self.channel.ready and self._intake is None:
+        if self.channel is not None and self.channel.ready:
             self._subscribe()
 
     def _resolve(self) -> Describe | None:
@@ -131,7 +150,9 @@ class OutgoingRoute(Route):
         type_hash = hashes[0] if hashes else self.context.ros.installed_hash(name) or hint
         if not type_hash:
             return self._waits("type known", f"{name} is not installed here, and nobody publishes it yet")
-        qos = self.proposal.qos or self._publisher_qos
+        qos = self.proposal.qos
+        if qos is None and self._publisher_qos is not None:
+            qos = msgspec.structs.replace(self._publisher_qos, depth=0)
         if qos is None:
             return self._waits("publisher seen", self._no_publisher())
         return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos)
@@ -145,40 +166,46 @@ class OutgoingRoute(Route):
         return f"no publisher of {self.topic} in domain {self.context.domain_id}"
 
     def _subscribe(self) -> None:
-        described = self._described
-        if described is None:
+        if self._intake is None or self._intake.active:
             return
-        automatic = self.proposal.qos is None and described.qos.durability == "volatile"
         try:
-            self._intake = Intake(
-                self.context,
-                self,
-                self.topic,
-                described,
-                self.peer.name,
-                log=self._log_intake,
-                rates=self.meter if automatic else None,
-                expected_rate=self.spec.expected_rate,
-            )
+            self._intake.subscribe()
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error))
             return
         self.stale.rearm(self.context.now())
-        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({described.type})")
+        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
-    def _log_intake(self, level: Level, code: EventCode, text: str) -> None:
+    def _unsubscribe(self) -> None:
+        if self._intake is not None:
+            self._intake.unsubscribe()
+
+    def _end_intake(self) -> None:
+        self._present = None
+        if self._intake is not None:
+            self._ledger.drop("link lost", self._intake.close())
+            self._ledger.lost_in_dds += self._intake.lost
+            self._intake = None
+
+    def _look_who_is_present(self) -> None:
+        """Have the histories of publishers that are gone dropped, here and by the peer."""
+        if self._intake is None or self.qos is None or self.qos.durability != "transient_local":
+            return
+        gids = {endpoint.gid for endpoint in self._publishers}
+        self._intake.look(gids)
+        present = frozenset(publisher_id(gid) for gid in gids)
+        if present != self._present:
+            self._present = present
+            self.peer.send(Publishers(route=self.id, present=tuple(present)[:MOST_PUBLISHERS]))
+
+    def log_intake(self, level: Level, code: EventCode, text: str) -> None:
+        """Add an event about the subscription."""
         if level is Level.ERROR:
             self.last_error = text
         self.log(level, code, text)
 
     def _failure(self) -> str:
         return self._intake.failure if self._intake is not None else ""
-
-    def _unsubscribe(self) -> None:
-        if self._intake is not None:
-            self._ledger.lost_in_dds += self._intake.lost
-            self._intake.close()
-            self._intake = None
 
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
@@ -187,7 +214,7 @@ class OutgoingRoute(Route):
 
     def close(self, reason: str) -> None:
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
-        self._unsubscribe()
+        self._end_intake()
         self._described = None
         self._ready = False
         self._ledger.drop("link lost", self._queue.clear())
@@ -203,19 +230,35 @@ class OutgoingRoute(Route):
             self._intake.tick()
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages from the ROS side, oldest first."""
+        """Take messages from ROS, oldest first."""
         self._ledger.offered += len(batch)
-        messages: list[Message] = [(payload, stamp, 0) for payload, stamp, _ in batch]
-        if self._interval:
-            messages = self._throttle(messages)
-        if self._compressor is not None:
-            messages = [self._compress(message) for message in messages]
+        passes = self._throttle.passes
+        messages = [self._message(each.payload, each.stamp) for each in batch if passes(each.stamp)]
+        self._ledger.throttled += len(batch) - len(messages)
+        self._send(messages)
+
+    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
+        """Take messages of a latched topic. A history is never throttled: it is what late joiners get."""
+        self._ledger.offered += new
+        for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
+            messages, depth = [], 0
+            for header, (payload, stamp, *_), replayed in group:
+                depth = header.depth
+                if not replayed and not self._throttle.passes(stamp, publisher):
+                    self._ledger.throttled += 1
+                    continue
+                content, _, flags = self._message(payload, stamp)
+                messages.append((header.pack() + content, stamp, flags | HISTORY))
+            self._send(messages, publisher, depth)
+
+    def _send(self, messages: Sequence[Message], publisher: bytes = b"", depth: int = 0) -> None:
+        """Send messages, or have them wait; of a latched topic, those of one publisher that keeps `depth` of them."""
         if not self.connected:
             self._ledger.drop("link lost", len(messages))
             return
         if messages:
             self.count(len(messages), sum([len(message[0]) for message in messages]))
-            self._enqueue(messages)
+            self._enqueue(messages, publisher, depth)
             self.flush()
 
     def flush(self) -> None:
@@ -226,12 +269,12 @@ class OutgoingRoute(Route):
             self._ledger.sent(len(batch))
             channel.send(batch)
 
-    def _enqueue(self, messages: list[Message]) -> None:
+    def _enqueue(self, messages: Sequence[Message], publisher: bytes, depth: int) -> None:
         now = self.context.now()
-        self._queue.add([message for message in messages if self._fits(len(message[0]))], now)
-        self._ledger.drop("queue full", self._queue.trim(self._queue_limits(), now))
+        self._queue.add([message for message in messages if self._fits(len(message[0]))], now, publisher)
+        self._ledger.drop("queue full", self._queue.trim(self._queue_limits(depth), now, publisher))
 
-    def _queue_limits(self) -> QueueLimits:
+    def _queue_limits(self, depth: int) -> QueueLimits:
         """What may wait now. As long as the channel takes messages, the queue only passes them on."""
         qos = self.qos
         best_effort = qos is not None and qos.reliability == "best_effort"
@@ -239,25 +282,15 @@ class OutgoingRoute(Route):
         if qos is None or qos.history == "keep_all" or self.channel is None or not self.channel.congested:
             return QueueLimits(0, 0.0, size)
         automatic = self.proposal.qos is None and not best_effort
-        return QueueLimits(max(1, qos.depth), AUTO_SECONDS if automatic else 0.0, size)
+        depth = max(depth, qos.depth or _AUTO_DEPTH)
+        return QueueLimits(depth, AUTO_SECONDS if automatic else 0.0, size)
 
-    def _throttle(self, messages: list[Message]) -> list[Message]:
-        kept = []
-        for message in messages:
-            stamp = message[1]
-            late = stamp - self._due
-            if late >= 0 or late < -self._interval:  # so far ahead only if the clock was set back
-                # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
-                self._due = (self._due if late < self._interval else stamp) + self._interval
-                kept.append(message)
-        self._ledger.throttled += len(messages) - len(kept)
-        return kept
-
-    def _compress(self, message: Message) -> Message:
-        assert self._compressor is not None
-        payload, stamp, flags = message
-        smaller = self._compressor.compress(payload)
-        return (smaller, stamp, flags | ZSTD) if len(smaller) < len(payload) else message
+    def _message(self, payload: bytes, stamp: int) -> Message:
+        if self._compressor is not None:
+            smaller = self._compressor.compress(payload)
+            if len(smaller) < len(payload):
+                return smaller, stamp, ZSTD
+        return payload, stamp, 0
 
     def _fits(self, size: int) -> bool:
         """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
@@ -310,7 +343,7 @@ class OutgoingRoute(Route):
 
     @property
     def _subscribed(self) -> bool:
-        return self._intake is not None and not self._intake.failure
+        return self._intake is not None and self._intake.active and not self._intake.failure
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         report = self._report

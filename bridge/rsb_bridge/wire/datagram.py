@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, UNFINISHED_LIMIT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 MAGIC = 0xB5
@@ -17,6 +17,7 @@ PROBE_ROUTE = 0
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
+_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY)
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
 
@@ -80,7 +81,7 @@ class DatagramWriter:
         Args:
             payload: the serialized message.
             stamp: ns since the epoch.
-            flags: `rsb_bridge.wire.framing.ZSTD` or 0.
+            flags: `rsb_bridge.wire.framing.ZSTD`, `rsb_bridge.wire.framing.HISTORY`.
             max_datagram: bytes that a datagram may have.
 
         Raises:
@@ -170,7 +171,7 @@ class DatagramReader:
             return None
         header = datagram[: _HEADER.size]
         magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
-        if magic != MAGIC or flags > ZSTD or index >= count or route != self._route:
+        if magic != MAGIC or flags & _UNKNOWN_FLAGS or index >= count or route != self._route:
             return None
         try:
             content = self._open(sequence, datagram[_HEADER.size :], header)

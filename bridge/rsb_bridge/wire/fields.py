@@ -18,6 +18,8 @@ Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=_PRINTABLE
 Reason: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=_PRINTABLE)]
 
 RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
+PublisherId: TypeAlias = Annotated[bytes, Meta(min_length=16, max_length=16)]
+MessageNumber: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]
 Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**53)]
 Nanoseconds: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
@@ -27,6 +29,11 @@ Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
 StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
 Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
+
+MOST_PUBLISHERS = 4096
+"""Of one latched topic, in one message."""
+PublisherIds: TypeAlias = Annotated[tuple[PublisherId, ...], Meta(max_length=MOST_PUBLISHERS)]
+NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_length=MOST_PUBLISHERS)]
 
 Transport = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]

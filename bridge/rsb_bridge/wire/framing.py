@@ -23,9 +23,11 @@ CONTROL = 0
 DATA = 1
 ZSTD = 1
 MORE = 2
+HISTORY = 4
+"""A history header (`rsb_bridge.wire.history`) stands before the content."""
 
 Message: TypeAlias = tuple[bytes, int, int]
-"""(payload, stamp in ns since the epoch, flags: `ZSTD` or 0)."""
+"""(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`)."""
 
 LENGTH = struct.Struct(">I")
 HEADER = struct.Struct(">BBIQ")
@@ -33,7 +35,7 @@ HEADER = struct.Struct(">BBIQ")
 _HEADER_SIZE = HEADER.size
 _LENGTH_SIZE = LENGTH.size
 _unpack_header = HEADER.unpack
-_KNOWN_FLAGS = ZSTD | MORE
+_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY)
 
 
 class ProtocolError(Exception):
@@ -124,7 +126,7 @@ class DataWriter:
         Args:
             payload: the serialized message; at most `MESSAGE_LIMIT` bytes.
             stamp: ns since the epoch.
-            flags: `ZSTD` or 0.
+            flags: `ZSTD`, `HISTORY`.
         """
         return self.write_many(((payload, stamp, flags),))
 
@@ -196,7 +198,7 @@ class DataReader:
             raise ProtocolError(f"a data frame of {len(frame)} bytes: its header alone has {_HEADER_SIZE}")
         header = frame[:_HEADER_SIZE]
         kind, flags, route, stamp = _unpack_header(header)
-        if kind != DATA or route != self._route or flags > _KNOWN_FLAGS:
+        if kind != DATA or route != self._route or flags & _UNKNOWN_FLAGS:
             raise ProtocolError(
                 f"a frame of type {kind}, flags {flags}, route {route} on the stream of route {self._route}"
             )

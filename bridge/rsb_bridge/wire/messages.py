@@ -16,7 +16,9 @@ from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annot
     LinkId,
     Name,
     Nanoseconds,
+    NewestNumbers,
     Port,
+    PublisherIds,
     Reason,
     RefuseCode,
     RouteId,
@@ -40,7 +42,7 @@ class Hello(_Message, frozen=True):
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can do beyond version 1; none yet.
+        features: what it can do beyond version 2; none yet.
     """
 
     version: Name
@@ -59,7 +61,7 @@ class Welcome(_Message, frozen=True):
         link_id: 8 random bytes that name this link.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can do beyond version 1; none yet.
+        features: what it can do beyond version 2; none yet.
         use_name: it puts the client's name before the names of this client's topics.
     """
 
@@ -148,7 +150,8 @@ class Describe(_Message, frozen=True):
         route: route id.
         type: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``; may be empty.
-        qos: to publish with.
+        qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.history`), or as the
+            receiver likes.
     """
 
     route: RouteId
@@ -167,10 +170,24 @@ class Ready(_Message, frozen=True):
         route: route id.
         before: counts of the last incarnation in which anything came from this process of the peer; its route id names
             that incarnation.
+        newest: of a latched topic's publishers on the sending side, the number of the newest message published here.
     """
 
     route: RouteId
     before: ReceivedReport | None = None
+    newest: NewestNumbers = {}
+
+
+class Publishers(_Message, frozen=True):
+    """The sending side of a latched topic: which publishers are there; after each `Ready`, and when they change.
+
+    Attributes:
+        route: which.
+        present: their ids. The histories of others may be dropped after a while.
+    """
+
+    route: RouteId
+    present: PublisherIds
 
 
 class Close(_Message, frozen=True):
@@ -273,6 +290,7 @@ ControlMessage: TypeAlias = (
     | Refuse
     | Describe
     | Ready
+    | Publishers
     | Close
     | Pause
     | Ping

@@ -10,7 +10,7 @@ from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError
 from rsb_bridge.wire.sealing import Suite
 
-VERSION = 1
+VERSION = 2
 """Of the wire format. A peer of another version is refused."""
 MESSAGE_LIMIT = 512
 """Bytes of a refusal's message."""
@@ -154,7 +154,12 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
         raise ProtocolError("the stream does not begin with a preamble: the other side is not an rsb-console")
     version, kind = frame[3], frame[4]
     if version != VERSION:
-        raise Refusal(RefusalCode.WRONG_VERSION, f"this side speaks version {VERSION}, the peer version {version}")
+        older = "this side" if version > VERSION else "the peer"
+        raise Refusal(
+            RefusalCode.WRONG_VERSION,
+            f"this side speaks version {VERSION} of the wire format, the peer version {version}: "
+            f"update rsb-console on {older}, which is older",
+        )
     try:
         return Kind(kind), frame[_PREFIX_LENGTH:]
     except ValueError:

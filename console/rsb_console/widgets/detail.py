@@ -218,10 +218,13 @@ def _named(name: str, text: str) -> Line:
 
 
 def qos_words(qos: Qos, *, depth_known: bool = True) -> list[str]:
-    """``reliable,`` ``volatile,`` ``last 10``; without how many are kept where that is not known."""
+    """``reliable,`` ``volatile,`` ``last 10``; without how many are kept where that is not known.
+
+    A depth of 0 is chosen by the bridge: by the topic's rate, or on a latched topic by what its publishers keep.
+    """
     words = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
     if depth_known:
-        words.append("all" if qos.history == "keep_all" else f"last {qos.depth}")
+        words.append("all" if qos.history == "keep_all" else f"last {qos.depth}" if qos.depth else "auto depth")
     if qos.deadline:
         words.append(f"deadline {formats.span(qos.deadline)}")
     if qos.lifespan:

@@ -1,0 +1,337 @@
+"""What the publishers of a latched topic keep for late joiners: how many messages each.
+
+DDS does not announce the depth of a publisher's history, but a new subscription shows it: the history comes first. If
+it begins with message 6 and the newest is 10, the publisher keeps five. If it begins with message 1, the publisher
+keeps at least as many as have come. So messages of a publisher whose depth is not known yet are held back for a moment,
+until a short-lived second subscription (a probe) has shown what is kept of them.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.limits import LATCHED_DEPTH
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.wire.history import HistoryHeader, publisher_id
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Collection, Mapping, Sequence
+
+    from rsb_bridge.ros.api import RawMessage, Subscription
+
+_SETTLES_AFTER = 0.1  # s without a message of a publisher: its history has come
+_SETTLES_AT_LATEST = 1.0  # s
+_HELD_SIZE = 32 << 20  # bytes of one publisher's messages
+_PROBES_FOR = 1.0  # s
+_PROBE_SETTLES_AFTER = 0.05  # s
+_PROBES_EACH_UNTIL = 16
+"""Up to this number each message is probed for, later every doubling of the number: a probe replays the history."""
+_MOST_TRIES = 5
+_LAST_NUMBER = 2**63 - 1
+_FORGOTTEN_AFTER = 5.0  # s
+_UNNUMBERED_DEPTH = 10
+
+
+class Sample(NamedTuple):
+    """A message of a latched topic.
+
+    Attributes:
+        header: whose it is.
+        message: it.
+        replayed: it comes from its publisher's history, and not as it was published.
+    """
+
+    header: HistoryHeader
+    message: RawMessage
+    replayed: bool
+
+
+@dataclass(slots=True)
+class _Publisher:
+    """One publisher.
+
+    Attributes:
+        first: the first message number that this subscription brought; 0: none yet.
+        newest: the newest number seen.
+        taken: the newest number that the peer has, or that was given out or is held.
+        began: s, when `first` came.
+        latest: s, when `newest` came.
+        settled: its history has come.
+        depth: as far as it is known.
+        exact: the depth is known, and does not change any more.
+        probe_at: number of the next message that has to be probed for.
+        tries: probes in a row that did not show the depth.
+        at_least: what those probes have shown of it.
+        at_most: likewise.
+        held: until it is known; each with whether it was replayed.
+        held_size: bytes.
+    """
+
+    taken: int
+    began: float
+    latest: float
+    first: int = 0
+    newest: int = 0
+    settled: bool = False
+    depth: int = 1
+    exact: bool = False
+    probe_at: int = 0
+    tries: int = 0
+    at_least: int = 1
+    at_most: int = _LAST_NUMBER
+    held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)
+    held_size: int = 0
+
+
+class Histories:
+    """Gives out the messages of a latched topic, each with what its publisher keeps. It belongs to the I/O loop."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        probe: Callable[[Callable[[Sequence[RawMessage]], None]], Subscription],
+        emit: Callable[[list[Sample]], None],
+        *,
+        depth: int,
+        known: Mapping[bytes, int],
+    ) -> None:
+        """Begin.
+
+        Args:
+            loop: the I/O loop.
+            probe: subscribes a second time, with a receiver of its messages on the loop; may raise RosError.
+            emit: gets the messages, on the loop; those of one publisher in order.
+            depth: of every publisher's history, as an operator wants it; 0: as it is.
+            known: the newest number that the peer has, by publisher.
+        """
+        self._loop = loop
+        self._open_probe = probe
+        self._emit = emit
+        self._depth = min(depth, LATCHED_DEPTH)
+        self._known = dict(known)
+        self._publishers: dict[bytes, _Publisher] = {}
+        self._probe: _Probe | None = None
+        self._timer: asyncio.TimerHandle | None = None
+
+    # --- messages
+
+    def take(self, batch: Sequence[RawMessage]) -> int:
+        """Take messages from ROS, oldest first.
+
+        Returns:
+            How many of them are new: neither had by the peer nor taken before.
+        """
+        now = self._loop.time()
+        new, samples = 0, list[Sample]()
+        for message in batch:
+            publisher = self._seen(message, now)
+            if message.number and message.number <= publisher.taken:
+                continue
+            new += 1
+            publisher.taken = max(publisher.taken, message.number)
+            depth = self._depth_of(publisher, message.number)
+            if depth:
+                samples.append(_sample(message, depth, replayed=not publisher.settled))
+            else:
+                publisher.held.append((message, not publisher.settled))
+                publisher.held_size += len(message.payload)
+        if samples:
+            self._emit(samples)
+        self._work()
+        return new
+
+    def resubscribed(self) -> None:
+        """The subscription was opened anew: publishers show their histories again."""
+        for publisher in self._publishers.values():
+            publisher.first = 0
+            publisher.settled = publisher.exact
+
+    def look(self, present: Collection[bytes]) -> None:
+        """Forget publishers that are gone.
+
+        Args:
+            present: the ids of those that the graph has.
+        """
+        now = self._loop.time()
+        for gid in self._publishers.keys() - set(present):
+            publisher = self._publishers[gid]
+            if publisher.settled and publisher.held:  # a probe would find nothing
+                self._conclude(publisher, publisher.newest)
+            elif now - publisher.latest > _FORGOTTEN_AFTER:
+                del self._publishers[gid]
+
+    def close(self) -> int:
+        """Give out nothing more.
+
+        Returns:
+            How many messages were held.
+        """
+        self._end_probe()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        held = sum(len(publisher.held) for publisher in self._publishers.values())
+        self._publishers.clear()
+        return held
+
+    def _seen(self, message: RawMessage, now: float) -> _Publisher:
+        publisher = self._publishers.get(message.gid)
+        if publisher is None:
+            known = self._known.pop(publisher_id(message.gid), 0)
+            publisher = self._publishers[message.gid] = _Publisher(known, now, now)
+        if not publisher.first:
+            publisher.first, publisher.began = message.number, now
+        publisher.newest = max(publisher.newest, message.number)
+        publisher.latest = now
+        return publisher
+
+    def _depth_of(self, publisher: _Publisher, number: int) -> int:
+        """The depth to give out a message with; 0: it is not known yet."""
+        if self._depth:
+            return self._depth
+        if not number:
+            return _UNNUMBERED_DEPTH
+        if publisher.exact:
+            return publisher.depth
+        if publisher.settled and not publisher.held and number < publisher.probe_at:
+            publisher.depth = number
+            return number
+        return 0
+
+    # --- depths
+
+    def _work(self) -> None:
+        """Settle what has come, start a probe where one is wanted, and see to it again when something is due."""
+        now = self._loop.time()
+        due: list[float] = []
+        wanted: dict[bytes, int] = {}
+        for gid, publisher in self._publishers.items():
+            if publisher.settled or not publisher.first:
+                pass
+            elif now >= (settles_at := _settles_at(publisher)):
+                self._settle(publisher)
+            else:
+                due.append(settles_at)
+            if publisher.settled and publisher.held:
+                wanted[gid] = publisher.newest
+        if wanted and self._probe is None:
+            self._start_probe(wanted, now)
+        if self._probe is not None:
+            due.append(self._probe.until)
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = self._loop.call_at(min(due), self._timed_out) if due else None
+
+    def _timed_out(self) -> None:
+        self._timer = None
+        if self._probe is not None and self._loop.time() >= self._probe.until:
+            self._finish_probe()
+        self._work()
+
+    def _settle(self, publisher: _Publisher) -> None:
+        """A publisher's history has come. If it is its first message alone, at least that is kept."""
+        publisher.settled = True
+        if publisher.newest == 1:
+            self._release(publisher, 1)
+
+    def _start_probe(self, wanted: dict[bytes, int], now: float) -> None:
+        probe = self._probe = _Probe(wanted, now + _PROBES_FOR)
+        try:
+            probe.subscription = self._open_probe(self._probed)
+        except RosError:
+            probe.until = now  # nothing will come: as if nothing had
+
+    def _probed(self, batch: Sequence[RawMessage]) -> None:
+        if self._probe is not None:
+            self._probe.take(batch, self._loop.time())
+            self._work()
+
+    def _finish_probe(self) -> None:
+        probe = self._probe
+        self._end_probe()
+        if probe is None:
+            return
+        for gid, target in probe.wanted.items():
+            publisher = self._publishers.get(gid)
+            if publisher is not None:
+                self._judge(publisher, target, probe.first.get(gid, 0), probe.last.get(gid, 0))
+
+    def _end_probe(self) -> None:
+        if self._probe is not None and self._probe.subscription is not None:
+            self._probe.subscription.close()
+        self._probe = None
+
+    def _judge(self, publisher: _Publisher, target: int, first: int, last: int) -> None:
+        """A probe, begun when message `target` was the newest, got the messages from `first` to `last`."""
+        if first == 1 and last >= target:
+            publisher.tries = 0
+            publisher.depth, publisher.exact = min(target, LATCHED_DEPTH), target >= LATCHED_DEPTH
+            publisher.probe_at = target + 1 if target <= _PROBES_EACH_UNTIL else 2 * target
+            self._release(publisher, target)
+            while publisher.held and publisher.held[0][0].number < publisher.probe_at:
+                publisher.depth = publisher.held[0][0].number
+                self._release(publisher, publisher.depth)
+            return
+        newest = max(publisher.newest, last)
+        publisher.tries += 1
+        if first > 1 and last >= target:
+            # The newest message when the history was sent was one from `target` to `newest`.
+            publisher.at_least = max(publisher.at_least, target - first + 1)
+            publisher.at_most = min(publisher.at_most, newest - first + 1)
+        if publisher.at_least == publisher.at_most or publisher.tries >= _MOST_TRIES:
+            self._conclude(publisher, newest)
+
+    def _conclude(self, publisher: _Publisher, newest: int) -> None:
+        """Take for its depth what is known by now: more than it is only of one that never rests or shows no history."""
+        publisher.depth = min(publisher.at_most, newest - publisher.first + 1, LATCHED_DEPTH)
+        publisher.exact = True
+        self._release(publisher, newest)
+
+    def _release(self, publisher: _Publisher, newest: int) -> None:
+        """Give out what is held up to a number."""
+        samples = []
+        while publisher.held and publisher.held[0][0].number <= newest:
+            message, replayed = publisher.held.popleft()
+            publisher.held_size -= len(message.payload)
+            samples.append(_sample(message, publisher.depth, replayed=replayed))
+        if samples:
+            self._emit(samples)
+
+
+class _Probe:
+    """A second subscription, and what it has shown.
+
+    Attributes:
+        wanted: the numbers that have to be seen, by publisher.
+        until: s, how long to wait for them.
+        first: the first numbers seen, by publisher.
+        last: the last.
+    """
+
+    def __init__(self, wanted: dict[bytes, int], until: float) -> None:
+        self.wanted = wanted
+        self.until = until
+        self.subscription: Subscription | None = None
+        self.first: dict[bytes, int] = {}
+        self.last: dict[bytes, int] = {}
+
+    def take(self, batch: Sequence[RawMessage], now: float) -> None:
+        """Take messages. Once all that was wanted has been seen, the probe ends soon: no more may be on its way."""
+        for message in batch:
+            self.first.setdefault(message.gid, message.number)
+            self.last[message.gid] = message.number
+        if all(self.last.get(gid, 0) >= number for gid, number in self.wanted.items()):
+            self.until = now + _PROBE_SETTLES_AFTER
+
+
+def _settles_at(publisher: _Publisher) -> float:
+    if publisher.held_size > _HELD_SIZE:
+        return publisher.began
+    return min(publisher.latest + _SETTLES_AFTER, publisher.began + _SETTLES_AT_LATEST)
+
+
+def _sample(message: RawMessage, depth: int, *, replayed: bool) -> Sample:
+    return Sample(HistoryHeader(publisher_id(message.gid), message.number, depth), message, replayed)

@@ -1,0 +1,165 @@
+"""Latched topics: who joins late on the far side gets what who joins late on the near side gets."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tests.support.bridge import balance, linked, route, settled
+from tests.support.domain import Domain, text
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+JOINS_LATE = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def latched(depth: int) -> QoSProfile:
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def late(domain: Domain, topic: str, count: int) -> Counter[bytes]:
+    """What a subscription hears that joins now, once it has heard `count` messages and no more come."""
+    listener = domain.listener(topic, qos=JOINS_LATE)
+    eventually(lambda: len(listener.payloads) >= count, what=f"{count} messages, not {len(listener.payloads)}")
+    with contextlib.suppress(AssertionError):
+        holds(lambda: len(listener.payloads) == count, 0.5)
+    heard = Counter(bytes(payload) for payload in listener.payloads)
+    domain.node.destroy_subscription(listener.subscription)
+    return heard
+
+
+def same_on_both_sides(robot: Domain, pc: Domain, topic: str, expected: list[bytes]) -> None:
+    """Late joiners on either side hear just what is expected, each message once."""
+    assert late(robot, topic, len(expected)) == Counter(expected)
+    assert late(pc, topic, len(expected)) == Counter(expected)
+
+
+def publish(publisher: Publisher, name: str, numbers: range) -> list[bytes]:
+    messages = [text(f"{name} {number}") for number in numbers]
+    for message in messages:
+        publisher.publish(message)
+    return messages
+
+
+def restart(bridge: Bridge, engine: Engine) -> Engine:
+    """Another process in an engine's place, as far as the other side can tell."""
+    session = engine.session
+    engine.stop()
+    return bridge.start(session)
+
+
+@pytest.mark.parametrize("count", [25, 60])
+def test_tf_static_of_many_nodes(count: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Each has published twice and keeps one; they are there before the bridge, and it is restarted on either side."""
+    outs = [robot.publisher("/tf_static", qos=latched(1)) for _ in range(count)]
+    kept = [publish(out, f"frame {number}", range(2))[-1] for number, out in enumerate(outs)]
+    server, client = bridge.both(Topic("/tf_static", "transmit"))
+    steady = pc.listener("/tf_static", qos=JOINS_LATE)
+    eventually(lambda: len(steady.payloads) == count)
+    same_on_both_sides(robot, pc, "/tf_static", kept)
+    ledger = settled(client, "/tf_static", count)
+    assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (count, {}, 0)
+    client = restart(bridge, client)
+    eventually(lambda: linked(client))
+    kept[3] = publish(outs[3], "moved", range(1))[0]
+    eventually(lambda: len(steady.payloads) == count + 1)
+    same_on_both_sides(robot, pc, "/tf_static", kept)
+    assert Counter(map(bytes, steady.payloads)).most_common(1)[0][1] == 1
+    restart(bridge, server)
+    same_on_both_sides(robot, pc, "/tf_static", kept)
+
+
+def test_a_map_that_is_published_again_and_again(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    out = robot.publisher("/map", qos=latched(1))
+    there, volatile = pc.listener("/map", qos=JOINS_LATE), pc.listener("/map")
+    _, client = bridge.both(Topic("/map", "transmit"))
+    eventually(lambda: out.get_subscription_count() == 1 and there.matched and volatile.matched)
+    maps = publish(out, "map", range(50))
+    assert eventually(lambda: list(map(bytes, there.payloads)) == maps)
+    eventually(lambda: list(map(bytes, volatile.payloads)) == maps)
+    same_on_both_sides(robot, pc, "/map", maps[-1:])
+    ledger = settled(client, "/map", 50)
+    assert (ledger.delivered, ledger.dropped, ledger.lost_in_dds) == (50, {}, 0)
+    assert len(pc.node.get_publishers_info_by_topic("/map")) == 1
+
+
+@pytest.mark.parametrize("published_before", [12, 3, 0])
+def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Of 12 messages five are kept, whenever the bridge comes; all the time both sides keep the same."""
+    out = robot.publisher("/path", qos=latched(5))
+    messages = publish(out, "pose", range(published_before))
+    server, client = bridge.both(Topic("/path", "transmit"))
+    steady, volatile = pc.listener("/path", qos=JOINS_LATE), pc.listener("/path")
+    eventually(lambda: out.get_subscription_count() == 1 and volatile.matched)
+    eventually(lambda: list(map(bytes, steady.payloads)) == messages[-5:])
+    same_on_both_sides(robot, pc, "/path", messages[-5:])
+    heard_before = len(volatile.payloads)
+    for number in range(published_before, 12):
+        messages += publish(out, "pose", range(number, number + 1))
+        eventually(lambda newest=messages[-1]: steady.payloads and bytes(steady.payloads[-1]) == newest)
+        if number in (0, 4, 5, 6, 11):
+            same_on_both_sides(robot, pc, "/path", messages[-5:])
+    eventually(lambda: len(volatile.payloads) == 12 - published_before + heard_before)
+    assert list(map(bytes, steady.payloads)) == messages[max(0, published_before - 5) :]
+    client = restart(bridge, client)
+    eventually(lambda: linked(client) and linked(server))
+    messages += publish(out, "pose", range(12, 14))
+    eventually(lambda: steady.payloads and bytes(steady.payloads[-1]) == messages[-1])
+    same_on_both_sides(robot, pc, "/path", messages[-5:])
+    restart(bridge, server)
+    same_on_both_sides(robot, pc, "/path", messages[-5:])
+
+
+def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+    """What was published before is not published again; what was published meanwhile is, as far as it is kept."""
+    out = robot.publisher("/path", qos=latched(3))
+    server, client = bridge.both(Topic("/path", "transmit"))
+    steady = pc.listener("/path", qos=JOINS_LATE)
+    eventually(lambda: out.get_subscription_count() == 1 and steady.matched)
+    messages = publish(out, "pose", range(4))
+    eventually(lambda: len(steady.payloads) == 4)
+    relay.stall()
+    relay.cut()
+    eventually(lambda: not linked(client) and not linked(server))
+    messages += publish(out, "pose", range(4, 6))
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: len(steady.payloads) == 6)
+    same_on_both_sides(robot, pc, "/path", messages[-3:])
+    relay.cut()
+    eventually(lambda: not linked(client))
+    eventually(lambda: linked(client) and linked(server))
+    messages += publish(out, "pose", range(6, 20))
+    eventually(lambda: list(map(bytes, steady.payloads))[-1] == messages[-1])
+    same_on_both_sides(robot, pc, "/path", messages[-3:])
+    assert Counter(map(bytes, steady.payloads)).most_common(1)[0][1] == 1
+    assert balance(route(client, "/path").ledger) == route(client, "/path").ledger.offered
+
+
+def test_a_publisher_that_is_gone_leaves_no_history(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rsb_bridge.route.latched._GONE_AFTER", 1.0)
+    stays, goes = (robot.publisher("/tf_static", qos=latched(1)) for _ in range(2))
+    kept = publish(stays, "stays", range(1)) + publish(goes, "goes", range(1))
+    bridge.both(Topic("/tf_static", "transmit"))
+    same_on_both_sides(robot, pc, "/tf_static", kept)
+    robot.node.destroy_publisher(goes)
+    eventually(lambda: len(pc.node.get_publishers_info_by_topic("/tf_static")) == 1)
+    same_on_both_sides(robot, pc, "/tf_static", kept[:1])
+    robot.node.destroy_publisher(stays)
+    comes = robot.publisher("/tf_static", qos=latched(1))
+    kept = publish(comes, "comes", range(1))
+    there = pc.listener("/tf_static", qos=JOINS_LATE)
+    eventually(lambda: bytes(there.payloads[-1]) == kept[0] and there.matched == 1)
+    same_on_both_sides(robot, pc, "/tf_static", kept)

@@ -1,0 +1,354 @@
+"""A latched topic from its publishers to late joiners on the far side, on virtual time and with a made-up DDS."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import count
+from random import Random
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
+
+from rsb_bridge.context import Context
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Session
+from rsb_bridge.ros.api import RawMessage
+from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.route.intake import Intake, Subject
+from rsb_bridge.route.latched import PUBLISHER_COST, LatchedFullError, LatchedTopic
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.meters import RateMeter
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.history import HistoryHeader, publisher_id
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.ros.api import Sink
+    from rsb_bridge.route.histories import Sample
+
+LATCHED = Qos(durability="transient_local", depth=0)
+
+
+@dataclass
+class Writer:
+    """A publisher on the sending side."""
+
+    gid: bytes
+    depth: int
+    newest: int = 0
+    history: deque[int] = field(default_factory=deque)
+
+
+class NearDds:
+    """The sending side's DDS: histories come first, and each reader hears each writer in order, a little late."""
+
+    def __init__(self, loop: VirtualLoop, random: Random) -> None:
+        self.loop = loop
+        self.random = random
+        self.writers: dict[bytes, Writer] = {}
+        self.readers: list[NearReader] = []
+        self.subscribed = 0
+        self._numbers = count()
+
+    def subscribe(self, *arguments: Any) -> NearReader:
+        self.subscribed += 1
+        reader = NearReader(self, arguments[4])
+        self.readers.append(reader)
+        for writer in self.writers.values():
+            reader.match(writer)
+        return reader
+
+    def new_writer(self, depth: int) -> Writer:
+        writer = Writer(publisher_id(b"writer %d" % next(self._numbers)), depth)
+        self.writers[writer.gid] = writer
+        for reader in self.readers:
+            reader.match(writer)
+        return writer
+
+    def publish(self, writer: Writer) -> None:
+        writer.newest += 1
+        writer.history.append(writer.newest)
+        while len(writer.history) > writer.depth:
+            writer.history.popleft()
+        for reader in self.readers:
+            reader.hear(writer)
+
+
+class NearReader:
+    lost = 0
+
+    def __init__(self, dds: NearDds, sink: Sink) -> None:
+        self._dds = dds
+        self._sink = sink
+        self._matched: set[bytes] = set()
+        self._waiting: dict[bytes, deque[int]] = {}
+
+    def match(self, writer: Writer) -> None:
+        self._dds.loop.call_later(self._dds.random.uniform(0, 0.05), self._discovered, writer)
+
+    def _discovered(self, writer: Writer) -> None:
+        self._matched.add(writer.gid)
+        self._waiting[writer.gid] = deque(writer.history)
+        self._hand_over_soon(writer)
+
+    def hear(self, writer: Writer) -> None:
+        if writer.gid in self._matched:
+            self._waiting[writer.gid].append(writer.newest)
+            self._hand_over_soon(writer)
+
+    def _hand_over_soon(self, writer: Writer) -> None:
+        self._dds.loop.call_later(self._dds.random.uniform(0, 0.01), self._hand_over, writer)
+
+    def _hand_over(self, writer: Writer) -> None:
+        waiting = self._waiting[writer.gid]
+        if waiting and self in self._dds.readers:
+            self._sink([RawMessage(b"%d" % number, 0, writer.gid, number) for number in waiting])
+            waiting.clear()
+
+    def close(self) -> None:
+        if self in self._dds.readers:
+            self._dds.readers.remove(self)
+
+
+class FarDds:
+    """The receiving side's DDS: publishers that keep what their depth says, and one subscriber from the beginning."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.loop = loop
+        self.open: list[FarPublisher] = []
+        self.heard: list[bytes] = []
+        self.made = 0
+
+    def advertise(self, depth: int) -> FarPublisher:
+        self.made += 1
+        publisher = FarPublisher(self, depth)
+        self.open.append(publisher)
+        return publisher
+
+    def late_joiner(self) -> list[bytes]:
+        return sorted(content for publisher in self.open for content in publisher.kept)
+
+
+class FarPublisher:
+    gid = b""
+
+    def __init__(self, dds: FarDds, depth: int) -> None:
+        self._dds = dds
+        self._matched_at = dds.loop.time() + 0.1
+        self.kept: deque[bytes] = deque(maxlen=depth)
+
+    @property
+    def subscriber_count(self) -> int:
+        return int(self._dds.loop.time() >= self._matched_at)
+
+    def publish(self, content: bytes) -> None:
+        assert self in self._dds.open
+        self.kept.append(content)
+        if self.subscriber_count:  # a volatile subscription hears what is published once it is discovered
+            self._dds.heard.append(content)
+
+    def close(self) -> None:
+        self._dds.open.remove(self)
+
+
+def unexpected(error: Exception) -> None:
+    raise AssertionError(error)
+
+
+class Route:
+    """What is between the two: a link that may be cut, and either side's process that may be restarted."""
+
+    def __init__(self, near: NearDds, far: FarDds, context: Context) -> None:
+        self.meter = RateMeter(0.0)
+        self.near, self.far, self.context = near, far, context
+        self.budget = Budget(1 << 30)
+        self.offered = self.sent = self.held = 0
+        self.topic = self.make_topic()
+        self.intake = self.make_intake()
+        self.offer: Any = None
+
+    def make_topic(self) -> LatchedTopic:
+        return LatchedTopic(self.context.loop, self.far.advertise, self.budget, 1, unexpected)
+
+    def make_intake(self) -> Intake:
+        subject = Subject("/latched", "std_msgs/msg/String", "", LATCHED, "robot1")
+        self.topic.opened()
+        intake = Intake(self.context, self, subject, automatic=True, expected_rate=None, known=self.topic.newest())
+        intake.subscribe()
+        return intake
+
+    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
+        self.offered += new
+        for header, message, _ in samples:
+            self.sent += 1
+            content = b"%s %s" % (header.publisher.rstrip(b"\0"), message.payload)
+            assert self.topic.publish(header, content), (header, content)
+
+    def log_intake(self, *_: object) -> None:
+        pytest.fail("the subscription did not fail")
+
+    def cut(self) -> None:
+        self.held += self.intake.close()
+        self.intake = self.make_intake()
+
+    def restart_far(self) -> None:
+        self.held += self.intake.close()
+        self.topic.close()
+        assert not self.far.open
+        assert self.budget.held == 0
+        self.far.heard.clear()
+        self.topic = self.make_topic()
+        self.intake = self.make_intake()
+
+    def second(self) -> None:
+        present = set(self.near.writers)
+        self.intake.look(present)
+        self.intake.tick()
+        self.topic.present(present)
+        self.topic.tick()
+
+
+class World:
+    """Everything, and time."""
+
+    def __init__(self, loop: VirtualLoop, seed: int) -> None:
+        self.loop = loop
+        self.random = Random(seed)
+        self.near, self.far = NearDds(loop, self.random), FarDds(loop)
+        clock = VirtualClock(loop)
+        session = Session(name="robot1", role="client", server_ip="127.0.0.1", server_port=1)
+        context = Context(
+            session,
+            0,
+            self.near,  # type: ignore[arg-type]
+            EventLog(clock),
+            RosToLoopQueue(loop),
+            loop,
+            clock,
+            self.random,
+            default_transports(),
+        )
+        self.route = Route(self.near, self.far, context)
+
+    def wait(self, seconds: float) -> None:
+        end = self.loop.time() + seconds
+        while self.loop.time() < end:
+            self.loop.run_until_complete(asyncio.sleep(min(1.0, end - self.loop.time())))
+            self.route.second()
+
+    def near_late_joiner(self) -> list[bytes]:
+        return sorted(
+            b"%s %d" % (writer.gid.rstrip(b"\0"), number)
+            for writer in self.near.writers.values()
+            for number in writer.history
+        )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_late_joiners_get_the_same_on_both_sides(seed: int) -> None:
+    """Whatever the depths, and whatever happens when: at rest both sides keep the same, and nothing is heard twice."""
+    with virtual_loop() as loop:
+        world = World(loop, seed)
+        random = world.random
+        for _ in range(60):
+            writers = list(world.near.writers.values())
+            match random.choices(
+                ["publish", "burst", "writer", "gone", "cut", "far", "wait", "rest"], [8, 2, 3, 1, 1, 1, 6, 3]
+            )[0]:
+                case "publish" if writers:
+                    world.near.publish(random.choice(writers))
+                case "burst" if writers:
+                    writer = random.choice(writers)
+                    for _ in range(random.randint(2, 15)):
+                        world.near.publish(writer)
+                case "writer":
+                    world.near.new_writer(random.choice([1, 1, 1, 2, 3, 5, 10, 16]))
+                case "gone" if writers:
+                    del world.near.writers[random.choice(writers).gid]
+                case "cut":
+                    world.route.cut()
+                case "far":
+                    world.route.restart_far()
+                case "wait":
+                    world.wait(random.expovariate(5))
+                case "rest":
+                    world.wait(20)
+                    assert world.far.late_joiner() == world.near_late_joiner()
+        world.wait(20)
+        assert world.far.late_joiner() == world.near_late_joiner()
+        assert len(set(world.far.heard)) == len(world.far.heard)
+        route = world.route
+        assert route.offered == route.sent + route.held
+        route.held += route.intake.close()
+        route.topic.close()
+        assert route.budget.held == 0
+        assert not loop.errors
+        assert not world.near.readers
+
+
+def test_a_live_subscriber_misses_nothing_while_depths_are_learned() -> None:
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        world.wait(1)
+        writer = world.near.new_writer(7)
+        world.wait(1)
+        for _ in range(30):
+            world.near.publish(writer)
+            world.wait(0.3)
+        assert world.far.heard == [b"writer 0 %d" % number for number in range(1, 31)]
+        assert world.near.subscribed <= 2 + 8
+        assert len(world.far.open) <= 7
+
+
+def test_a_deep_history_costs_few_probes_and_publishers() -> None:
+    """It is kept whole; while its depth is unknown some older messages may be kept too."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        writer = world.near.new_writer(300)
+        for _ in range(1000):
+            world.near.publish(writer)
+            world.wait(0.05)
+        world.wait(20)
+        assert world.near.subscribed <= 30
+        assert world.far.made <= 20
+        assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
+        assert len(world.far.late_joiner()) <= 600
+        world.route.restart_far()
+        world.wait(20)
+        assert world.near_late_joiner() == world.far.late_joiner()
+
+
+def test_a_busy_publisher_is_measured_too() -> None:
+    """At 200 Hz a probe cannot catch it at rest, so the depth may be off by what is published meanwhile."""
+    with virtual_loop() as loop:
+        world = World(loop, 1)
+        writer = world.near.new_writer(10)
+        for _ in range(2000):
+            world.near.publish(writer)
+            world.wait(0.005)
+        world.wait(5)
+        assert set(world.near_late_joiner()) <= set(world.far.late_joiner())
+        assert len(world.far.late_joiner()) <= 40
+        assert len(world.far.heard) == 2000
+
+
+def test_publishers_and_bytes_are_bounded() -> None:
+    with virtual_loop() as loop:
+        far = FarDds(loop)
+        budget = Budget(3 * PUBLISHER_COST + 1000)
+        topic = LatchedTopic(loop, far.advertise, budget, 1, unexpected)
+        for number in range(3):
+            assert topic.publish(HistoryHeader(b"%016d" % number, 1, 1), b"x")
+        with pytest.raises(LatchedFullError):
+            topic.publish(HistoryHeader(b"%016d" % 3, 1, 1), b"x")
+        with pytest.raises(LatchedFullError):
+            topic.publish(HistoryHeader(b"%016d" % 0, 2, 1), b"x" * 1000)
+        assert len(far.open) == 3
+        topic.close()
+        assert budget.held == 0
+        assert not far.open
