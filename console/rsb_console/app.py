@@ -265,7 +265,6 @@ class ConsoleApp(App[None]):
         return super().check_action(action, parameters)
 
     def action_help(self) -> None:
-        """Show every key."""
         from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
 
         self.push_screen(HelpScreen(self))
@@ -278,7 +277,6 @@ class ConsoleApp(App[None]):
         self.action_command_palette()
 
     def action_theme(self) -> None:
-        """Next theme."""
         names = sorted(self.available_themes)
         self.theme = names[(names.index(self.theme) + 1) % len(names)]
         self.notify(f"theme: {self.theme}", timeout=2)

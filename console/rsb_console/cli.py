@@ -1,5 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""The command `rsb-console`: from its start to its exit code, and what an operator sees of a failure nobody foresaw.
+"""The command `rsb-console`: from its start to its exit code, and how it reports an unexpected failure.
 
 Imports are late here, so that an interrupt which comes while they run is met as quietly as any other.
 """
@@ -62,7 +62,7 @@ def _run(argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILURE
     except Exception as error:  # noqa: BLE001 (the last resort: an operator gets a line, and where the rest is)
-        return _unforeseen(error, show="debug" in arguments)
+        return _unexpected(error, show="debug" in arguments)
     return code
 
 
@@ -83,7 +83,7 @@ def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
     return ["run", *argv]
 
 
-def _unforeseen(error: Exception, *, show: bool) -> int:
+def _unexpected(error: Exception, *, show: bool) -> int:
     """Tell an operator in a line what happened, and keep the traceback for whoever will mend it."""
     import traceback
 
@@ -93,7 +93,7 @@ def _unforeseen(error: Exception, *, show: bool) -> int:
     from platformdirs import user_state_path
 
     log = user_state_path("rsb-console") / "crash.log"
-    words = f"unforeseen {type(error).__name__}: {error}".splitlines()[0]
+    words = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("a", encoding="utf-8") as file:

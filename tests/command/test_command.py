@@ -137,8 +137,8 @@ def test_check_leaves_out_nothing_that_a_topic_says() -> None:
     )
     fleet = rsb_console("check", "fleet.yaml").stdout
     assert "prefix /<name>" in fleet
-    assert "lets in robot1: all topics\n" in fleet
-    assert "lets in robot2: all topics, not /map, no prefix" in fleet
+    assert "accepts robot1: all topics\n" in fleet
+    assert "accepts robot2: all topics, not /map, no prefix" in fleet
 
 
 def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
@@ -299,7 +299,7 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
     run = in_process(broken, "check", "robot1.yaml")
     log = folder / "state" / "rsb-console" / "crash.log"
     assert run.returncode == 1
-    assert run.stderr == f"rsb-console: unforeseen RuntimeError: sprocket (details: {log})\n"
+    assert run.stderr == f"rsb-console: unexpected RuntimeError: sprocket (details: {log})\n"
     assert "Traceback" in log.read_text()
     for arguments in (("--debug", "check", "robot1.yaml"), ("check", "--debug", "robot1.yaml")):
         assert "Traceback" in in_process(broken, *arguments).stderr

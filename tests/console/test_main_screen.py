@@ -236,7 +236,7 @@ def test_an_engine_that_has_died_says_why_and_can_be_started_anew(temporary: boo
         dead = engine_as(app, Dying)
         dead.die()
         app.pull()
-        await shown(pilot, "✗ STOPPED: R starts it anew, the ROS node is gone")
+        await shown(pilot, "✗ STOPPED: R starts it again, the ROS node is gone")
         await pilot.press("R")
         await shown(pilot, "● LINKED")
         await shown(pilot, "/robot2/scan")

@@ -85,7 +85,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
     Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
     Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, changes=True),
-    Action("restart", "R", "restart", "Close all links on both sides and begin anew",
+    Action("restart", "R", "restart", "Close all links on both sides and open them again",
            Group.OPERATE, changes=True, in_footer=True),
     Action("links", "c", "links", "Look at the links: one a robot on a server", Group.SESSION, in_footer=True),
     Action("bluetooth", "b", "bluetooth", "Look for Bluetooth adapters, devices and free channels",

@@ -93,7 +93,7 @@ def keygen(arguments: Namespace) -> int:
         print_error(str(error))
         return FAILURE
     print_line(
-        f"{path}: a new key, fingerprint {fingerprint(key)}. Copy the file to the other side, and keep it to yourself."
+        f"{path}: a new key, fingerprint {fingerprint(key)}. Copy the file to the other side, and keep it secret."
     )
     return OK
 
@@ -181,9 +181,9 @@ def _summary(session: Session) -> Iterator[str]:
     for client in session.clients:
         allowed = ", ".join(client.allow) or "all topics"
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
-        yield f"  lets in {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}{prefix}"
+        yield f"  accepts {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}{prefix}"
     if session.role == "server" and not session.clients:
-        yield f"  lets in {session.name}: all topics"
+        yield f"  accepts {session.name}: all topics"
 
 
 def _domain(session: Session) -> str:

@@ -1,4 +1,4 @@
-"""Bridging without a console: what happens as log lines, and a status line of rates every few seconds."""
+"""Bridging without a console: events as log lines, and a status line with rates every few seconds."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
 
 
 def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
-    """Keep the engine of a console that is gone going, as `bridge_until_told`; a hangup does not end it.
+    """Run the engine of a console that has ended, as `bridge_until_told`; a hangup does not stop it.
 
     Args:
         engine: a running one.
-        crashed: how the console went: say so, and exit non-zero in the end.
+        crashed: the console has crashed, which is reported and makes the exit code non-zero.
     """
     if crashed:
         print_error(
@@ -80,14 +80,14 @@ def bridge_until_told(
     status_every: float = STATUS_EVERY,
     seconds: float | None = None,
 ) -> int:
-    """Keep a running engine going until a signal, then stop it. The engine's log goes to standard output.
+    """Run an engine until a signal, then stop it. Its log goes to standard output.
 
     Args:
         engine: a running one.
-        signals: entered, and for long enough that none is missed.
+        signals: entered already, so that no signal is missed.
         log_format: as `run_headless`.
         status_every: as `run_headless`.
-        seconds: stop by itself after so long.
+        seconds: s after which it stops by itself; None: never.
     """
     format_event = _json_event if log_format == "json" else _text_event
     status = _json_status if log_format == "json" else text_status
@@ -171,7 +171,7 @@ def _text_stopping(reason: str) -> str:
 
 
 def text_status(snapshot: Snapshot) -> str:
-    """One line: how many are linked and flow, what crosses, and how each of the first topics is."""
+    """One line: how many peers are linked, how many topics flow, the traffic, and the first topics."""
     linked = sum(link.state is State.OK for link in snapshot.links)
     states = [route.state for route in snapshot.routes]
     counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
@@ -189,7 +189,7 @@ def text_status(snapshot: Snapshot) -> str:
 
 
 def _faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
-    """So that what the line has no room for is what flows; else in their order."""
+    """The line has room for some topics only, and faults must be among them."""
     worst_first = list(State)
     return sorted(routes, key=lambda route: worst_first.index(route.state))
 
@@ -201,7 +201,7 @@ def _rate_words(route: RouteSnapshot) -> str:
 
 
 def _how(route: RouteSnapshot) -> str:
-    """Its rate, or what is the matter: a pause is the operator's own doing and needs no reason."""
+    """The rate, or the reason why there is none; a pause needs no reason."""
     if route.state is State.OK:
         return f"{route.rate:.1f} Hz"
     reason = "" if route.state is State.PAUSED else route.reason
@@ -223,7 +223,7 @@ def _json_stopping(reason: str) -> str:
 
 
 def _json_status(snapshot: Snapshot) -> str:
-    """The figures that a monitor wants; what the console draws (histories, stages in words) is left out."""
+    """The figures for a monitor, without what only the console draws (histories, stages in words)."""
     links = {link.name: {"state": link.state, "peer": link.peer, "rtt": link.rtt} for link in snapshot.links}
     routes = [
         {

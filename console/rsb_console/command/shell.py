@@ -1,4 +1,4 @@
-"""What the command's parts share: exit codes, and where words go."""
+"""What the commands share: exit codes, and standard output and error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def encoded(text: str) -> bytes:
 
 
 def keep_output_clean() -> None:
-    """Keep standard output for what is said here: what libraries write there, as Fast DDS does, goes to the errors."""
+    """Keep standard output for the program's own lines; libraries such as Fast DDS write to standard error then."""
     with contextlib.suppress(OSError):  # one of the two is closed
         sys.stdout.flush()
         own = os.dup(1)

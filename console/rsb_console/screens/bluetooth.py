@@ -46,7 +46,6 @@ class Machines(SelectableList):
 
     @property
     def selected(self) -> Adapter | Device | None:
-        """The machine under the cursor."""
         return None if self.cursor_key is None else self._machines[self.cursor_key]
 
     def line(self, index: int) -> Line:
@@ -86,7 +85,6 @@ class Channels(LiveLines, can_focus=False):
         return len(self._lines)
 
     def line(self, index: int) -> Line:
-        """One of them."""
         return self._lines[index]
 
     def show(self, found: Scan) -> None:
@@ -137,12 +135,10 @@ class BluetoothScreen(ModalScreen[str | None]):
             yield self._keys
 
     def on_mount(self) -> None:
-        """Scan."""
         self.action_scan()
 
     @work(exclusive=True)
     async def action_scan(self) -> None:
-        """Look at everything again."""
         self._state.set_text("scanning …")
         engine = self.console.engine
         own = held_channels(engine.session, engine.snapshot()) if engine is not None else set()

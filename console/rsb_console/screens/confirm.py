@@ -34,7 +34,6 @@ class ConfirmScreen(ModalScreen[bool]):
         self._title, self._words, self._yes = title, words, yes
 
     def compose(self) -> ComposeResult:
-        """The question and two buttons."""
         with Vertical(classes="dialog") as dialog:
             dialog.border_title = self._title
             yield Static(self._words, markup=False)
@@ -43,9 +42,7 @@ class ConfirmScreen(ModalScreen[bool]):
                 yield Button("No", id="no", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Answer."""
         self.dismiss(event.button.id == "yes")
 
     def action_answer(self, answer: bool) -> None:
-        """Answer by key."""
         self.dismiss(answer)

@@ -1,4 +1,4 @@
-"""A dialog that is a form: checked while it is typed, given away only when nothing is wrong."""
+"""A dialog that is a form: checked while it is filled in, and accepted only without mistakes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
 
 T = TypeVar("T")
-SEEN_AFTER = 0.1  # s from a refusal until its picture, which takes two or three refreshes; nobody has read it sooner
+SEEN_AFTER = 0.1  # s from a refusal until it is drawn, which takes two or three refreshes
 
 
 class FormScreen(ModalScreen[T | None]):
@@ -52,7 +52,6 @@ class FormScreen(ModalScreen[T | None]):
                 yield from self.compose_buttons()
 
     def compose_buttons(self) -> ComposeResult:
-        """Accept and cancel."""
         yield Button(self._yes, id="yes", variant="primary", compact=True)
         yield Button("Cancel", id="no", compact=True)
 
@@ -65,15 +64,12 @@ class FormScreen(ModalScreen[T | None]):
         raise NotImplementedError
 
     def on_mount(self) -> None:
-        """The first look."""
         self.check()
 
     def on_field_changed(self) -> None:
-        """Another value."""
         self.check()
 
     def on_field_submitted(self) -> None:
-        """Enter in a field."""
         self.submit()
 
     def check(self) -> None:
@@ -81,7 +77,7 @@ class FormScreen(ModalScreen[T | None]):
         self.form.show_problems(self.problems(self.form.values))
 
     def submit(self) -> None:
-        """Give the result away, or go to what is wrong; until either is to be seen, the form is deaf."""
+        """Accept the result, or focus the first mistake. Ignore input until the result of the submission is shown."""
         self.form.input_guard.begin()
         self.check()
         if self.form.settle():
@@ -89,7 +85,7 @@ class FormScreen(ModalScreen[T | None]):
         self.set_timer(SEEN_AFTER, self.form.input_guard.end)
 
     def on_key(self, event: events.Key) -> None:
-        """Keys that no field has taken: those typed ahead go no further."""
+        """Ignore the keys that were typed before the result of a submission was shown."""
         if self.form.input_guard.covers(event):
             event.stop()
             event.prevent_default()
@@ -97,11 +93,11 @@ class FormScreen(ModalScreen[T | None]):
             self.form.input_guard.begin()
 
     def accept(self, result: T) -> object:
-        """Take the result: the dialog's own, unless a subclass has more to do with it first."""
+        """Close the dialog with the result; a subclass may have more to do first."""
         return self.dismiss(result)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """A button. Not to be overridden: Textual calls the handler of every class, not only of the last."""
+        """Not to be overridden: Textual calls the handler of every class, not only of the last."""
         self.press(event.button.id or "")
 
     def press(self, button: str) -> None:

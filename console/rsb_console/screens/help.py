@@ -44,11 +44,9 @@ class KeyList(LiveLines, can_focus=True):
         return len(self._lines)
 
     def line(self, index: int) -> Line:
-        """One of them."""
         return self._lines[index]
 
     def on_resize(self) -> None:
-        """Break the lines anew."""
         self._lines = list(self._make_lines(self.size.width))
         super().on_resize()
 
@@ -63,7 +61,6 @@ class HelpScreen(ModalScreen[None]):
         self.console = console
 
     def compose(self) -> ComposeResult:
-        """The list."""
         yield KeyList(self._lines)
 
     def _lines(self, width: int) -> Iterator[Line]:

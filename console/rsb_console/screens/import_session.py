@@ -60,7 +60,6 @@ class ImportScreen(FormScreen[Opened]):
         self._notes: list[str] = []
 
     def on_mount(self) -> None:
-        """List the files."""
         super().on_mount()
         files = yaml_files(Path.cwd(), Path.cwd() / "config")
         self._bringup.suggest(list(suggestions(files, "here")), no_suggestion)
@@ -82,7 +81,6 @@ class ImportScreen(FormScreen[Opened]):
         self.form.fields["name"].control.focus()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Import it, and see."""
         words = {}
         if not values["name"]:
             words["name"] = "missing: give one"
@@ -118,7 +116,6 @@ class ImportScreen(FormScreen[Opened]):
         return {}
 
     def result(self, values: Mapping[str, str]) -> Opened:
-        """What was made."""
         assert self._made is not None
         return Opened(self._made, typed_path(values["path"]))
 

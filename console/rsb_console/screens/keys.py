@@ -51,7 +51,6 @@ class KeyFile(NamedTuple):
 
 
 def look_at(path: Path, user: str) -> KeyFile:
-    """Read a key file."""
     try:
         mode = f"{stat.S_IMODE(path.stat().st_mode):04o}"
     except OSError:
@@ -89,14 +88,12 @@ class KeysTable(SelectableList):
         self._files: dict[str, KeyFile] = {}
 
     def show(self, files: Sequence[KeyFile]) -> None:
-        """Show `files`."""
         self._files = {str(file.path): file for file in files}
         self.show_keys(list(self._files))
         self.styles.height = max(2, min(self.line_count, 12))
 
     @property
     def selected(self) -> KeyFile | None:
-        """The file under the cursor."""
         return None if self.cursor_key is None else self._files[self.cursor_key]
 
     def line(self, index: int) -> Line:
@@ -137,11 +134,9 @@ class KeysScreen(ModalScreen[None]):
             yield Static(f"Both sides of a link need the same fingerprint.\n{keys}esc close", classes="hint keys")
 
     def on_mount(self) -> None:
-        """Look."""
         self.look()
 
     def look(self) -> None:
-        """Read the files again."""
         engine = self.console.engine
         files = self._made if engine is None else self._made | key_files(engine.session, self.console.base)
         self.table.show([look_at(path, user) for path, user in files.items()])
@@ -154,7 +149,6 @@ class KeysScreen(ModalScreen[None]):
 
     @work
     async def action_generate(self) -> None:
-        """Make a key."""
         if self.console.readonly:
             return
         file = self.table.selected
@@ -173,7 +167,7 @@ class GenerateScreen(FormScreen[Path]):
     """
 
     def __init__(self, path: Path) -> None:
-        words = "Mode 0600. Copy it to the other side, by a safe way, and keep it to yourself."
+        words = "Mode 0600. Copy it to the other side over a safe channel, and keep it secret."
         super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path), edited=True))], "Generate")
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
@@ -182,7 +176,6 @@ class GenerateScreen(FormScreen[Path]):
         return {"path": words} if words else {}
 
     def result(self, values: Mapping[str, str]) -> Path:
-        """The file."""
         return typed_path(values["path"])
 
     @work

@@ -40,7 +40,6 @@ class LinksTable(SelectableList):
         self._links: dict[str, LinkSnapshot] = {}
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show its links."""
         order = list(State)
         self._now = snapshot
         worst_first = sorted(snapshot.links, key=lambda link: (order.index(link.state), link.name))
@@ -49,7 +48,6 @@ class LinksTable(SelectableList):
 
     @property
     def selected(self) -> LinkSnapshot | None:
-        """The link under the cursor."""
         return None if self.cursor_key is None else self._links.get(self.cursor_key)
 
     def line(self, index: int) -> Line:
@@ -89,18 +87,15 @@ class LinkDetail(LiveLines, can_focus=False):
         return len(self._lines)
 
     def line(self, index: int) -> Line:
-        """One of them."""
         return fit(self._lines[index], self.size.width)
 
     def show(self, link: LinkSnapshot | None) -> None:
-        """Show `link`."""
         self._link = link
         self._lines = [] if link is None else list(_detail(link, self.size.width))
         self.styles.height = len(self._lines)
         self.sync()
 
     def on_resize(self) -> None:
-        """Break the lines anew."""
         super().on_resize()
         self.show(self._link)
 
@@ -154,7 +149,6 @@ class LinksScreen(ModalScreen[None]):
             yield Static("esc close" if self.console.readonly else "r try again now   esc close", classes="hint keys")
 
     def on_mount(self) -> None:
-        """Go on showing."""
         self.set_interval(1 / self.console.refresh_rate, self.show)
         self.show()
 
@@ -170,7 +164,6 @@ class LinksScreen(ModalScreen[None]):
 
     @work
     async def action_retry(self) -> None:
-        """Connect again now."""
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly:
             await self.console.command(engine.retry(link.name), f"{link.name}: trying again")

@@ -82,7 +82,6 @@ class MainScreen(Screen[None]):
         yield self.key_bar
 
     def on_mount(self) -> None:
-        """Name the panes."""
         for pane in (self.topics, self.detail, self.log_pane):
             pane.add_class("pane")
         self._show_title()
@@ -118,7 +117,7 @@ class MainScreen(Screen[None]):
     def _cause_of_death(self) -> str:
         events = [*self.log_pane.events, *self._held]
         cause = next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
-        way_on = "" if self.console.readonly else f"{self._key('restart')} starts it anew"
+        way_on = "" if self.console.readonly else f"{self._key('restart')} starts it again"
         return ", ".join(words for words in (way_on, cause) if words)
 
     def _key(self, action: str) -> str:
@@ -184,16 +183,13 @@ class MainScreen(Screen[None]):
             self.notify("read-only: nothing can be changed here", timeout=2)
 
     def on_screen_suspend(self) -> None:
-        """A dialog opens."""
         self.show_keys()
 
     def on_screen_resume(self) -> None:
-        """It is closed."""
         self.show_keys()
 
     @property
     def selected(self) -> RouteSnapshot | None:
-        """The topic under the cursor."""
         return self.topics.selected
 
     def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
@@ -218,7 +214,6 @@ class MainScreen(Screen[None]):
         return self.log_pane if self.log_pane.has_focus else self.topics
 
     def action_filter(self) -> None:
-        """Type a filter."""
         pattern = self._list.pattern
         self._filtered = self._list
         self.prompt.open("" if pattern is None else pattern.text)
@@ -231,13 +226,11 @@ class MainScreen(Screen[None]):
         return True
 
     def on_prompt_changed(self, event: Prompt.Changed) -> None:
-        """Filter."""
         self._filtered.pattern = event.pattern
         self._filtered.relist()
         self._show_title()
 
     def on_prompt_closed(self) -> None:
-        """Back to the list."""
         self.set_focus(self._filtered)
 
     def _show_title(self) -> None:
@@ -251,11 +244,9 @@ class MainScreen(Screen[None]):
         self.topics.entitle(f" {' ▸ '.join(parts)} ")
 
     def action_next_match(self) -> None:
-        """Next match or fault."""
         self._list.next_match(1)
 
     def action_previous_match(self) -> None:
-        """Previous match or fault."""
         self._list.next_match(-1)
 
     def action_faults(self) -> None:
@@ -273,7 +264,6 @@ class MainScreen(Screen[None]):
         self.topics.sort_by(1)
 
     def action_reverse(self) -> None:
-        """Turn the order round."""
         self.topics.reverse()
 
     def action_freeze(self) -> None:
@@ -282,15 +272,12 @@ class MainScreen(Screen[None]):
         self.console.pull()
 
     def action_faster(self) -> None:
-        """Refresh more often."""
         self.console.change_refresh_rate(1)
 
     def action_slower(self) -> None:
-        """Refresh less often."""
         self.console.change_refresh_rate(-1)
 
     def action_level(self) -> None:
-        """Next log level."""
         self.log_pane.next_level()
 
     # -- panes --------------------------------------------------------------------------------------------------------

@@ -148,7 +148,6 @@ class NewSessionScreen(FormScreen[NewSession]):
         self.dismiss(result)
 
     def press(self, button: str) -> None:
-        """Pick a server by Bluetooth."""
         if button == "bluetooth":
             self._pick_bluetooth()
         else:

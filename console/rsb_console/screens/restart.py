@@ -38,7 +38,6 @@ class Steps(LiveLines, can_focus=False):
         return len(self._steps) + (self._end is not None)
 
     def line(self, index: int) -> Line:
-        """One of them."""
         if index == len(self._steps):
             assert self._end is not None
             look, words = self._end
@@ -52,12 +51,10 @@ class Steps(LiveLines, can_focus=False):
         return (sign, (f"{words:<60}", ""), (f"{ended - began:6.2f} s", "dim"))
 
     def add(self, words: str) -> None:
-        """The next step begins."""
         self._steps.append((words, time.monotonic()))
         self._lay_out()
 
     def end(self, look: str, words: str) -> None:
-        """All is over."""
         self._ended = time.monotonic()
         self._end = (look, words)
         self._lay_out()
@@ -82,7 +79,6 @@ class RestartScreen(ModalScreen[None]):
         self.steps = Steps()
 
     def compose(self) -> ComposeResult:
-        """The steps."""
         with Vertical(classes="dialog -steps") as dialog:
             dialog.border_title = "Restart"
             yield self.steps
@@ -90,12 +86,10 @@ class RestartScreen(ModalScreen[None]):
                 yield Button("Close", compact=True)
 
     def on_button_pressed(self) -> None:
-        """Leave."""
         self.dismiss()
 
     @work
     async def on_mount(self) -> None:
-        """Restart, and tell each step."""
 
         def step(words: str) -> None:  # on the engine's thread, which must not wait for us
             self.call_later(self.steps.add, words)

@@ -41,7 +41,6 @@ def is_path(text: str) -> bool:
 
 
 def yaml_files(*folders: Path) -> list[Path]:
-    """The YAML files in `folders`."""
     return sorted(path for folder in folders for path in folder.glob("*.y*ml") if path.is_file())
 
 
@@ -103,7 +102,6 @@ class SessionsScreen(FormScreen[Opened | str]):
                 yield Button(label, id=action, compact=True)
 
     def on_mount(self) -> None:
-        """List the files."""
         super().on_mount()
         recent = recent_sessions()
         known = {path.resolve() for path in recent}
@@ -115,7 +113,6 @@ class SessionsScreen(FormScreen[Opened | str]):
         self.submit()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Nothing before it is opened."""
         return {} if self.result(values) else {"path": "missing: name the file"}
 
     def result(self, values: Mapping[str, str]) -> str:
@@ -132,7 +129,6 @@ class SessionsScreen(FormScreen[Opened | str]):
             self.form.show_problems({"path": str(error)})
 
     def press(self, button: str) -> None:
-        """The other ways."""
         if button in MORE:
             self.dismiss(button)
         else:
@@ -149,7 +145,7 @@ class SaveAsScreen(FormScreen[Path]):
     def __init__(self, path: Path) -> None:
         super().__init__(
             "Save as",
-            [Field(Spec("path", "File", "Key files are named as from its folder.", str(path), edited=True))],
+            [Field(Spec("path", "File", "Key files are relative to its folder.", str(path), edited=True))],
             "Save",
         )
 
@@ -159,5 +155,4 @@ class SaveAsScreen(FormScreen[Path]):
         return {"path": words} if words else {}
 
     def result(self, values: Mapping[str, str]) -> Path:
-        """The file."""
         return typed_path(values["path"])

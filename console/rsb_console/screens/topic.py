@@ -69,12 +69,10 @@ class TopicScreen(FormScreen[Draft]):
         return self.form.values.get("link") or self._links[0]
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        """The session file's own rules."""
         replaced = None if self._route is None else self._route.spec
         return problems_of(self.result(values).topic, self._engine.session, replaced)
 
     def result(self, values: Mapping[str, str]) -> Draft:
-        """The topic."""
         return Draft(topic_of({key: value for key, value in values.items() if key != "link"}), self._link)
 
     # -- picking ------------------------------------------------------------------------------------------------------
@@ -147,7 +145,6 @@ def _specs(session: Session, now: Snapshot, links: list[str], route: RouteSnapsh
 
 
 def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
-    """What crosses, and which way."""
     out, back = ("←", "→") if ends.is_server else ("→", "←")
     name = "Its name on the client."
     return (
@@ -207,5 +204,5 @@ def _how(session: Session, begun: str | None) -> tuple[Spec, ...]:
         Spec("expected_rate", "Expected rate", "Hz, to judge the real one by. Empty: learned.", blank="learned"),
         Spec("stale_after", "Stale after", "Seconds without a message until a warning; 0: never.", blank=after),
         Spec("compression", "Compression", "zstd is worth it for maps and clouds, and on slow links.", options=packing),
-        Spec("paused", "Paused", "Set up, but carrying nothing until resumed.", options=(("", "no"), ("yes", "yes"))),
+        Spec("paused", "Paused", "Set up, but carries nothing until resumed.", options=(("", "no"), ("yes", "yes"))),
     )

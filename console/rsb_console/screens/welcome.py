@@ -53,7 +53,6 @@ class Menu(SelectableList):
         self.keys = list(self._lines)
 
     def line(self, index: int) -> Line:
-        """One of them."""
         sign = "▌ " if self.is_cursor(index) else "  "
         return fit(((sign, "key"), *self._lines[self.keys[index]]), self.size.width)
 
@@ -95,7 +94,6 @@ class WelcomeScreen(ModalScreen[str]):
         return super().check_action(action, parameters)
 
     def action_choose(self) -> None:
-        """What is under the cursor."""
         self.dismiss(self.menu.cursor_key)
 
     def on_selectable_list_chosen(self) -> None:

@@ -12,7 +12,6 @@ LIMIT = 20
 
 
 def recents_path() -> Path:
-    """Where they are listed."""
     return user_state_path("rsb-console") / "recent-sessions"
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def unsaved(saved: Session, now: Session) -> str:
-    """How the topics differ from those in the file, in words; empty: they don't."""
+    """Describe how the topics differ from those in the file; empty: they do not."""
     before, after = _by_route(saved), _by_route(now)
     kinds = {
         "added": [route for route in after if route not in before],
@@ -35,7 +35,7 @@ def _by_route(session: Session) -> dict[tuple[str, str], Topic]:
 
 
 def moved(session: Session, old: Path, new: Path) -> Session:
-    """A session whose file moves to another folder: its key files are named as from there.
+    """Make a session's key files relative to another folder.
 
     Args:
         session: names its key files relative to `old`.
@@ -49,15 +49,15 @@ def moved(session: Session, old: Path, new: Path) -> Session:
 
 
 def rescued(session: Session, old: Path, new: Path) -> tuple[Session, dict[Path, Key]]:
-    """As `moved`, but `old` ends with the session: the keys in it are to lie beside the new file.
+    """As `moved`, for a folder that is deleted with the session: its keys are to be copied beside the new file.
 
     Args:
         session: names its key files relative to `old`.
-        old: a folder that will be gone.
+        old: the folder that is deleted.
         new: the folder of its new file.
 
     Returns:
-        The session, and the key files that are not there yet; none is in the place of another key.
+        The session, and the key files to write; none of them replaces another key.
 
     Raises:
         KeyFileError: a key cannot be read.
@@ -77,13 +77,13 @@ def rescued(session: Session, old: Path, new: Path) -> tuple[Session, dict[Path,
 
 
 def _numbers() -> Iterator[str]:
-    """What tells a file from others of its name: nothing, -2, -3 and so on."""
+    """Suffixes that make a file name unique: none, -2, -3 and so on."""
     yield ""
     yield from (f"-{number}" for number in count(2))
 
 
 def _is_free_for(key: Key, path: Path) -> bool:
-    """Whether a file is not there, or holds just this key."""
+    """Whether there is no such file, or it holds this key."""
     try:
         return not os.path.lexists(path) or read_key(path) == key
     except KeyFileError:
@@ -91,7 +91,7 @@ def _is_free_for(key: Key, path: Path) -> bool:
 
 
 def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
-    """A session with other names for those of its key files that are relative to its own."""
+    """Rename a session's relative key files."""
 
     def name(key_file: str | None) -> str | None:
         return key_file if key_file is None or typed_path(key_file).is_absolute() else rename(key_file)
@@ -101,7 +101,7 @@ def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
 
 
 def path_problem(text: str) -> str:
-    """Why a session cannot be written to a path that was typed; empty: it can, as far as one sees."""
+    """Say why a session cannot be written to a path that was typed; empty: nothing seems to prevent it."""
     path = typed_path(text)
     if not text:
         return "missing: name the file"
@@ -109,12 +109,12 @@ def path_problem(text: str) -> str:
         if path.is_dir():
             return "is a folder: name a file in it"
         return "" if path.parent.is_dir() else f"there is no folder {path.parent}"
-    except OSError as error:  # its name is too long, or a folder on the way is not ours to look into
+    except OSError as error:  # a name that is too long, or a folder without permission
         return f"cannot be written: {error.strerror}"
 
 
 def topics_note(session: Session) -> str:
-    """What a saved session does not hold, though the console shows it; empty: it holds all."""
+    """Say what a saved session lacks although the console shows it; empty: nothing."""
     if session.role == "client":
         return ""
     return "\nIt holds no topics: they are in the clients' files; those added here last until this server ends."

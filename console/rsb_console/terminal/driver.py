@@ -86,7 +86,6 @@ class TerminalFile:
         """Nothing is held back."""
 
     def fileno(self) -> int:
-        """The descriptor."""
         return self._fd
 
 

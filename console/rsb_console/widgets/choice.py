@@ -46,7 +46,6 @@ class Choice(Widget, can_focus=True):
         self.set_reactive(Choice.value, value or self._options[0][0])
 
     def watch_value(self) -> None:
-        """Tell the form."""
         self.post_message(self.Changed())
 
     @property
@@ -65,7 +64,6 @@ class Choice(Widget, can_focus=True):
         return [f"{'●' if value == self.value else '○'} {words}   " for value, words in self._options]
 
     def render(self) -> Content:
-        """The options."""
         pieces, at = self._pieces(), self._at
         if cell_len("".join(pieces)) > self.size.width:
             return Content(f"◀ {self._options[at][1]} ▶  {at + 1} of {len(pieces)}")
@@ -75,7 +73,6 @@ class Choice(Widget, can_focus=True):
         )
 
     def on_click(self, event: events.Click) -> None:
-        """The option under the mouse."""
         edge = 0
         for (value, _), piece in zip(self._options, self._pieces(), strict=True):
             edge += cell_len(piece)

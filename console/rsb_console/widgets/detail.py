@@ -41,7 +41,6 @@ class DetailPane(LiveLines, can_focus=True):
         return len(self._lines)
 
     def line(self, index: int) -> Line:
-        """One line of it."""
         return self._lines[index]
 
     def show(self, route: RouteSnapshot | None, peer: str = "") -> None:
@@ -63,23 +62,18 @@ class DetailPane(LiveLines, can_focus=True):
         self.sync()
 
     def action_move_down(self) -> None:
-        """One line on."""
         self.scroll_down(animate=False)
 
     def action_move_up(self) -> None:
-        """One line back."""
         self.scroll_up(animate=False)
 
     def action_move_first(self) -> None:
-        """To the first line."""
         self.scroll_home(animate=False)
 
     def action_move_last(self) -> None:
-        """To the last line."""
         self.scroll_end(animate=False)
 
     def on_resize(self) -> None:
-        """Lay the lines out anew."""
         super().on_resize()
         self.show(self._route, self._peer)
 

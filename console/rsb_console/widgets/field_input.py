@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class FieldInput(Input):
-    """One line of text, deaf from its submission until what became of that is to be seen.
+    """One line of text, which ignores input from its submission until the result is shown.
 
     Attributes:
         input_guard: the form's.
@@ -41,7 +41,7 @@ class FieldInput(Input):
             event.stop()
             event.prevent_default()
         elif event.key == "enter" and self.submits:
-            # As a binding it would be run only after the keys that are here already.
+            # A binding would run only after the keys that are queued already.
             self.input_guard.begin()
             event.stop()
             event.prevent_default()

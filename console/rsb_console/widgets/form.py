@@ -1,4 +1,4 @@
-"""Forms: labelled fields of one line each, what is wrong with a field right beneath it."""
+"""Forms: labelled fields of one line each, with a field's mistake right beneath it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Spec:
         value: at first.
         blank: what an empty field means, shown in it.
         options: value and words of each, for a choice; empty: text.
-        edited: what stands there is rather changed than replaced, like a path.
+        edited: the value is more often changed than replaced, as a path is.
     """
 
     key: str
@@ -46,7 +46,7 @@ class Spec:
 
 
 class Notice(Static):
-    """A line or more of text from anywhere, which takes no room while there is none."""
+    """Some lines of text, which take no room while they are empty."""
 
     def __init__(self, classes: str, *, id: str | None = None) -> None:  # noqa: A002 -- Textual's name
         super().__init__(markup=False, classes=classes, id=id)
@@ -68,7 +68,7 @@ class Field(Vertical):
         spec: what it is.
         problem: what is wrong with the value.
         note: what else is to be known of it.
-        touched: the operator has typed or chosen here: only then its mistakes are theirs.
+        touched: the operator has typed or chosen here; mistakes are shown only then.
     """
 
     class Changed(Message):
@@ -105,12 +105,12 @@ class Field(Vertical):
 
     @property
     def is_ready(self) -> bool:
-        """Whether it is time to say what is wrong: not before the operator has been here."""
+        """Whether to show the field's mistakes."""
         return self.touched
 
     @property
     def value(self) -> str:
-        """What stands there, without the blanks around it."""
+        """The field's text, without surrounding blanks."""
         return self.control.value.strip()
 
     @value.setter
@@ -155,12 +155,11 @@ class Form(VerticalScroll, can_focus=False):
         self._problems: Mapping[str, str] = {}
 
     def compose(self) -> ComposeResult:
-        """The fields."""
         yield from self.fields.values()
 
     @property
     def values(self) -> dict[str, str]:
-        """What stands in the fields that are shown, by their keys."""
+        """The values of the visible fields, by their keys."""
         return {key: field.value for key, field in self.fields.items() if field.display}
 
     def show_problems(self, problems: Mapping[str, str]) -> None:
@@ -176,7 +175,7 @@ class Form(VerticalScroll, can_focus=False):
         self.problem.set_text("\n".join(elsewhere))
 
     def settle(self) -> bool:
-        """Whether nothing is wrong; else every problem is shown, and the focus is on the first."""
+        """Whether there is no problem; else show every problem and focus the first."""
         for field in self.fields.values():
             field.touched = True
         self.show_problems(self._problems)
@@ -186,7 +185,7 @@ class Form(VerticalScroll, can_focus=False):
         return not self._problems
 
     def on_descendant_focus(self, event: DescendantFocus) -> None:
-        """Say what the focused field is for."""
+        """Show the focused field's help."""
         for field in self.fields.values():
             if field.control is event.widget:
                 self.help.set_text(field.spec.help)

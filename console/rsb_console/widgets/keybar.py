@@ -25,7 +25,6 @@ class KeyBar(LiveLines):
 
     @property
     def line_count(self) -> int:
-        """One."""
         return 1
 
     def show(self, entries: Sequence[tuple[str, str, str]]) -> None:
@@ -34,7 +33,6 @@ class KeyBar(LiveLines):
         self.sync()
 
     def line(self, index: int) -> Line:
-        """The line."""
         return tuple(piece for key, words, _ in self._fitting() for piece in _pieces(key, words))
 
     def _fitting(self) -> list[tuple[str, str, str]]:

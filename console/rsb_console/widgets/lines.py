@@ -1,4 +1,4 @@
-"""A view of styled lines that redraws only what changed: the base of every live pane."""
+"""A view of styled lines that redraws only what has changed: the base of every live pane."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def look_class(look: str) -> str:
 
 
 class LiveLines(ScrollView):
-    """Lines drawn on demand: only those on screen are made, only what differs from the last time goes out.
+    """Lines drawn on demand: makes only the lines on screen, and writes only what differs from the last picture.
 
     A subclass says how many lines there are (`line_count`) and makes one (`line`); after its data changed it calls
     `sync`. The first `sticky` lines stay at the top while the rest scrolls.
 
     Attributes:
-        width: cells; Textual's own `size` is too dear to ask for each line.
+        width: cells; asking Textual's `size` for each line costs too much.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {look_class(look) for look in LOOKS} | {"line--cursor"}
@@ -129,17 +129,16 @@ class LiveLines(ScrollView):
             self.border_title = title
 
     def on_resize(self) -> None:
-        """Lay everything out anew."""
         self._drawn.clear()
         self.refresh()
         self.sync()
 
 
 def yield_gil() -> None:
-    """Let the bridge's threads run, before a pane's worth of work.
+    """Release the interpreter lock, so that the bridge's threads run before a pane is drawn.
 
-    A thread that only computes keeps the interpreter from all others for 5 ms, unless it sleeps. Having it taken from
-    it sooner (`sys.setswitchinterval`) costs the bridge more than it gains: docs/console.md has the figures.
+    A thread that only computes keeps the lock for 5 ms, unless it sleeps. A shorter interval
+    (`sys.setswitchinterval`) costs the bridge more than it gains: docs/console.md has the figures.
     """
     time.sleep(BREATH)
 
@@ -163,7 +162,6 @@ def changed_width(old: Line, new: Line, width: int) -> int:
 
 
 def width_of(line: Line) -> int:
-    """Cells of a line."""
     return sum(cell_len(text) for text, _ in line)
 
 

@@ -1,4 +1,4 @@
-"""The log: what happened, newest first, by level and by pattern."""
+"""The log: events, newest first, filtered by level and pattern."""
 
 from __future__ import annotations
 
@@ -49,12 +49,10 @@ class LogPane(SelectableList):
         return self.position == 0
 
     def clear(self) -> None:
-        """Forget everything: another session begins."""
         self.events.clear()
         self.relist()
 
     def relist(self) -> None:
-        """Filter anew."""
         self._shown = {str(event.number): event for event in reversed(self.events) if self._wanted(event)}
         self.show_keys(list(self._shown))
         self.entitle(self._heading())
@@ -90,7 +88,6 @@ class LogPane(SelectableList):
 
     @property
     def selected(self) -> Event | None:
-        """The event under the cursor."""
         return None if self.cursor_key is None else self._shown[self.cursor_key]
 
     @property
@@ -109,7 +106,6 @@ class LogPane(SelectableList):
         return self.has_focus and super().is_cursor(index)
 
     def line(self, index: int) -> Line:
-        """One event."""
         event = self._shown[self.keys[index]]
         look = LOOK[event.level]
         return (

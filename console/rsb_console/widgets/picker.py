@@ -50,7 +50,7 @@ class SuggestionList(SelectableList, can_focus=False):
         self.marks_cursor = True
 
     def show(self, suggestions: Sequence[Suggestion], words: Sequence[str], empty: str) -> None:
-        """List those of `suggestions` that hold all of `words`; if there are none, say `empty`."""
+        """List the suggestions that contain all of `words`; if there are none, show `empty`."""
         self._empty = empty
         self._suggestions = {suggestion.key: suggestion for suggestion in suggestions if _holds(suggestion, words)}
         self.show_keys(list(self._suggestions))
@@ -62,7 +62,7 @@ class SuggestionList(SelectableList, can_focus=False):
 
     @property
     def line_count(self) -> int:
-        """One an suggestion, or those that say why there is none."""
+        """One for each suggestion, or the lines that say why there is none."""
         return len(self.keys) or len(self._empty_lines)
 
     @property
@@ -70,7 +70,6 @@ class SuggestionList(SelectableList, can_focus=False):
         return textwrap.wrap(self._empty, max(20, self.size.width - 1))
 
     def line(self, index: int) -> Line:
-        """One of them."""
         if not self.keys:
             return ((f" {self._empty_lines[index]}", "dim"),)
         sign = CURSOR if self.is_cursor(index) else " "
@@ -105,7 +104,7 @@ class PickField(Field):
     ]
 
     class Picked(Field.Changed):
-        """An suggestion was picked, or a text was kept as it stands.
+        """A suggestion was picked, or a text was kept as it stands.
 
         Attributes:
             suggestion: what was picked; None: the text in the field.
@@ -127,7 +126,6 @@ class PickField(Field):
         self._empty: Callable[[str], str] = str
 
     def compose(self) -> ComposeResult:
-        """The list comes last."""
         yield from super().compose()
         yield self.list
 
@@ -148,7 +146,7 @@ class PickField(Field):
 
     @property
     def is_ready(self) -> bool:
-        """A text that is still looked for is no mistake."""
+        """Whether to show the field's mistakes: not while its text is a search."""
         return super().is_ready and not (self.control.has_focus and self.list.marks_cursor)
 
     @property

@@ -68,12 +68,10 @@ class Prompt(Horizontal):
         self.post_message(self.Changed(pattern))
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Keep it."""
         event.stop()
         self._close()
 
     def action_cancel(self) -> None:
-        """Back to what was before."""
         self.post_message(self.Changed(Pattern(self._before) if self._before else None))
         self._close()
 

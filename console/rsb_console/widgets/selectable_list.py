@@ -1,4 +1,4 @@
-"""Live lines with a cursor that stays on its item while the list around it is sorted, filtered and refreshed."""
+"""A list of live lines, whose cursor stays on its item while the list is sorted, filtered and refreshed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ class SelectableList(LiveLines, can_focus=True):
 
         @property
         def control(self) -> SelectableList:
-            """The list."""
             return self.pane
 
     class Chosen(CursorMoved):
@@ -69,7 +68,7 @@ class SelectableList(LiveLines, can_focus=True):
         return self.keys[self._cursor] if self._cursor < len(self.keys) else None
 
     def show_keys(self, keys: Sequence[str]) -> None:
-        """List `keys`; the cursor stays on its item, or where it stood if that is gone."""
+        """List `keys`. The cursor stays on its item, or at its position if the item is gone."""
         before, follows = self.cursor_key, self.follows_top
         self.keys = keys
         if follows:
@@ -108,31 +107,25 @@ class SelectableList(LiveLines, can_focus=True):
         return max(1, self.size.height - self.sticky)
 
     def action_move_down(self) -> None:
-        """Next item."""
         self.move_to(self._cursor + 1)
 
     def action_move_up(self) -> None:
-        """Previous item."""
         self.move_to(self._cursor - 1)
 
     def action_move_first(self) -> None:
-        """First item."""
         self.move_to(0)
 
     def action_move_last(self) -> None:
-        """Last item."""
         self.move_to(len(self.keys) - 1)
 
     def action_page_down(self) -> None:
-        """One page on."""
         self.move_to(self._cursor + self.page)
 
     def action_page_up(self) -> None:
-        """One page back."""
         self.move_to(self._cursor - self.page)
 
     def on_click(self, event: events.Click) -> None:
-        """The item under the mouse gets the cursor; where it has it already, it is chosen."""
+        """Move the cursor to the item under the mouse; choose the item if the cursor is there already."""
         at = event.get_content_offset(self)
         if at is None:
             return
@@ -153,7 +146,6 @@ class SelectableList(LiveLines, can_focus=True):
         self._refresh_cursor()
 
     def on_blur(self) -> None:
-        """As `on_focus`."""
         self._refresh_cursor()
 
     def _refresh_cursor(self) -> None:

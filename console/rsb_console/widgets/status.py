@@ -57,11 +57,9 @@ class StatusBar(LiveLines):
 
     @property
     def line_count(self) -> int:
-        """Two."""
         return 2
 
     def line(self, index: int) -> Line:
-        """One of them."""
         width = self.width
         if index == 0:
             if width >= ROOMY:
@@ -70,7 +68,6 @@ class StatusBar(LiveLines):
         return _as_many(self._totals, width)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Show the totals of `snapshot`."""
         if snapshot.running and snapshot.time - self._sampled >= 1.0:
             self._sampled = snapshot.time
             self._received.append(sum(link.rx_bytes_per_second for link in snapshot.links))

@@ -147,13 +147,11 @@ class TopicsTable(SelectableList):
             self.sync()
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show the routes of `snapshot`."""
         self.routes = {route.key: route for route in snapshot.routes}
         self._peers = len(snapshot.links) > 1
         self.relist()
 
     def relist(self) -> None:
-        """Sort and filter anew."""
         shown = [route for route in self.routes.values() if self._wanted(route)]
         shown.sort(key=self.sort_column.order, reverse=self.reversed)
         self.show_keys([route.key for route in shown])
@@ -171,7 +169,6 @@ class TopicsTable(SelectableList):
 
     @property
     def selected(self) -> RouteSnapshot | None:
-        """The route under the cursor."""
         return None if self.cursor_key is None else self.routes[self.cursor_key]
 
     @property
@@ -187,7 +184,6 @@ class TopicsTable(SelectableList):
         self.relist()
 
     def reverse(self) -> None:
-        """Turn the order round."""
         self.reversed = not self.reversed
         self.relist()
 
@@ -201,7 +197,6 @@ class TopicsTable(SelectableList):
                 return
 
     def line(self, index: int) -> Line:
-        """The heading, or one route."""
         if index == 0:
             return ((" ", ""), *(self._heading(column, width) for column, width in self._layout))
         if not self.keys:
