@@ -3,7 +3,6 @@
 import json
 import os
 import pty
-import resource
 import signal
 import subprocess
 import sys
@@ -16,6 +15,8 @@ import pytest
 from rsb_bridge.config.session_file import load
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+MOST_MODULES = 300
+"""Half of what the console takes; Python itself takes a third."""
 SESSION = """\
 name: robot1
 role: client
@@ -49,13 +50,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def rsb_console(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=30, check=False, **options)
+    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
 
 
 def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a Python that first does something else."""
     script = f"import sys\n{before}\nfrom rsb_console.cli import main\nsys.exit(main({list(arguments)!r}))"
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
 
 
 @pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
@@ -63,15 +64,9 @@ def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) 
     rsb_console("keygen")
     blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast'): sys.modules[name] = None"
     assert in_process(blocked, *arguments).returncode == 0
-    times = []
-    for _ in range(5):  # the best of a few, in the processor's time: others run on this machine
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        assert rsb_console(*arguments).returncode == 0
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        times.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
-        if times[-1] < 0.3:
-            break
-    assert min(times) < 0.3
+    counted = "import atexit; atexit.register(lambda: print('modules', len(sys.modules)))"
+    modules = int(in_process(counted, *arguments).stdout.rpartition("modules")[2])
+    assert modules < MOST_MODULES  # what it takes to start is what it imports
 
 
 def test_what_libraries_print_is_kept_out_of_the_log() -> None:
@@ -79,14 +74,14 @@ def test_what_libraries_print_is_kept_out_of_the_log() -> None:
         "import os; from rsb_console.command import shell; "
         "shell.keep_output_clean(); os.write(1, b'theirs'); shell.print_line('ours')"
     )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
     assert (run.stdout, run.stderr) == ("ours\n", "theirs")
 
 
 @pytest.mark.parametrize(("closed", "name", "code"), [(">&-", "robot1", 0), ("2>&-", "robot1", 0), ("2>&-", "none", 2)])
 def test_closed_outputs_change_nothing_but_what_is_said(closed: str, name: str, code: int) -> None:
     rsb_console("keygen")
-    run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=30, check=False)
+    run = subprocess.run(["sh", "-c", f'exec "$0" check {name}.yaml {closed}', COMMAND], timeout=120, check=False)
     assert run.returncode == code
 
 
@@ -257,7 +252,7 @@ def test_the_console_is_refused_on_a_dumb_terminal() -> None:
             stdout=theirs,
             stderr=subprocess.PIPE,
             env=os.environ | {"TERM": "dumb"},
-            timeout=30,
+            timeout=120,
             check=False,
         )
     finally:
@@ -320,7 +315,7 @@ def test_a_reader_that_left_gets_no_traceback() -> None:
     os.close(reader)
     try:
         run = subprocess.run(
-            [COMMAND, "check", "robot1.yaml"], stdout=writer, stderr=subprocess.PIPE, timeout=30, check=False
+            [COMMAND, "check", "robot1.yaml"], stdout=writer, stderr=subprocess.PIPE, timeout=120, check=False
         )
     finally:
         os.close(writer)
@@ -387,7 +382,7 @@ def test_a_signal_while_the_engine_starts_ends_it_cleanly(number: signal.Signals
         assert run.stdout
         assert run.stdout.readline() == "starting\n"
         run.send_signal(number)
-        output, errors = run.communicate(timeout=20)
+        output, errors = run.communicate(timeout=120)
     assert (run.returncode, errors) == (0, "")
     assert f"stopping: {number.name}" in output
 
@@ -404,7 +399,7 @@ def test_a_signal_during_imports_is_quiet(number: signal.Signals, code: int) -> 
         assert run.stdout
         assert run.stdout.readline() == "importing\n"
         run.send_signal(number)
-        assert run.communicate(timeout=10) == ("", "")
+        assert run.communicate(timeout=120) == ("", "")
     assert run.returncode == code
 
 
@@ -416,7 +411,7 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
         while run.poll() is None:
             run.send_signal(signal.SIGINT)
             time.sleep(0.01)  # a hand on Ctrl-C
-        output, errors = run.communicate(timeout=10)
+        output, errors = run.communicate(timeout=120)
     assert (run.returncode, errors) == (0, "")
     lines += [json.loads(line) for line in output.splitlines()]
     assert [line["stopping"] for line in lines if "stopping" in line] == ["SIGINT"]
@@ -441,7 +436,7 @@ def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
             assert line
             seen += line
         os.killpg(run.pid, signal.SIGINT)
-        output, errors = run.communicate(timeout=20)
+        output, errors = run.communicate(timeout=120)
     assert (run.returncode, errors) == (0, "")
     assert "refused" not in seen
     assert "/goal_pose" in output

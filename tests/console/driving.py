@@ -65,7 +65,7 @@ def text(app: App[Any]) -> str:
     return "\n".join("".join(segment.text for segment in strip) for strip in strips)
 
 
-async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 20.0) -> None:
+async def until(pilot: Pilot[None], condition: Callable[..., object], what: str, seconds: float = 60.0) -> None:
     """Wait until `condition`."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -73,17 +73,17 @@ async def until(pilot: Pilot[None], condition: Callable[..., object], what: str,
         await pilot.pause(0.02)
 
 
-async def shown(pilot: Pilot[None], words: str, seconds: float = 20.0) -> None:
+async def shown(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
     """Wait until `words` stand on the screen."""
     await until(pilot, lambda: words in text(pilot.app), f"{words!r} on the screen", seconds)
 
 
-async def gone(pilot: Pilot[None], words: str, seconds: float = 20.0) -> None:
+async def gone(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
     """Wait until `words` stand on the screen no more."""
     await until(pilot, lambda: words not in text(pilot.app), f"{words!r} gone", seconds)
 
 
-async def settled(pilot: Pilot[None], seconds: float = 20.0) -> None:
+async def settled(pilot: Pilot[None], seconds: float = 60.0) -> None:
     """Wait until the screen no longer changes: scrollbars come a refresh after what they scroll."""
     deadline = time.monotonic() + seconds
     before, same = "", 0

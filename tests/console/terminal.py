@@ -51,7 +51,7 @@ class Terminal:
             except OSError:  # it has closed its end
                 time.sleep(min(seconds, 0.05))
 
-    def wait_for(self, words: str, seconds: float = 30.0, *, after: int = 0) -> None:
+    def wait_for(self, words: str, seconds: float = 120.0, *, after: int = 0) -> None:
         """Read until `words` have been written, beyond the first `after` bytes."""
         deadline = time.monotonic() + seconds
         while words.encode() not in self.output[after:]:
@@ -80,7 +80,7 @@ class Terminal:
             self.status = os.waitstatus_to_exitcode(status) if pid else None
         return self.status is None
 
-    def exit_code(self, seconds: float = 20.0, *, read: bool = True) -> int:
+    def exit_code(self, seconds: float = 120.0, *, read: bool = True) -> int:
         """Wait for its end."""
         deadline = time.monotonic() + seconds
         while self.alive:

@@ -14,6 +14,7 @@ from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
+from rsb_bridge.link import control_channel
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
@@ -91,7 +92,10 @@ def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
     eventually(lambda: link.unfinished.held == 0)
 
 
-def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue) -> None:
+def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit is small here: reached long before the kernel gives up a peer that takes nothing, after 6 s."""
+    monkeypatch.setattr(control_channel, "_MOST_WAITING", 1 << 14)
+    rogue.takes_little()
     with contextlib.suppress(OSError):
         for number in range(1_000_000):
             rogue.say(Ping(n=number, sent=number))

@@ -81,7 +81,7 @@ def test_a_restart_whose_bind_fails_is_tried_again(kind: type[Thief], bridge: Br
     holds(lambda: not linked(client), 1.0)
     listening = sum(event.code == EventCode.ENGINE_LISTENING for event in server.events())
     thief.give_back()
-    eventually(lambda: linked(client) and linked(server), 15)
+    eventually(lambda: linked(client) and linked(server))
     assert sum(event.code == EventCode.ENGINE_LISTENING for event in server.events()) == listening + 1
 
 
@@ -100,7 +100,7 @@ def test_another_restart_takes_the_place_of_the_attempts(bridge: Bridge, thief: 
     restart_in_vain(server, thief)
     thief.give_back()
     server.restart().result(10)
-    eventually(lambda: linked(client) and linked(server), 15)
+    eventually(lambda: linked(client) and linked(server))
     holds(lambda: linked(client) and linked(server), 2.0)
 
 

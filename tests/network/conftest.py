@@ -45,7 +45,7 @@ class Network:
 
         bridge = Sessions(self._folder, address, *topics, domains=_DOMAINS).run(robot, pc)
         self._bridges.append(bridge)
-        bridge.client.happens(EventCode.LINK_UP, within=20)
+        bridge.client.happens(EventCode.LINK_UP)
         return bridge
 
     def close(self) -> None:

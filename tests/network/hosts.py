@@ -58,7 +58,7 @@ class Host:
     def run(self, *command: str) -> str:
         """What a command prints; AssertionError where it fails."""
         process = self.start(*command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        printed = process.communicate(timeout=10)[0]
+        printed = process.communicate(timeout=60)[0]
         assert process.returncode == 0, f"{self.name}: {' '.join(command)}: {printed}"
         return printed
 

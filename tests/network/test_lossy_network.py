@@ -37,7 +37,7 @@ def test_every_message_is_accounted_for(network: Network, robot: Host, pc: Host)
     bridge.robot.talk("/scan", rate=50, count=said["/scan"])
     bridge.robot.talk("/cloud", rate=20, size=6_000, count=said["/cloud"])
     bridge.robot.talk("/odom", rate=20, count=said["/odom"])
-    eventually(lambda: bridge.robot.said() == said, 10, "all said")
+    eventually(lambda: bridge.robot.said() == said, what="all said")
 
     ledgers = bridge.settled(*said)
     assert {topic: ledger.offered for topic, ledger in ledgers.items()} == said

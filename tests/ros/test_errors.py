@@ -76,6 +76,6 @@ def test_without_rclpy_it_says_how_to_get_it() -> None:
         "try: RosNode(20, 'robot1').start()\n"
         "except RosError as error: print(error)"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=30)
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
     assert "pip install 'rsb-console[ros]'" in run.stdout
     assert "source /opt/ros/jazzy/setup.bash" in run.stdout

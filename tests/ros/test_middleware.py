@@ -28,7 +28,7 @@ def test_the_program_names_a_middleware_that_is_missing(variable: str, tmp_path:
         env={**os.environ, variable: "rmw_nonsense_cpp"},
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=120,
         check=False,
     )
     assert run.returncode == 1, run

@@ -182,8 +182,8 @@ def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[
         topics: their names on its side; somebody listens to each.
     """
     publishers, topics = tuple(publishers), set(topics)
-    eventually(lambda: all(each.get_subscription_count() for each in publishers), 20, "subscribed")
-    eventually(lambda: listened_to(receiver) >= topics, 20, "heard by the listeners")
+    eventually(lambda: all(each.get_subscription_count() for each in publishers), what="subscribed")
+    eventually(lambda: listened_to(receiver) >= topics, what="heard by the listeners")
 
 
 def listened_to(engine: Engine) -> set[str]:
@@ -194,7 +194,7 @@ def listened_to(engine: Engine) -> set[str]:
     return {route.remote_topic for route in incoming if route._output and route._output.subscriber_count}
 
 
-def settled(engine: Engine, topic: str, offered: int, within: float = 10.0) -> Ledger:
+def settled(engine: Engine, topic: str, offered: int, within: float = 60.0) -> Ledger:
     """Wait until the ledger of a topic has so many messages offered and none in flight."""
 
     def done() -> Ledger | None:
@@ -222,7 +222,7 @@ def said(engine: Engine, words: str) -> Event | None:
     return next((event for event in reversed(engine.events()) if words in event.text), None)
 
 
-def heard(listener: Listener, count: int, within: float = 10.0) -> list[bytes]:
+def heard(listener: Listener, count: int, within: float = 60.0) -> list[bytes]:
     """Wait until a listener has heard so many messages."""
     eventually(lambda: len(listener.payloads) >= count, within, f"{count} messages")
     return listener.payloads

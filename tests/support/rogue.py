@@ -36,7 +36,7 @@ class Rogue:
     def __init__(self, port: int, key: bytes | None, name: str = "robot1") -> None:
         self._address = ("127.0.0.1", port)
         self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, Suite.AESGCM)
-        self._control = socket.create_connection(self._address, timeout=10)
+        self._control = socket.create_connection(self._address, timeout=60)
         self._control.sendall(self._connection.start())
         self._events: list[Event] = []
         self._next_route = 1
@@ -75,12 +75,16 @@ class Rogue:
 
     def stream(self, route: int) -> tuple[socket.socket, DataWriter]:
         """A route's stream, let in, and what writes its frames."""
-        stream = socket.create_connection(self._address, timeout=10)
+        stream = socket.create_connection(self._address, timeout=60)
         self.streams.append(stream)
         data = DataConnection(self.keys, route)
         stream.sendall(data.start())
         assert data.receive_data(stream.recv(4096)) == [Accepted()]
         return stream, DataWriter(self.keys.route_sealer(route, "client"), route)
+
+    def takes_little(self) -> None:
+        """Have the kernel hold as little as it can of what the server says from now on."""
+        self._control.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1)
 
     def begin_frame(self, stream: socket.socket, size: int = MESSAGE_LIMIT) -> bool:
         """Announce a message of `size` bytes, and send all of it but the last; whether the server took that."""

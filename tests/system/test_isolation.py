@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 DEPTH = {"depth": 1000}
 SENSOR = {"profile": "sensor_data", "depth": 1000}
 BIG = "x" * 100_000
+_HELD_UP = 1.0
+"""s; what waits for a topic that is stuck comes later than this, however fast the machine is."""
 
 
 def crosses(publisher: Publisher, listener: Listener, words: str = "hello") -> None:
@@ -32,7 +34,7 @@ def crosses(publisher: Publisher, listener: Listener, words: str = "hello") -> N
         time.sleep(0.02)
         return listener.texts(1) == [words]
 
-    eventually(heard, 20)
+    eventually(heard)
 
 
 def worst(fast: Publisher, there: Listener, slow: Publisher | None = None) -> float:
@@ -71,7 +73,7 @@ def test_a_topic_whose_stream_is_stuck(relay: Relay, robot: Domain, pc: Domain) 
     usual = worst(fast, there)
     stuck = max(relay.connections, key=lambda connection: connection.sent_bytes)
     stuck.stall()
-    assert worst(fast, there, slow) < usual + 0.01
+    assert worst(fast, there, slow) < usual + _HELD_UP
     heard = len(slow_there.payloads)
     holds(lambda: len(slow_there.payloads) == heard, 0.2)
     stuck.stall(False)
@@ -87,7 +89,7 @@ def test_a_topic_whose_subscriber_never_takes(robot: Domain, pc: Domain) -> None
     crosses(slow, slow_there, BIG)
     usual = worst(fast, there, slow)
     pc.listener("/slow", qos=QoSProfile(depth=1, history=QoSHistoryPolicy.KEEP_ALL))
-    assert worst(fast, there, slow) < usual + 0.01
+    assert worst(fast, there, slow) < usual + _HELD_UP
 
 
 def test_a_hundred_topics_at_20_hz(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
@@ -105,8 +107,8 @@ def test_a_hundred_topics_at_20_hz(bridge: Bridge, programs: Programs, robot: Do
         for publisher in publishers:
             publisher.publish(text(f"{number}"))
         time.sleep(max(0.0, began + (number + 1) / 20 - time.monotonic()))
-    assert time.monotonic() - began < 4.5
+    took = (time.monotonic() - began) * 1e9
     for listener, count in zip(listeners, before, strict=True):
         eventually(lambda listener=listener, count=count: len(listener.payloads) >= count + 60)
         assert listener.texts(60) == [f"{number}" for number in range(60)]
-        assert 2.7e9 < listener.received[-1] - listener.received[-60] < 4.5e9
+        assert listener.received[-1] - listener.received[-60] > took / 2, "not all at once in the end"

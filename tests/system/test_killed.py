@@ -24,17 +24,15 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
 
 CYCLES = 50
-RESUMES_WITHIN = 3.0
 
 
 def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Domain) -> None:
     """Two bridges at once, one whose client dies and one whose server does; the other halves live in this process.
 
-    The victims are killed while they link, or once their topics are open, or while messages cross. The bridge has 3 s
-    to be open again, each time. The messages may take longer when DDS does: finding who is there takes any node up
-    to 3 s, and a killed process leaves shared memory to clean up (docs/performance.md). So the robot's publisher is a
-    new one each time, one message in four may be late, and none is killed while it joins its domain: it may hold a
-    lock there.
+    The victims are killed while they link, or once their topics are open, or while messages cross; each time the
+    bridge opens again. How soon a client calls again is tested on a clock of the test's own (tests/link). A killed
+    process leaves shared memory to clean up (docs/performance.md), so the robot's publisher is a new one each time,
+    and none is killed while it joins its domain: it may hold a lock there.
     """
     chance = random.Random(1)
     topics = (
@@ -48,21 +46,18 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
     bridge.move()
     client = bridge.client(topics[1])
     mortal_server = bridge.server_session()
-    seconds: list[float] = []
 
     def cycle(number: int) -> None:
         rebooted = Domain(robot.id)
         publishers = [rebooted.publisher("/client_dies"), steady]
         opened = [openings(engine) for engine in (server, client)]
-        began = time.monotonic()
         victims = [programs.start(mortal_client), programs.start(mortal_server)]
         for victim, first in zip(victims, ("connecting", "listening"), strict=True):
             victim.wait_for(first)
         if number % 3:
-            eventually(lambda: openings(server) > opened[0] and openings(client) > opened[1], RESUMES_WITHIN)
+            eventually(lambda: openings(server) > opened[0] and openings(client) > opened[1])
         if number % 3 == 2:
             flow(publishers, listeners)
-            seconds.append(time.monotonic() - began)
         end = time.monotonic() + chance.uniform(0, 0.2)
         while time.monotonic() < end:
             say(publishers)
@@ -79,7 +74,6 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
     eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
     gc.collect()
     assert resources().resident - before.resident < 20 << 20
-    assert sorted(seconds)[len(seconds) * 3 // 4] < RESUMES_WITHIN
 
 
 def openings(engine: Engine) -> int:
@@ -102,4 +96,4 @@ def flow(publishers: list[Publisher], listeners: list[Listener]) -> None:
         say(publishers)
         return all(len(listener.payloads) > count for listener, count in zip(listeners, before, strict=True))
 
-    eventually(all_heard, 20)
+    eventually(all_heard)
