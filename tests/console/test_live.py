@@ -103,7 +103,7 @@ def test_a_wrong_key_is_said_with_its_fingerprint_and_nothing_flows(tmp_path: Pa
         write_key(tmp_path / "robot1.key", force=True)
 
         async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
-            await shown(pilot, fingerprint(read_key(tmp_path / "robot1.key")))
+            await shown(pilot, fingerprint(read_key(tmp_path / "robot1.key"))[:9])  # as much as there is room for
             assert not app.linked
             assert app.snapshot().routes[0].ledger.delivered == 0
 
