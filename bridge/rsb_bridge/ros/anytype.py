@@ -50,6 +50,9 @@ class _Callbacks(ctypes.Structure):
     )
 
 
+_MOST_TYPES = 2000
+"""Types known by name alone: each takes 8 kB as long as the process lives, and a peer may name any."""
+
 _Struct = TypeVar("_Struct", bound=ctypes.Structure)
 
 
@@ -89,6 +92,8 @@ def _any_type(type_name: str, type_hash: str) -> type:
     middleware = get_rmw_implementation_identifier()
     if middleware != "rmw_fastrtps_cpp" or not version("rclpy").startswith(_JAZZY):
         raise RosError(f"{type_name} is not installed, which only rmw_fastrtps_cpp on ROS 2 Jazzy can do: {remedy}")
+    if _any_type.cache_info().currsize >= _MOST_TYPES:
+        raise RosError(f"{type_name} is not installed, and {_MOST_TYPES:,} types are known by name already: {remedy}")
     return _build(f"{package}::{kind}", name, bytes.fromhex(type_hash.removeprefix(HASH_PREFIX)))
 
 
