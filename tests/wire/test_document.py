@@ -1,5 +1,6 @@
 """PROTOCOL.md's tables against the code: the document is what is implemented."""
 
+import math
 import re
 import typing
 from pathlib import Path
@@ -8,6 +9,7 @@ import msgspec
 import pytest
 
 import rsb_bridge
+from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.wire import messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
@@ -58,3 +60,14 @@ def test_every_refusal_code_is_documented(code: preamble.RefusalCode) -> None:
 def test_every_code_of_a_refused_route_is_documented_and_no_other() -> None:
     (row,) = re.findall(r"^\| \| code \| (.*?) \|", DOCUMENT, re.MULTILINE)
     assert set(re.findall(r'"(\w+)"', row)) == set(typing.get_args(RefuseCode))
+
+
+def test_the_limits_are_documented() -> None:
+    figures = (
+        f"at most {TEXT_LENGTH} characters, reasons and problems {REASON_LENGTH}; "
+        f"a rate is 0 or {RATE.low:g} to 10^{math.log10(RATE.high):.0f} Hz, "
+        f"a depth {DEPTH.low} to {DEPTH.high:,}, "
+        f"a deadline or lifespan 0 or {QOS_TIME.low:g} to 10^{math.log10(QOS_TIME.high):.0f} s"
+    )
+    assert figures in " ".join(DOCUMENT.split())
+    assert f"0: never warns; else {STALE_AFTER.low:g} to 10^{math.log10(STALE_AFTER.high):.0f} s" in DOCUMENT
