@@ -62,7 +62,7 @@ def in_process(before: str, *arguments: str) -> subprocess.CompletedProcess[str]
 @pytest.mark.parametrize("arguments", [("--help",), ("--version",), ("keygen", "--force"), ("check", "robot1.yaml")])
 def test_it_answers_at_once_without_ros_and_textual(arguments: tuple[str, ...]) -> None:
     rsb_console("keygen")
-    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast'): sys.modules[name] = None"
+    blocked = "for name in ('rclpy', 'textual', 'rich', 'dbus_fast', 'asyncio'): sys.modules[name] = None"
     assert in_process(blocked, *arguments).returncode == 0
     counted = "import atexit; atexit.register(lambda: print('modules', len(sys.modules)))"
     modules = int(in_process(counted, *arguments).stdout.rpartition("modules")[2])

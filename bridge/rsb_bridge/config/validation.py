@@ -10,20 +10,18 @@ import msgspec
 
 from rsb_bridge.config.decoding import did_you_mean, join, read, show
 from rsb_bridge.config.keys import conceal
+from rsb_bridge.model import transports
 from rsb_bridge.model.limits import CHANNEL, DOMAIN, NAME_BYTES, RATE, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import is_prefix, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Problem, Session, Topic, is_mac
 from rsb_bridge.model.type_names import expand_type_name
-from rsb_bridge.transport.registry import default_transports
-from rsb_bridge.transport.transport import StreamTransport
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.transport.transport import Transport
+    from rsb_bridge.model.transports import TransportTraits
 
-_TRANSPORTS = default_transports()
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
@@ -96,7 +94,7 @@ def _within(location: str, outer: str) -> bool:
 def _session(session: Session) -> Iterator[Problem]:
     yield from _name(session.name, "name", use_name=session.use_name and not session.clients)
     yield from _address(session)
-    yield from _port(session.server_port, "server_port", _TRANSPORTS.of_link(session.server_ip))
+    yield from _port(session.server_port, "server_port", transports.of_link(session.server_ip))
     if session.domain_id is not None and session.domain_id not in DOMAIN:
         yield Problem("domain_id", f"{session.domain_id} is not a ROS domain: {DOMAIN}")
     yield from _key_files(session)
@@ -158,16 +156,16 @@ def _is_host(address: str) -> bool:
     return len(address) <= 253 and all(_HOST_LABEL.fullmatch(label) for label in labels) and not labels[-1].isdecimal()
 
 
-def _port(port: int, location: str, transport: Transport) -> Iterator[Problem]:
+def _port(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     if port not in transport.ports:
         yield Problem(location, f"{port} is not a valid {transport.port_kind}: {transport.ports}")
 
 
-def transport_of(topic: Topic, session: Session | None) -> Transport:
+def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]:
     """What carries a topic: its own transport, else the link's; without a session, an IP link's."""
     if topic.protocol is not None:
-        return _TRANSPORTS[topic.protocol]
-    return _TRANSPORTS.of_link(session.server_ip if session is not None else "")
+        return transports.named(topic.protocol)
+    return transports.of_link(session.server_ip if session is not None else "")
 
 
 def _key_files(session: Session) -> Iterator[Problem]:
@@ -286,7 +284,7 @@ def _clashes(session: Session) -> Iterator[Problem]:
     routes: dict[tuple[str, str], int] = {}
     ports: dict[tuple[str, int], str] = {}
     shared = "its server_port"
-    link = _TRANSPORTS.of_link(session.server_ip)
+    link = transports.of_link(session.server_ip)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared
     for at, topic in enumerate(session.topics):
@@ -300,7 +298,7 @@ def _clashes(session: Session) -> Iterator[Problem]:
         holder = ports.setdefault((transport.name, topic.port), location)
         if holder == shared:
             yield Problem(join(location, "port"), f"{topic.port} is the server_port: leave port out to share it")
-        elif holder != location and not (isinstance(transport, StreamTransport) and transport.multiplexed):
+        elif holder != location and not transport.multiplexed:
             yield Problem(
                 join(location, "port"),
                 f"{transport.name} {transport.port_kind} {topic.port} is taken by {holder}: "

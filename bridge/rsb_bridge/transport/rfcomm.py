@@ -14,8 +14,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from rsb_bridge.bluetooth import hci
-from rsb_bridge.model.limits import CHANNEL
-from rsb_bridge.model.session import is_mac
+from rsb_bridge.model.transports import RfcommTraits
 from rsb_bridge.transport.listening import StreamListener
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler, os_error_message
 from rsb_bridge.transport.transport import Acceptor, Listener, ListenError, StreamTransport
@@ -51,19 +50,10 @@ class RfcommStream(Stream):
         return _format_address(self.address)
 
 
-class Rfcomm(StreamTransport):
+class Rfcomm(RfcommTraits, StreamTransport):
     """Bluetooth RFCOMM. Two adapters have one connection on a channel, so the routes of a channel share it."""
 
-    name = "bluetooth"
-    port_kind = "RFCOMM channel"
-    ports = topic_ports = CHANNEL
-    slow = True
-    compression = "zstd"
-    multiplexed = True
     largest_message = MESSAGE_LIMIT
-
-    def carries_links_to(self, host: str) -> bool:
-        return is_mac(host)
 
     def host(self, session: Session) -> str:
         return session.adapter or session.server_ip

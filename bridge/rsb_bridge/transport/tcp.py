@@ -11,6 +11,7 @@ import socket
 
 from aiohappyeyeballs import start_connection
 
+from rsb_bridge.model.transports import TcpTraits
 from rsb_bridge.transport.listening import StreamListener, bind
 from rsb_bridge.transport.names import look_up
 from rsb_bridge.transport.streams import Address, Stream, StreamHandler
@@ -41,15 +42,10 @@ class TcpStream(Stream):
         super().connection_made(transport)
 
 
-class Tcp(StreamTransport):
+class Tcp(TcpTraits, StreamTransport):
     """TCP over IPv4 and IPv6."""
 
-    name = "tcp"
-    companions = ("udp",)
     largest_message = MESSAGE_LIMIT
-
-    def carries_links_to(self, host: str) -> bool:
-        return True
 
     async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
         """Connect to the first of the host's addresses that answers, within `CONNECT_TIMEOUT` (RFC 8305)."""

@@ -19,14 +19,13 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol, TypeAlias
 
-from rsb_bridge.model.limits import PORT, TOPIC_PORT, Range
+from rsb_bridge.model.transports import TransportTraits
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.model.session import Compression, Session
-    from rsb_bridge.model.session import Protocol as TransportName
+    from rsb_bridge.model.session import Session
     from rsb_bridge.transport.streams import Stream, StreamHandler
 
 
@@ -110,25 +109,13 @@ class Listener(Protocol):
         ...
 
 
-class _Transport(ABC):
+class _Transport(TransportTraits, ABC):
     """What every transport has.
 
     Attributes:
-        name: of the transport in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
-        port_kind: what its numbers are called, for example ``port``; transports of the same kind share them.
-        ports: the numbers that there are.
-        topic_ports: the numbers that a topic may name for itself.
-        slow: it carries some 50 kB/s, so what may be lost should not queue for seconds.
-        compression: of a topic that names none.
         largest_message: bytes of one serialized message.
     """
 
-    name: ClassVar[TransportName]
-    port_kind: ClassVar[str] = "port"
-    ports: ClassVar[Range] = PORT
-    topic_ports: ClassVar[Range] = TOPIC_PORT
-    slow: ClassVar[bool] = False
-    compression: ClassVar[Compression] = "none"
     largest_message: ClassVar[int]
 
     def host(self, session: Session) -> str:
@@ -149,20 +136,7 @@ class _Transport(ABC):
 
 
 class StreamTransport(_Transport):
-    """A transport of byte streams.
-
-    Attributes:
-        multiplexed: the routes of a link share one stream per number, and the link's own stream is one of them. Else
-            each route has a stream of its own.
-        companions: names of the transports that a server of such links binds to the same number for their routes.
-    """
-
-    multiplexed: ClassVar[bool] = False
-    companions: ClassVar[tuple[str, ...]] = ()
-
-    @abstractmethod
-    def carries_links_to(self, host: str) -> bool:
-        """Whether a session with that `server_ip` runs over this transport."""
+    """A transport of byte streams."""
 
     @abstractmethod
     async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
+from rsb_bridge.model.transports import UdpTraits
 from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.transport import (
     Acceptor,
@@ -173,10 +174,9 @@ class _Bound:
             udp.close()
 
 
-class Udp(DatagramTransport):
+class Udp(UdpTraits, DatagramTransport):
     """UDP over IPv4 and IPv6."""
 
-    name = "udp"
     largest_message = 8 * 1024 * 1024
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> _Bound:

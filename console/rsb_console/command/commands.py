@@ -13,7 +13,7 @@ from rsb_bridge.config.advice import advise
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
-from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.validation import domain_of, transport_of
 from rsb_console.command.shell import FAILURE, OK, USAGE, allow_many_descriptors, print_error, print_line
 
 if TYPE_CHECKING:
@@ -205,11 +205,11 @@ def _prefix_of(name: str, *, use_name: bool) -> str:
 
 
 def _route(topic: Topic, session: Session) -> str:
-    carrier = topic.protocol or ("bluetooth" if session.is_bluetooth else "tcp")
+    transport = transport_of(topic, session)
     details = [f"type {topic.type}", f"qos {topic.qos}"]
     if topic.port is not None:
         details.append(f"port {topic.port}")
-    compression = topic.compression or ("zstd" if carrier == "bluetooth" else "none")
+    compression = topic.compression or transport.compression
     if compression != "none":
         details.append(f"{compression} compression")
     if topic.remote_topic is not None:
@@ -222,7 +222,7 @@ def _route(topic: Topic, session: Session) -> str:
         details.append(f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale")
     if topic.paused:
         details.append("paused")
-    return f"{topic.direction} {topic.topic} over {carrier}: {', '.join(details)}"
+    return f"{topic.direction} {topic.topic} over {transport.name}: {', '.join(details)}"
 
 
 def _can_draw(instead: str) -> bool:

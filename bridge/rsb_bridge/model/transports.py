@@ -1,0 +1,91 @@
+"""What a session needs to know of each transport. `rsb_bridge.transport` has the sockets.
+
+Validation reads these facts, so that a session is checked without loading a socket or an event loop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rsb_bridge.model.limits import CHANNEL, PORT, TOPIC_PORT, Range
+from rsb_bridge.model.session import is_mac
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.session import Compression, Protocol
+
+
+class TransportTraits:
+    """The facts of a transport. Its class in `rsb_bridge.transport` inherits them.
+
+    Attributes:
+        name: in session files (`Topic.protocol`) and on the wire (`Propose.transport`).
+        port_kind: what its numbers are called, for example ``port``; transports of the same kind share them.
+        ports: the numbers that there are.
+        topic_ports: the numbers that a topic may name for itself.
+        slow: it carries some 50 kB/s, so what may be lost should not queue for seconds.
+        compression: of a topic that names none.
+        multiplexed: the routes of a link share one stream per number, and the link's own stream is one of them. Else
+            each route has a stream of its own.
+        companions: names of the transports that a server of such links binds to the same number for their routes.
+    """
+
+    name: ClassVar[Protocol]
+    port_kind: ClassVar[str] = "port"
+    ports: ClassVar[Range] = PORT
+    topic_ports: ClassVar[Range] = TOPIC_PORT
+    slow: ClassVar[bool] = False
+    compression: ClassVar[Compression] = "none"
+    multiplexed: ClassVar[bool] = False
+    companions: ClassVar[tuple[Protocol, ...]] = ()
+
+    @staticmethod
+    def carries_links_to(host: str) -> bool:
+        """Whether a session with that `server_ip` runs over this transport."""
+        return False
+
+
+class RfcommTraits(TransportTraits):
+    """Bluetooth RFCOMM. Two adapters have one connection on a channel, so the routes of a channel share it."""
+
+    name = "bluetooth"
+    port_kind = "RFCOMM channel"
+    ports = topic_ports = CHANNEL
+    slow = True
+    compression = "zstd"
+    multiplexed = True
+
+    @staticmethod
+    def carries_links_to(host: str) -> bool:
+        return is_mac(host)
+
+
+class TcpTraits(TransportTraits):
+    """TCP over IPv4 and IPv6."""
+
+    name = "tcp"
+    companions = ("udp",)
+
+    @staticmethod
+    def carries_links_to(host: str) -> bool:
+        return not is_mac(host)
+
+
+class UdpTraits(TransportTraits):
+    """UDP over IPv4 and IPv6."""
+
+    name = "udp"
+
+
+_BY_NAME: dict[str, type[TransportTraits]] = {
+    traits.name: traits for traits in (RfcommTraits, TcpTraits, UdpTraits)
+}  # fmt: skip
+
+
+def named(name: str) -> type[TransportTraits]:
+    """The transport of that name."""
+    return _BY_NAME[name]
+
+
+def of_link(host: str) -> type[TransportTraits]:
+    """The transport of a link whose session has that `server_ip`."""
+    return next(traits for traits in _BY_NAME.values() if traits.carries_links_to(host))
