@@ -47,6 +47,19 @@ def test_a_peer_is_given_up_five_seconds_after_its_last_byte(
     assert silent == [pytest.approx(last + 5.0)]
 
 
+def test_a_peer_is_given_up_whatever_the_rounding_of_the_clock(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """What is left of five seconds can be too little to move the clock."""
+    for number in range(300):
+        wait(loop, 0.1 + number / 7)
+        silent: list[float] = []
+        keepalive = Keepalive(make_context(), list)
+        keepalive.watch(lambda silent=silent: silent.append(loop.time()))  # type: ignore[misc]
+        wait(loop, 5.1)
+        assert len(silent) == 1
+
+
 def test_a_link_that_has_ended_is_not_watched(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     silent: list[float] = []
     keepalive = Keepalive(make_context(), list)

@@ -55,7 +55,11 @@ class Keepalive:
     @property
     def quiet(self) -> float:
         """How long (s) nothing has come."""
-        return self._context.now() - max((each.received_at for each in self._carriers()), default=self._began)
+        return self._context.now() - self._heard
+
+    @property
+    def _heard(self) -> float:
+        return max((each.received_at for each in self._carriers()), default=self._began)
 
     def watch(self, on_silence: Callable[[], None]) -> None:
         """Call a function once nothing has come for `DEAD_AFTER`, until `stop`."""
@@ -72,9 +76,10 @@ class Keepalive:
         """See whether the peer is silent; if not, look again when it could be."""
         if self._on_silence is None:
             return
-        left = DEAD_AFTER - self.quiet
-        if left > 0:
-            self._watchdog = self._context.loop.call_later(left, self._look)
+        # The time at which it is silent, and not how long until then: that could be too short for the clock to move.
+        silent_at = self._heard + DEAD_AFTER
+        if self._context.now() < silent_at:
+            self._watchdog = self._context.loop.call_at(silent_at, self._look)
         else:
             self._on_silence()
 
