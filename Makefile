@@ -19,8 +19,8 @@ test: $(STAMP) system lint
 	timeout -k 5 300 $(BIN)/python -m pytest tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 	$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-programs test-people
 
-# Two halves that take about as long, at once: what runs as programs beside each other, and what a person or a guest
-# machine drives. They share no domain, port or file.
+# Two halves of about the same length, run at the same time: tests of the engine and the commands; and tests of the console,
+# in the virtual machine, and in the simulation. They share no domain, port or file.
 test-programs: $(STAMP)
 	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/system tests/telemetry tests/transport
 

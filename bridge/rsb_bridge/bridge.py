@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
-_ERROR_SAID_EVERY = 10.0
+_ERROR_LOGGED_EVERY = 10.0
 _TICK = 1.0
 _LONGEST_PAUSE = 10.0
 
@@ -64,7 +64,7 @@ class Bridge:
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._errors_said: dict[str, float] = {}
+        self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
         """All links, up or down: a client's one, or a server's many."""
@@ -107,7 +107,7 @@ class Bridge:
         self._stopping.set()
 
     async def _tick(self) -> None:
-        """Do what is done once a second, for ever."""
+        """Do the regular work once a second, for ever."""
         now = self.context.now
         due = now()
         while True:
@@ -137,29 +137,31 @@ class Bridge:
         context, topic = self.context, self.context.session.shutdown_topic
         if topic is None:
             return None
-        words = f'"shutdown" on {topic} in domain {context.domain_id}'
+        message = f'"shutdown" on {topic} in domain {context.domain_id}'
 
         def act() -> None:
-            context.events.add(Level.WARNING, EventCode.ENGINE_SHUTDOWN, f"{words}: closing the sockets on both sides")
-            self._role.shut_down(words)
+            context.events.add(
+                Level.WARNING, EventCode.ENGINE_SHUTDOWN, f"{message}: closing the sockets on both sides"
+            )
+            self._role.shut_down(message)
 
         def failed(reason: str) -> None:
-            text = f"{reason}: the shutdown topic is not heard now; the subscription is opened again"
+            text = f"{reason}: the shutdown topic has no effect until the subscription is open again"
             context.events.add(Level.ERROR, EventCode.ENGINE_SUBSCRIBE_FAILED, text)
 
         return watch_shutdown_topic(context.ros, context.loop, topic, lambda: context.call(act), failed)
 
     def internal_error(self, _: asyncio.AbstractEventLoop, details: dict[str, object]) -> None:
-        """Log what nobody caught; an event loop's exception handler."""
+        """Log an uncaught exception; an event loop's exception handler."""
         error = details.get("exception")
-        words = f"internal error, please report it: {error or details.get('message')}"
+        message = f"internal error, please report it: {error or details.get('message')}"
         now = self.context.now()
-        if now - self._errors_said.get(words, -_ERROR_SAID_EVERY) < _ERROR_SAID_EVERY:
+        if now - self._errors_logged.get(message, -_ERROR_LOGGED_EVERY) < _ERROR_LOGGED_EVERY:
             return
-        self._errors_said = {words: now}
+        self._errors_logged = {message: now}
         exc_info = (type(error), error, error.__traceback__) if isinstance(error, BaseException) else None
-        _logger.error("%s", words, exc_info=exc_info)
-        self.context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, words)
+        _logger.error("%s", message, exc_info=exc_info)
+        self.context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
 
     # --- commands: `rsb_bridge.api.EngineApi` says what each does
 
@@ -207,13 +209,13 @@ class Bridge:
     async def restart(self, step: Callable[[str], None] | None = None) -> None:
         """Close the links on both sides and open them again."""
 
-        def say(words: str) -> None:
-            self.context.events.add(Level.INFO, EventCode.ENGINE_RESTARTING, f"restart: {words}")
+        def report(message: str) -> None:
+            self.context.events.add(Level.INFO, EventCode.ENGINE_RESTARTING, f"restart: {message}")
             if step is not None:
-                step(words)
+                step(message)
 
         with self._command():
-            await self._role.restart(say)
+            await self._role.restart(report)
 
     async def topics(self, link: str | None = None) -> list[TopicInfo]:
         """The topics that can be bridged, on this side or on a peer's."""
@@ -227,7 +229,7 @@ class Bridge:
 
     @contextlib.contextmanager
     def _command(self) -> Iterator[None]:
-        """Carry a command out: what is wrong with it becomes an `EngineError`, what it did shows in the snapshot."""
+        """Run a command: its errors become an `EngineError`, and the snapshot shows its effect."""
         try:
             yield
         except (LinkError, ListenError, RosError, ValueError) as error:

@@ -180,11 +180,11 @@ class Engine(EngineApi):
         try:
             asyncio.run(self._main(ros, domain, keys, started))
         except Exception as error:
-            _logger.exception("the engine failed inside")
-            words = f"the engine failed inside, please report it: {error}"
-            self._events.add(Level.ERROR, EventCode.ENGINE_ERROR, words)
+            _logger.exception("internal error of the engine")
+            message = f"internal error, please report it: {error}"
+            self._events.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
             if not started.done():
-                started.set_exception(EngineError(words))
+                started.set_exception(EngineError(message))
 
     async def _main(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()

@@ -1,4 +1,4 @@
-"""Tasks that do not end unnoticed, and work that lets others have their turn."""
+"""Tasks whose failures are always reported, and long work in slices."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 async def in_slices(items: Iterable[T], work: Callable[[T], None]) -> None:
-    """Do something with each, letting the I/O loop do its own in between."""
+    """Do something with each item, letting the I/O loop do other work in between."""
     for index, item in enumerate(items, 1):
         work(item)
         if index % SLICE == 0:

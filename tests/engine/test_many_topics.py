@@ -9,7 +9,7 @@ import threading
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import linked, said
+from tests.support.bridge import happened, linked
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage
 
 TOPICS = 200
-TOO_MANY = "too many connections"
+TOO_MANY = "too many unauthenticated connections"
 
 
 def troubles(engine: Engine) -> list[str]:
@@ -99,12 +99,19 @@ def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) 
         come(TOPICS + 60, "127.0.0.1")
         come(60, "127.0.0.2")
         come(10, "127.0.0.3")
-        eventually(lambda: pending(server) == TOPICS + 130 or said(server, "no handshake within 5 s"))
-        assert not said(server, TOO_MANY)
+        late = "no handshake within 5 s"
+        eventually(lambda: pending(server) == TOPICS + 130 or happened(server, EventCode.LINK_REJECTED, late))
+        assert not happened(server, EventCode.LINK_REJECTED, TOO_MANY)
         come(5, "127.0.0.2")
-        assert eventually(lambda: said(server, TOO_MANY)).text.startswith("turned 127.0.0.2:")
+        crowded = eventually(lambda: happened(server, EventCode.LINK_REJECTED, TOO_MANY))
+        assert crowded.text.startswith("rejected 127.0.0.2:")
         come(5, "127.0.0.1")
-        eventually(lambda: (event := said(server, TOO_MANY)) and event.text.startswith("turned 127.0.0.1:"))
+        eventually(
+            lambda: (
+                (event := happened(server, EventCode.LINK_REJECTED, TOO_MANY))
+                and event.text.startswith("rejected 127.0.0.1:")
+            )
+        )
 
 
 def propose(number: int, topic: str) -> Propose:

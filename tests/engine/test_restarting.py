@@ -66,7 +66,7 @@ def thief(bridge: Bridge) -> Iterator[Thief]:
 
 
 def restart_in_vain(server: Engine, thief: Thief) -> None:
-    with pytest.raises(EngineError, match=r"is taken by another process.*The server goes on trying"):
+    with pytest.raises(EngineError, match=r"is taken by another process.*The server keeps trying"):
         server.restart(thief).result(10)
 
 

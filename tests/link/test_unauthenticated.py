@@ -171,7 +171,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
         assert words.encode() in answer
         event = happened(server, EventCode.LINK_REJECTED, words) or happened(server, EventCode.LINK_WRONG_KEY, words)
         assert event
-        assert event.text.startswith(f"turned 127.0.1.{number}:")
+        assert event.text.startswith(f"rejected 127.0.1.{number}:")
 
 
 def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:

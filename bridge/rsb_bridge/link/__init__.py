@@ -1,1 +1,1 @@
-"""One peer: connecting, admitting, negotiating routes, keeping the connection alive."""
+"""One peer: connecting, authenticating, negotiating routes, keeping the connection alive."""

@@ -1,4 +1,4 @@
-"""What this machine is good at."""
+"""Which cipher suite this machine prefers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rsb_bridge.wire.sealing import Suite
 def preferred_suite() -> Suite:
     """AES-GCM where the processor has AES instructions (a flag in /proc/cpuinfo), else ChaCha20-Poly1305."""
     try:
-        words = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
+        flags = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").split()
     except OSError:
         return Suite.CHACHAPOLY
-    return Suite.AESGCM if "aes" in words else Suite.CHACHAPOLY
+    return Suite.AESGCM if "aes" in flags else Suite.CHACHAPOLY

@@ -1,4 +1,4 @@
-"""The client's side of a link: call the server, and again whenever the line drops."""
+"""The client's side of a link: connects to the server, and reconnects whenever the link is lost."""
 
 from __future__ import annotations
 
@@ -32,11 +32,13 @@ if TYPE_CHECKING:
 _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
 _LONGEST_DELAY_UNREACHED = 1.25
-"""s; a server that is back must be found within 3 s, handshake and DDS discovery included."""
+"""s between attempts while the server is not reached: once it is back, the link must be up within 3 s, with handshake
+and DDS discovery."""
 _MOVED_AND_QUIET = 1.5
-"""s without a byte, with pings every second, after which a connection from an address we no longer have is given up."""
+"""s without a byte (pings come every second) after which a connection is closed whose source address this machine no
+longer has."""
 _LONGEST_DELAY = 10.0
-"""s, where the server is there and said no: it won't change its mind soon."""
+"""s between attempts while the server refuses: its answer seldom changes soon."""
 _UDP_RETRIED_AFTER = 1.0
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
@@ -82,7 +84,7 @@ class ClientLink(Link):
     # --- calling
 
     async def run(self) -> None:
-        """Keep linked, for ever. Whatever an earlier run left is ended first."""
+        """Connect, and reconnect, for ever. A connection that an earlier run left is closed first."""
         self.fail()
         while True:
             self._retry.clear()
@@ -93,7 +95,7 @@ class ClientLink(Link):
             await self._pause()
 
     def retry(self) -> None:
-        """Call now, whatever was to be waited for, and open refused routes anew."""
+        """Connect now instead of after the delay, and propose refused routes again."""
         self._stays_down = False
         if not self.linked:
             self._retry.set()
@@ -112,7 +114,7 @@ class ClientLink(Link):
             return
         self._refused = False
         self._backoff.reset()
-        if self._stays_down and self.control is not None:  # so it was decided during the handshake
+        if self._stays_down and self.control is not None:  # decided during the handshake
             self.control.shut_down("shut down", retry_after=None)
         await self._ended.wait()
 
@@ -124,7 +126,7 @@ class ClientLink(Link):
         connection: ClientConnection | DataConnection,
         let_in: LetIn,
     ) -> Failure | None:
-        """Connect, and wait for the server's answer; None: the stream is let in."""
+        """Connect, and wait for the server's answer; None: the server accepted the stream."""
         attempt = ConnectAttempt(connection, self.address, self._refusal_message, let_in)
         try:
             await transport.connect(host, port, attempt)
@@ -152,7 +154,7 @@ class ClientLink(Link):
         self.log(Level.DEBUG if repeated else Level.ERROR, code, f"{failure.reason}; trying again", link_status=True)
 
     async def _pause(self) -> None:
-        """Wait until it is time to call again, or until somebody says that it is."""
+        """Wait until the next attempt is due, or an operator asks for one."""
         delay: float | None = None
         if not self._stays_down:
             longest = _LONGEST_DELAY if self._refused else _LONGEST_DELAY_UNREACHED
@@ -254,7 +256,7 @@ class ClientLink(Link):
             if route.id == route_id:  # else it was closed meanwhile
                 self.attach_stream(route, stream, connection.leftover(), multiplexed=transport.multiplexed)
 
-        # Where the control connection got through, not wherever the server's name leads to by now.
+        # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
         return await self._open(transport, host, route.proposal.port or self.port, connection, let_in)
 

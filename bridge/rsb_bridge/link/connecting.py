@@ -1,4 +1,4 @@
-"""A stream on its way to being let in by the server."""
+"""A client's stream until the server accepts or refuses it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.preamble import RefusalCode
 
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"
-"""Gives a stream that was let in its new handler; the events are those that came behind the server's answer."""
+"""Gives an accepted stream its new handler; the events are those that followed the server's answer."""
 
 
 class Failure(NamedTuple):
-    """Why a stream was not let in.
+    """Why the server did not accept a stream.
 
     Attributes:
         reason: for an operator.
-        refused: the server was reached and said no, or is no such server; else it was not reached.
+        refused: the server refused, or another program answered; False: the server was not reached.
     """
 
     reason: str
@@ -31,16 +31,16 @@ class Failure(NamedTuple):
 
 
 class ConnectAttempt(StreamHandler):
-    """Handles a stream until the server lets it in or refuses it.
+    """Handles a stream until the server accepts or refuses it.
 
     Args:
-        connection: the state machine of what the client says first.
+        connection: the state machine of the handshake, or of a route's data preamble.
         address: of the server, for messages.
         refusal_message: what an operator is told of a refusal.
-        let_in: called when the server lets the stream in.
+        let_in: called when the server accepts the stream.
 
     Attributes:
-        outcome: None: the stream was let in.
+        outcome: None: the server accepted the stream.
     """
 
     def __init__(
@@ -80,10 +80,10 @@ class ConnectAttempt(StreamHandler):
                     pass
 
     def closed(self, reason: str) -> None:
-        self._finish(Failure(f"{self._address}: {reason} before the handshake was done", refused=False))
+        self._finish(Failure(f"{self._address}: {reason} before the handshake finished", refused=False))
 
     def end(self) -> None:
-        """Close the stream, unless it was let in."""
+        """Close the stream, unless the server accepted it."""
         if self._stream is not None and self._stream.handler is self:
             self._stream.abort("not let in")
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _MOST_WAITING = 8 * CONTROL_LIMIT
 """Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
 _AT_ONCE = 8
-"""Events acted on before the I/O loop turns to other work: each may create a DDS endpoint, which takes 0.5 ms."""
+"""Events handled before the I/O loop does other work: each may create a DDS endpoint, which takes 0.5 ms."""
 
 
 class ControlHandler(Protocol):
@@ -62,7 +62,7 @@ class ControlChannel(StreamHandler):
         """Send a message."""
         self.stream.write(self._connection.send(message))
         if self.stream.waiting_bytes > _MOST_WAITING:
-            self.stream.abort("the peer asks for more than it takes")  # it is over once this call's caller is done
+            self.stream.abort("the peer is not reading: control send buffer full")  # `closed` comes later
 
     def shut_down(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """Tell the peer that this ends on purpose, and end it."""
@@ -72,7 +72,7 @@ class ControlChannel(StreamHandler):
         self._end(reason)
 
     def abort(self, reason: str, code: EventCode = EventCode.LINK_LOST) -> None:
-        """End it without a word."""
+        """End it without telling the peer."""
         self._code = code
         self.stream.abort(reason)
         self._end(reason)
@@ -82,7 +82,7 @@ class ControlChannel(StreamHandler):
         self.take(self._connection.receive_data(data))
 
     def take(self, events: list[Event]) -> None:
-        """Act on what the connection made of them, a few at a time; until that is done nothing more is read."""
+        """Handle events, a few at a time; reading pauses until all are handled."""
         waits = bool(self._events)
         self._events.extend(events)
         if not waits:

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 _LOOK_EVERY = 0.25
 """s between two looks at the least; a robot that starts changes its graph a hundred times a second."""
 _SHARE = 10
-"""A look costs at most one part in so many of the time, however many routes there are."""
+"""Looking takes at most one part in this many of the time, however many routes there are, until the longest pause."""
 _LONGEST_PAUSE = 2.0
 _MATCHED_AFTER = 1.0
-"""s after the last change, when endpoints that found one another have also been matched."""
+"""s after the last change: by then DDS has matched the endpoints that discovered each other."""
 _ALWAYS_AFTER = 10.0
-"""s without a change after which routes look nevertheless, should one have been missed."""
+"""s after which routes look even without a change, in case one was missed."""
 
 
 class GraphWatch:

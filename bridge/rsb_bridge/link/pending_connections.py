@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 _MOST = 256
 _MOST_OF_ONE_HOST = 64
-"""Beyond these, as many as linked clients have routes that wait for a stream: in all, or at that host."""
+"""The streams that linked clients have yet to open are allowed on top of both limits."""
 _HANDSHAKE_WITHIN = 5.0
 _FAILURES = 5
 _FAILURES_WITHIN = 30.0
 _PENALTY = 1.0
 _HOSTS_REMEMBERED = 1024
-_SAID_EVERY = 10.0
-_SAID_MOST = 256
+_LOGGED_EVERY = 10.0
+_MOST_LOGGED = 256
 _CODES = {RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY, RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME}
-_TOO_MANY = "too many connections that have not shown who they are"
+_TOO_MANY = "too many unauthenticated connections"
 
 
 class Admission(Protocol):
@@ -69,12 +69,12 @@ class Admission(Protocol):
         ...
 
     def remedy_for_unknown(self) -> str:
-        """What an operator does about a client whose name is not known here."""
+        """What an operator does about a client whose name the session file does not have."""
         ...
 
 
 class PendingConnections:
-    """All streams that have not authenticated yet, and which hosts have failed to lately."""
+    """All inbound streams that have not authenticated yet, and the hosts that failed to lately."""
 
     def __init__(self, context: Context, admission: Admission) -> None:
         self.context = context
@@ -82,7 +82,7 @@ class PendingConnections:
         self._present: dict[_PendingConnection, None] = {}  # the longest waiting first
         self._of_host: Counter[str] = Counter()
         self._failures: dict[str, deque[float]] = {}
-        self._said: dict[tuple[str, str], float] = {}
+        self._logged: dict[tuple[str, str], float] = {}
 
     def arrive(self) -> StreamHandler:
         """The handler of a new stream."""
@@ -112,45 +112,45 @@ class PendingConnections:
                 del self._of_host[pending.host]
 
     def penalty(self, host: str) -> float:
-        """How long (s) a host's handshake waits: failures cost time, but lock nobody out (many share an address)."""
+        """The delay (s) of a host's handshake: failures cost time, but lock nobody out (many share an address)."""
         return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
 
-    def failed(self, stream: Stream, code: EventCode, words: str) -> None:
+    def failed(self, stream: Stream, code: EventCode, message: str) -> None:
         """Record a failed authentication."""
         now = self.context.now()
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
-        self.say(stream, code, words)
+        self.log_rejection(stream, code, message)
 
-    def say(self, stream: Stream, code: EventCode, words: str) -> None:
-        """Log that a stream was turned away, at most once in 10 s for a host and a reason."""
-        if self._is_new(stream.host, words):
-            self.context.log(Level.WARNING, code, f"turned {stream.peer} away: {words}")
+    def log_rejection(self, stream: Stream, code: EventCode, message: str) -> None:
+        """Log that a stream was rejected, at most once in 10 s for each host and message."""
+        if self._is_new(stream.host, message):
+            self.context.log(Level.WARNING, code, f"rejected {stream.peer}: {message}")
 
-    def _is_new(self, host: str, words: str) -> bool:
-        if (host, words) in self._said or len(self._said) >= _SAID_MOST:
+    def _is_new(self, host: str, message: str) -> bool:
+        if (host, message) in self._logged or len(self._logged) >= _MOST_LOGGED:
             return False
-        self._said[host, words] = self.context.now()
+        self._logged[host, message] = self.context.now()
         return True
 
     def shortage(self, message: str) -> None:
-        """No connection can be accepted for now: tell the operator, and give up the one that has waited longest."""
+        """No connection can be accepted for now: tell the operator, and reject the one that has waited longest."""
         if self._is_new("", message):
             text = f"new connections have to wait: {message}"
             self.context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
         for oldest in tuple(self._present)[:1]:
-            oldest.reject("the server lacks descriptors")
+            oldest.reject("the server has no file descriptors left")
 
     def tick(self) -> None:
-        """Once a second: forget old failures, and what was said of them."""
+        """Once a second: forget old failures, and which were logged."""
         now = self.context.now()
         for host, times in tuple(self._failures.items()):
             while times and now - times[0] > _FAILURES_WITHIN:
                 times.popleft()
             if not times:
                 del self._failures[host]
-        self._said = {key: time for key, time in self._said.items() if now - time < _SAID_EVERY}
+        self._logged = {key: time for key, time in self._logged.items() if now - time < _LOGGED_EVERY}
 
     def close(self) -> None:
         """Reject all."""
@@ -184,22 +184,22 @@ class _PendingConnection(StreamHandler):
         if self._penalty is None:
             self._take(data)
         elif len(self._held_back) + len(data) > 8192:
-            self.reject("too much before the handshake")
+            self.reject("too much data before the handshake")
         else:
             self._held_back += data
 
     def closed(self, reason: str) -> None:
         self._leave()
 
-    def reject(self, words: str) -> None:
+    def reject(self, message: str) -> None:
         """Refuse the stream and close it."""
         stream = self._stream
         if stream is None:
             return
         self._leave()
-        self._pending.failed(stream, EventCode.LINK_REJECTED, words)
-        stream.write(self._connection.refuse(RefusalCode.BUSY, words))
-        stream.close(words)
+        self._pending.failed(stream, EventCode.LINK_REJECTED, message)
+        stream.write(self._connection.refuse(RefusalCode.BUSY, message))
+        stream.close(message)
 
     def _identify(self, name: str) -> Credential:
         self._name = name
@@ -239,22 +239,22 @@ class _PendingConnection(StreamHandler):
         try:
             self._admission.attach(stream, self._connection, event)
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
-            self._pending.say(stream, EventCode.LINK_REJECTED, refusal.message)
+            self._pending.log_rejection(stream, EventCode.LINK_REJECTED, refusal.message)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
             stream.close(refusal.message)
 
-    def _refused(self, stream: Stream, code: EventCode, words: str) -> None:
+    def _refused(self, stream: Stream, code: EventCode, message: str) -> None:
         self._leave()
-        self._pending.failed(stream, code, words)
-        stream.close(words)
+        self._pending.failed(stream, code, message)
+        stream.close(message)
 
-    def _for_operator(self, code: RefusalCode, words: str) -> str:
+    def _for_operator(self, code: RefusalCode, message: str) -> str:
         if code is RefusalCode.WRONG_KEY:
             fingerprint = self._admission.fingerprint_of(self._name)
-            return f"{words}; this side's key has the fingerprint {fingerprint}: compare it with the client's"
+            return f"{message}; this side's key has the fingerprint {fingerprint}: compare it with the client's"
         if code is RefusalCode.UNKNOWN_NAME:
-            return f"{words}: {self._admission.remedy_for_unknown()}"
-        return words
+            return f"{message}: {self._admission.remedy_for_unknown()}"
+        return message
 
     def _leave(self) -> None:
         self._pending.remove(self)

@@ -35,11 +35,11 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 Keys = Mapping[str, Key | None]
 """By client's name; None: without encryption."""
 Step = Callable[[str], None]
-"""Told what is being done, in words."""
+"""Is told each step of a restart, as text for an operator."""
 
 
 class BridgeRole(Protocol):
-    """What the engine does with either end."""
+    """What the engine does with a client or a server."""
 
     async def start(self) -> None:
         """Bind or connect; ListenError where that can't be."""
@@ -66,7 +66,7 @@ class BridgeRole(Protocol):
         ...
 
     def shut_down(self, reason: str) -> None:
-        """Close every link on both sides until an operator wants them again."""
+        """Close every link on both sides until an operator restarts."""
         ...
 
     async def restart(self, step: Step) -> None:
@@ -75,7 +75,7 @@ class BridgeRole(Protocol):
 
 
 def clients_of(session: Session) -> tuple[Client, ...]:
-    """Those a server lets in."""
+    """The clients that a server accepts."""
     return session.clients or (Client(name=session.name),)
 
 
@@ -103,7 +103,7 @@ class ClientRole:
         return [self._link]
 
     def tick(self) -> None:
-        """There is nothing but the link."""
+        """There is nothing to do besides the link's own tick."""
 
     def add(self, topic: Topic, link: str) -> Route:
         return self._link.add_topic(topic)
@@ -124,7 +124,8 @@ class ClientRole:
         step("linked; opening topics")
         routes = self._link.routes.values()
         await _until(
-            lambda: all(r.accepted or r.refusal for r in routes), lambda: "the server does not answer for all topics"
+            lambda: all(r.accepted or r.refusal for r in routes),
+            lambda: "the server has not answered for all topics yet",
         )
         refused = sum(1 for route in routes if route.refusal)
         step(f"{len(routes) - refused} of {len(routes)} topics open")
@@ -205,10 +206,10 @@ class ServerRole:
             raise LinkError("the server stops")
         if failure := await self._bind():
             self._bind_later(failure)
-            raise LinkError(f"{failure}. The server goes on trying")
+            raise LinkError(f"{failure}. The server keeps trying")
         step("waiting for the clients to come back")
         await _until(
-            lambda: all(link.linked for link in linked), lambda: "not every client came back yet; they go on trying"
+            lambda: all(link.linked for link in linked), lambda: "not every client is back yet; they keep trying"
         )
         step(f"{len(linked)} clients are back")
 
@@ -241,7 +242,7 @@ class ServerRole:
 
 
 async def _farewell(links: Iterable[Link], reason: str, *, retry_after: float | None) -> None:
-    """Close links with a word, and wait shortly for the word to be on its way."""
+    """Tell the peers why their links close, close them, and wait up to 0.5 s until that is sent."""
     streams = []
     for link in links:
         if link.control is not None:
@@ -255,7 +256,7 @@ async def _farewell(links: Iterable[Link], reason: str, *, retry_after: float | 
 
 
 async def _until(condition: Callable[[], bool], otherwise: Callable[[], str]) -> None:
-    """Wait until something is so; LinkError with the words of `otherwise` where it takes too long."""
+    """Wait until a condition holds; after 5 s, raise LinkError with the message that `otherwise` gives."""
     try:
         async with asyncio.timeout(_RESTART_WITHIN):
             while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment

@@ -251,7 +251,7 @@ class RouteTable:
 
     def _proposed(self, proposal: Propose) -> None:
         if proposal.route % 2 == self._owner.is_client or proposal.route <= self._newest_of_peer:
-            self._owner.protocol_error(f"{proposal.route} is no new route id of its own")
+            self._owner.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
         self._newest_of_peer = proposal.route
         try:
@@ -275,9 +275,11 @@ class RouteTable:
             raise LinkError(str(problem))
         incoming = authorized.from_client != owner.is_client
         if incoming and authorized.remote_topic == session.shutdown_topic:
-            raise LinkError(f"{authorized.remote_topic} shuts this side down: only its own programs may say so")
+            raise LinkError(
+                f"{authorized.remote_topic} is this side's shutdown topic: only its own domain may publish on it"
+            )
         if len(self.routes) >= ROUTES_PER_LINK:
-            raise LinkError(f"this link has {ROUTES_PER_LINK} topics already, and no more are let in")
+            raise LinkError(f"this link has {ROUTES_PER_LINK} topics already, which is the limit")
         known = self.routes.get(route_key(owner.name, authorized))
         if known is not None and known.proposed_here and owner.is_client:
             raise LinkError(f"{authorized.topic} is bridged in that direction already")
@@ -314,7 +316,7 @@ class RouteTable:
             route.on_accepted()
 
     def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
-        if self._refused.get(proposal.topic) != reason:  # the other side goes on trying; one event is enough
+        if self._refused.get(proposal.topic) != reason:  # the other side keeps trying; one event is enough
             if len(self._refused) >= ROUTES_PER_LINK:
                 self._refused.clear()
             self._refused[proposal.topic] = reason

@@ -1,4 +1,4 @@
-"""The server's side: bind, let clients in, keep strangers out."""
+"""The server's side: binds the ports, authenticates clients, and rejects everything else."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
     from rsb_bridge.wire.events import Attach, Established
 
-_UNKNOWN_ROUTE = "unknown route"  # a stranger is not told which links there are
+_UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
 _REPLACED_PAUSE = 10.0
-"""s that a client waits which another of the same name has pushed out: else the two would take turns for ever."""
+"""s that a replaced client waits: otherwise two clients of one name would replace each other for ever."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A client that may come in, with what the session says of it and its key (None: unencrypted)."""
+    """A client that the server accepts: its entry in the session, and its key (None: unencrypted)."""
 
     client: Client
     key: Key | None
@@ -110,23 +110,23 @@ class ServerLink(Link):
         """How many routes wait for the client to open their stream."""
         return sum(1 for route in self.routes.values() if _stream_awaited(route))
 
-    def waiting_route(self, opening: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
-        """The route that a stream is asked for, and its transport; raises Refusal where none waits for a stream."""
-        route = self.table.open_route(opening.route)
+    def waiting_route(self, preamble: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
+        """The route that a data preamble names, and its transport; raises Refusal if it does not wait for a stream."""
+        route = self.table.open_route(preamble.route)
         transport = _stream_awaited(route) if route is not None else None
         if self.keys is None or route is None or transport is None:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, _UNKNOWN_ROUTE)
         try:
-            self.keys.check_attach_proof(opening.header, opening.route, opening.proof)
+            self.keys.check_attach_proof(preamble.header, preamble.route, preamble.proof)
         except SealError as error:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
         return route, transport
 
     def join_stream(self, shared: SharedStream, frame: bytes) -> None:
-        opening = parse_further(frame)
-        if self.is_closed_id(opening.route):
+        preamble = parse_further(frame)
+        if self.is_closed_id(preamble.route):
             return  # it was closed here while the frame was under way
-        route, transport = self.waiting_route(opening)
+        route, transport = self.waiting_route(preamble)
         if not transport.multiplexed or route.proposal.port != shared.channel:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
         assert self.data_keys is not None
@@ -156,7 +156,7 @@ class ServerLink(Link):
     def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
         """The link's UDP channel on a socket that its first datagram came to, from `address`; None: it can't be.
 
-        It comes the way the control connection did: a forged one by the other IP must not take the UDP channel away.
+        A datagram of the other IP version is ignored: a forged one must not take over the UDP channel.
         """
         assert self.path_probe is not None
         assert self.control is not None
@@ -203,7 +203,7 @@ class Server:
         self.context.log(Level.INFO, EventCode.ENGINE_LISTENING, f"listening on {address} ({' and '.join(names)})")
 
     def stop(self) -> None:
-        """Take nobody in any more."""
+        """Stop accepting connections, and reject those that are pending."""
         self._ports.close()
         self._pending.close()
 
@@ -211,7 +211,7 @@ class Server:
         """Once a second."""
         self._pending.tick()
 
-    # --- who comes
+    # --- inbound connections
 
     def streams_awaited(self, host: str = "") -> int:
         """How many routes' streams linked clients have yet to open; with `host`: those at that host."""
@@ -266,7 +266,7 @@ class Server:
         return fingerprint(entry.key) if entry is not None and entry.key is not None else ""
 
     def remedy_for_unknown(self) -> str:
-        """What an operator does about a client whose name is not known here; the stranger itself is not told."""
+        """What an operator does about an unknown client name; the client itself is not told."""
         session = self.context.session
         if session.clients:
             return "list it under clients in this side's session file, or set name in the client's to one listed there"

@@ -63,7 +63,7 @@ class Stage:
     """One step on a message's way. The first one that is not `done` is the reason why nothing flows.
 
     Attributes:
-        name: ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.STAGES`).
+        name: ``publisher seen``, ``type known``, ... (`rsb_bridge.route.route.Route.stages`).
         done: True: passed; False: failed; None: not known yet.
         detail: what was found, or what is missing; may be empty.
     """

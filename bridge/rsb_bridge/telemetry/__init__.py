@@ -1,1 +1,1 @@
-"""What the engine measures and says: meters, events, snapshots."""
+"""What the engine measures and reports: meters, events, snapshots."""

@@ -1,4 +1,4 @@
-"""Links' lines in the log, of each link as many as its share: a frame costs the peer less than its line costs us."""
+"""Rate-limits the log lines of each link, which a peer can cause at little cost to itself."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 AT_ONCE = 1000
 """Lines: more than a robot with five hundred topics makes when it links."""
 A_SECOND = 5.0
-"""Lines; a client that goes by its pauses between two calls makes no more about the link itself."""
-_TOLD_EVERY = 10.0
+"""Lines; a client that keeps its delays between attempts causes no more about the link itself."""
+_REPORTED_EVERY = 10.0
 
 
 class RateLimitedEventLog:
-    """Adds links' events to the log, and in place of those that are too many one that says how many they were.
+    """Adds links' events to the log; in place of those beyond a link's quota, one event says how many are missing.
 
-    Events about the link itself, up or down, have a share of their own, so that no flood of others displaces them. When
-    even those are too many, the newest one is added late.
+    Events about the link itself, up or down, have a quota of their own, so that no flood of others displaces them. If
+    even those exceed it, the newest one is added late.
 
     Args:
         events: the log.
@@ -34,10 +34,10 @@ class RateLimitedEventLog:
     def __init__(self, events: EventLog, now: Callable[[], float]) -> None:
         self._events = events
         self._now = now
-        self._shares: dict[tuple[str, bool], _Quota] = {}
+        self._quotas: dict[tuple[str, bool], _Quota] = {}
 
     def add(self, level: Level, code: EventCode, text: str, *, link: str, topic: str, link_status: bool) -> None:
-        """Add an event of a link, if its share has room.
+        """Add an event of a link, if its quota has room.
 
         Args:
             level: how grave it is.
@@ -48,30 +48,30 @@ class RateLimitedEventLog:
             link_status: it is about the link itself.
         """
         now = self._now()
-        share = self._shares.get((link, link_status))
-        if share is None:
-            share = self._shares[link, link_status] = _Quota(now)
-        if not share.passes(_Line(level, code, text, topic), now):
+        quota = self._quotas.get((link, link_status))
+        if quota is None:
+            quota = self._quotas[link, link_status] = _Quota(now)
+        if not quota.passes(_Line(level, code, text, topic), now):
             return
-        if link_status:  # in their order: first what was left out before it
-            self._tell(link, link_status=False)
-            self._tell(link, link_status=True)
+        if link_status:  # keep the order: first report what was left out before it
+            self._report(link, link_status=False)
+            self._report(link, link_status=True)
         self._events.add(level, code, text, link=link, topic=topic)
 
     def tick(self) -> None:
-        """Once a second: tell how many were left out, where that is over or has lasted."""
+        """Once a second: report how many events were left out, once the flood is over or has lasted 10 s."""
         now = self._now()
-        for (link, link_status), share in self._shares.items():
-            if share.due(now):
-                self._tell(link, link_status=link_status)
+        for (link, link_status), quota in self._quotas.items():
+            if quota.due(now):
+                self._report(link, link_status=link_status)
 
-    def _tell(self, link: str, *, link_status: bool) -> None:
-        share = self._shares.get((link, link_status))
-        if share is None or not share.left_out:
+    def _report(self, link: str, *, link_status: bool) -> None:
+        quota = self._quotas.get((link, link_status))
+        if quota is None or not quota.left_out:
             return
-        newest = share.newest if link_status else None
-        left_out = share.left_out - (newest is not None)
-        share.left_out, share.newest = 0, None
+        newest = quota.newest if link_status else None
+        left_out = quota.left_out - (newest is not None)
+        quota.left_out, quota.newest = 0, None
         if left_out:
             text = f"{left_out:,} more line{'s' if left_out > 1 else ''} left out"
             self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, text, link=link)
@@ -90,8 +90,8 @@ class _Quota:
     """A link's lines of one kind.
 
     Attributes:
-        left_out: lines that were too many, since they were told of last.
-        newest: of those.
+        left_out: lines beyond the quota since the last report.
+        newest: the newest of them.
     """
 
     def __init__(self, now: float) -> None:
@@ -110,4 +110,4 @@ class _Quota:
         return False
 
     def due(self, now: float) -> bool:
-        return self.left_out > 0 and (self._lines.left(now) >= 1 or now - self._since >= _TOLD_EVERY)
+        return self.left_out > 0 and (self._lines.left(now) >= 1 or now - self._since >= _REPORTED_EVERY)

@@ -1,4 +1,4 @@
-"""Rates, latencies and clock offsets of what crosses. No clocks in here: the caller says what time it is."""
+"""Rates, latencies and clock offsets. Nothing here reads a clock: the caller passes the time in."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ HISTORY = 120
 _WINDOWS = (3, 10, 30)
 _BUSY_SECONDS = 5
 _SHORTEST_TICK = 0.5
-"""s; what comes in less is left for the next tick, as one message in it would be no rate."""
+"""s; a shorter tick is left to the next one, as one message in so short a time says nothing about a rate."""
 _LATENCIES = 512
 _EARLIEST, _LATEST = -1.0, 3600.0
-"""s: what a message can take, give or take what two clocks are compared to; a slow radio link has minutes waiting."""
+"""s: plausible transit times, with the error of comparing clocks; on a slow radio link messages wait for minutes."""
 _PINGS = 16
 _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
@@ -121,7 +121,7 @@ class RateMeter:
         return float(median(span)) or sum(span) / len(span)
 
     def _rate(self) -> float:
-        # What is due and did not come is no rate any more, whatever the longer windows still hold.
+        # Report 0 Hz once an expected message is missing, even if the longer windows still hold some.
         missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
         if not any(islice(reversed(self.history), int(missed))):
             return 0.0
@@ -150,7 +150,7 @@ class LatencyMeter:
     def add(self, transit: float) -> None:
         """Take one message's transit time (s): arrival on our clock minus departure on the peer's.
 
-        One that no message can take means that a clock was set: all is forgotten, until the clocks are compared anew.
+        An implausible time means that a clock was set: the samples are dropped.
         """
         if not _EARLIEST < transit < _LATEST:
             self._samples.clear()

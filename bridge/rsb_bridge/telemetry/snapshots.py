@@ -1,4 +1,4 @@
-"""Keeps the snapshot that user interfaces see up to date, without making messages wait."""
+"""Keeps the snapshot for user interfaces up to date, without delaying messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE = 128
-"""Routes renewed in one refresh; of more, the others have their turn in the next."""
+"""Routes renewed in one refresh; the others follow in the next ones."""
 _LOOKED_AT_FOR = 2.0
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
 """s from one renewal to the next."""
@@ -87,7 +87,7 @@ class SnapshotPublisher:
             await asyncio.sleep(_EVERY_LOOKED_AT if self.looked_at(now()) else _EVERY)
 
     async def refresh(self, bridge: ShownBridge) -> None:
-        """Renew the links, and the routes or as many of them as have their turn."""
+        """Renew the links, and up to 128 routes, in turn."""
         routes = _routes_of(bridge)
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
         turn = [routes[(self._turn + i) % len(routes)] for i in range(min(_AT_ONCE, len(routes)))]
@@ -96,7 +96,7 @@ class SnapshotPublisher:
         self._publish(bridge, running=True)
 
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
-        """Renew all in one go: after a command, whose outcome is waited for."""
+        """Renew everything at once: after a command, whose outcome a user waits for."""
         self._routes = {route: route.snapshot() for route in _routes_of(bridge)}
         self._publish(bridge, running=running)
 
