@@ -7,6 +7,7 @@ import pytest
 
 from rsb_bridge.config.advice import advise
 from rsb_bridge.config.validation import validate
+from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH, PORTS_PER_CLIENT, ROUTES_PER_LINK
 from rsb_bridge.model.session import Session, Topic
 
 CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
@@ -32,13 +33,13 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         ({**SERVER, "server_port": 80}, None, "server_port", "ports below 1024 need root"),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "/shutdown closes the bridge, too"),
         (topics(Topic("/a", "transmit", port=80)), None, "topics[0].port", "refuses ports below 1024"),
-        (topics(*many(1001)), None, "topics", "a server takes 1000 topics"),
-        (topics(*many(65, 5000)), None, "topics", "a server binds 64 ports"),
+        (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", f"a server takes {ROUTES_PER_LINK} topics"),
+        (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", f"a server binds {PORTS_PER_CLIENT} ports"),
         (
-            topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": 101})),
-            None, "topics[0].qos", "depth 101: the receiving side keeps 100 messages for late joiners",
+            topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH + 1})),
+            None, "topics[0].qos", f"the receiving side keeps {LATCHED_DEPTH} messages for late joiners",
         ),
-        (topics(Topic("/a", "transmit", qos=20_000)), None, "topics[0].qos", "keeps 10000 messages in its publisher"),
+        (topics(Topic("/a", "transmit", qos=KEPT_DEPTH + 1)), None, "topics[0].qos", f"keeps {KEPT_DEPTH} messages in its publisher"),
     ],
 )  # fmt: skip
 def test_it_is_said_with_its_location(
@@ -55,9 +56,9 @@ def test_it_is_said_with_its_location(
     [
         CLIENT,
         {**SERVER, "server_port": 1024},
-        topics(*many(1000)),
-        topics(*many(64, 5000)),
-        topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": 100})),
+        topics(*many(ROUTES_PER_LINK)),
+        topics(*many(PORTS_PER_CLIENT, 5000)),
+        topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH})),
         topics(Topic("/a", "transmit", qos={"history": "keep_all", "depth": 20_000})),
     ],
 )
