@@ -39,7 +39,10 @@ def many(count: int, port: int | None = None) -> list[Topic]:
             topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH + 1})),
             None, "topics[0].qos", f"the receiving side keeps {LATCHED_DEPTH} messages for late joiners",
         ),
-        (topics(Topic("/a", "transmit", qos=KEPT_DEPTH + 1)), None, "topics[0].qos", f"keeps {KEPT_DEPTH} messages in its publisher"),
+        (
+            topics(Topic("/a", "transmit", qos=KEPT_DEPTH + 1)),
+            None, "topics[0].qos", f"keeps {KEPT_DEPTH} messages in its publisher",
+        ),
     ],
 )  # fmt: skip
 def test_it_is_said_with_its_location(
