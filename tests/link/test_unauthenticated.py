@@ -11,7 +11,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, happened, heard, link, linked, route, said, settled
+from tests.support.bridge import carries, happened, heard, link, linked, route, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
@@ -207,10 +207,12 @@ def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Rel
     there, out = pc.listener("/beat"), robot.publisher("/beat")
     server, client = bridge.both(Topic("/beat", "transmit"))
     carries([out], server, ["/beat"])
-    for connection, words in ((0, "the peer broke the format"), (-1, "damaged or forged")):
+    for connection, code in ((0, EventCode.LINK_LOST), (-1, EventCode.ROUTE_CHANNEL_LOST)):
         relay.connections[connection].damage()
         out.publish(text("hurt"))
-        eventually(lambda words=words: said(server, words) or said(client, words))
+        eventually(
+            lambda code=code: happened(server, code, "damaged or forged") or happened(client, code, "damaged or forged")
+        )
         relay.connections[connection].damage(False)
         eventually(lambda: linked(server) and linked(client))
         carries([out], server, ["/beat"])

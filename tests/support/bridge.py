@@ -217,11 +217,6 @@ def happened(engine: Engine, code: EventCode, about: str = "") -> Event | None:
     return next((event for event in reversed(engine.events()) if event.code == code and about in event.text), None)
 
 
-def said(engine: Engine, words: str) -> Event | None:
-    """The newest event with these words in it."""
-    return next((event for event in reversed(engine.events()) if words in event.text), None)
-
-
 def heard(listener: Listener, count: int, within: float = 60.0) -> list[bytes]:
     """Wait until a listener has heard so many messages."""
     eventually(lambda: len(listener.payloads) >= count, within, f"{count} messages")
