@@ -1,0 +1,99 @@
+"""The life of a route's half as a table: which event leads from which phase to which (after h11's connection states).
+
+Whether messages flow beyond the last phase is up to the channel, the link and the ROS graph, which come and go without
+either side having to agree on anything.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+
+
+class Phase(Enum):
+    """What the two sides have agreed on so far, in this order; `REFUSED` and `CLOSED` are not on the way."""
+
+    CLOSED = auto()
+    """Not open on the present connection."""
+    REFUSED = auto()
+    """Not open, for a reason that is known; the side that proposed it tries again later."""
+    PROPOSED = auto()
+    """One side has proposed it; the other has not answered yet."""
+    ACCEPTED = auto()
+    """Both sides want it; the sender finds out type and QoS."""
+    DESCRIBED = auto()
+    """The sender has said what it sends; the receiver makes a publisher of it."""
+    READY = auto()
+    """The receiver has the publisher: messages may be sent."""
+
+
+class Event(Enum):
+    """What happens to a route."""
+
+    OPEN = auto()
+    """It is proposed, by either side."""
+    ACCEPT = auto()
+    """The other side accepts it, or this side accepts the other's proposal."""
+    DESCRIBE = auto()
+    """The sender says what it sends; again whenever that changes."""
+    READY = auto()
+    """The receiver has a publisher for what was described last."""
+    REFUSE = auto()
+    """Either side says why it cannot be."""
+    CLOSE = auto()
+    """The incarnation ends for no fault of the route's: the link is lost, or it is opened again."""
+
+
+_END = {Event.REFUSE: Phase.REFUSED, Event.CLOSE: Phase.CLOSED}
+
+TRANSITIONS: dict[Phase, dict[Event, Phase]] = {
+    Phase.CLOSED: {Event.OPEN: Phase.PROPOSED, **_END},
+    Phase.REFUSED: {Event.OPEN: Phase.PROPOSED, Event.REFUSE: Phase.REFUSED, Event.CLOSE: Phase.REFUSED},
+    Phase.PROPOSED: {Event.ACCEPT: Phase.ACCEPTED, **_END},
+    Phase.ACCEPTED: {Event.DESCRIBE: Phase.DESCRIBED, **_END},
+    Phase.DESCRIBED: {Event.DESCRIBE: Phase.DESCRIBED, Event.READY: Phase.READY, **_END},
+    Phase.READY: {Event.DESCRIBE: Phase.DESCRIBED, **_END},
+}
+
+
+class Lifecycle:
+    """The phase of one route's half.
+
+    Attributes:
+        phase: the present one.
+        refusal: why it was refused last, for an operator; empty: it was not, or is open again.
+    """
+
+    def __init__(self) -> None:
+        self.phase = Phase.CLOSED
+        self.refusal = ""
+
+    def take(self, event: Event, reason: str = "") -> bool:
+        """Go on to the next phase.
+
+        Args:
+            event: what happened.
+            reason: with `Event.REFUSE`, why.
+
+        Returns:
+            Whether the event belongs into this phase; if not, nothing changes. A peer can send its messages in any
+            order, so this is no error.
+        """
+        new = TRANSITIONS[self.phase].get(event)
+        if new is None:
+            return False
+        self.phase = new
+        if event is Event.REFUSE:
+            self.refusal = reason
+        elif event is Event.OPEN:
+            self.refusal = ""
+        return True
+
+    @property
+    def accepted(self) -> bool:
+        """Whether both sides want the route."""
+        return self.phase in (Phase.ACCEPTED, Phase.DESCRIBED, Phase.READY)
+
+    @property
+    def ready(self) -> bool:
+        """Whether messages may be sent, as far as the two sides have to agree."""
+        return self.phase is Phase.READY
