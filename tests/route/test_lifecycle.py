@@ -59,7 +59,6 @@ def test_a_new_type_is_described_before_messages_flow_again() -> None:
         (Phase.CLOSED, Event.ACCEPT),
         (Phase.PROPOSED, Event.DESCRIBE),
         (Phase.ACCEPTED, Event.READY),
-        (Phase.READY, Event.READY),
         (Phase.READY, Event.ACCEPT),
         (Phase.REFUSED, Event.READY),
     ],
@@ -79,6 +78,7 @@ def test_whatever_happens_the_way_is_gone_in_order(events: list[Event]) -> None:
             since_open = [event] if event is Event.OPEN else [*since_open, event]
         if life.ready:
             assert since_open[:2] == [Event.OPEN, Event.ACCEPT]
-            assert since_open[-2:] == [Event.DESCRIBE, Event.READY]
+            assert since_open[-1] is Event.READY
+            assert Event.DESCRIBE in since_open
         assert bool(life.refusal) <= (not life.accepted)
     assert set(TRANSITIONS) == set(Phase)

@@ -17,6 +17,7 @@ from rsb_bridge.ros.api import Publisher, RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import reported_ledger
+from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
@@ -90,6 +91,8 @@ class IncomingRoute(Route):
 
     def described(self, description: Describe) -> None:
         """The sender says what it will send: have a publisher for it, or say why not."""
+        if not self.life.take(Event.DESCRIBE):
+            return
         if clash := self._type_clash(description):
             self._refuse_type(clash)
             return
@@ -107,6 +110,7 @@ class IncomingRoute(Route):
             newest = self._output.newest()
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, before=self._counted_before(), newest=newest))
+        self.life.take(Event.READY)
         self.advance()
 
     def _counted_before(self) -> ReceivedReport | None:
@@ -323,7 +327,7 @@ class IncomingRoute(Route):
                 self.problem,
             ),
             self.link_stage(),
-            Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
+            self.accepted_stage(),
             Stage("sent", (report is not None and report.offered > 0) or None),
             Stage("received", self._received > 0 or None, "" if self._received else self.last_error),
             Stage("published", self._delivered > 0 or None),

@@ -36,7 +36,7 @@ class Event(Enum):
     DESCRIBE = auto()
     """The sender says what it sends; again whenever that changes."""
     READY = auto()
-    """The receiver has a publisher for what was described last."""
+    """The receiver has a publisher for what was described; it answers each description."""
     REFUSE = auto()
     """Either side says why it cannot be."""
     CLOSE = auto()
@@ -51,7 +51,7 @@ TRANSITIONS: dict[Phase, dict[Event, Phase]] = {
     Phase.PROPOSED: {Event.ACCEPT: Phase.ACCEPTED, **_END},
     Phase.ACCEPTED: {Event.DESCRIBE: Phase.DESCRIBED, **_END},
     Phase.DESCRIBED: {Event.DESCRIBE: Phase.DESCRIBED, Event.READY: Phase.READY, **_END},
-    Phase.READY: {Event.DESCRIBE: Phase.DESCRIBED, **_END},
+    Phase.READY: {Event.DESCRIBE: Phase.DESCRIBED, Event.READY: Phase.READY, **_END},
 }
 
 
@@ -92,6 +92,11 @@ class Lifecycle:
     def accepted(self) -> bool:
         """Whether both sides want the route."""
         return self.phase in (Phase.ACCEPTED, Phase.DESCRIBED, Phase.READY)
+
+    @property
+    def described(self) -> bool:
+        """Whether the sender has said what it sends."""
+        return self.phase in (Phase.DESCRIBED, Phase.READY)
 
     @property
     def ready(self) -> bool:

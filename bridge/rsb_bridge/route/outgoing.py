@@ -17,6 +17,7 @@ from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.route.throttle import Throttle
@@ -69,7 +70,6 @@ class OutgoingRoute(Route):
         self._ledger = RouteLedger()
         self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
-        self._ready = False
         self._publishers: list[Endpoint] = []
         self._publisher_qos: Qos | None = None
         self._unresolved: _Unresolved | None = None
@@ -79,9 +79,10 @@ class OutgoingRoute(Route):
 
     def peer_ready(self, ready: Ready) -> None:
         """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
+        if not self.life.take(Event.READY):
+            return
         if not self._ledger.settle(ready.before, self.peer.instance):
             self.doubt(_LIMITED)
-        self._ready = True
         described = self._described
         if described is not None:
             self._end_intake()
@@ -118,11 +119,11 @@ class OutgoingRoute(Route):
             return
         if described != self._described:
             self._unsubscribe()
-            self._ready = False
             self._described = described
             self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
+            self.life.take(Event.DESCRIBE)
             self.peer.send(described)
-        if not self._ready:
+        if not self.life.ready:
             return
         self._look_who_is_present()
         if self.channel is None:
@@ -216,7 +217,6 @@ class OutgoingRoute(Route):
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
         self._end_intake()
         self._described = None
-        self._ready = False
         self._ledger.drop("link lost", self._queue.clear())
         self._ledger.closed()
         self._report = None
@@ -352,7 +352,7 @@ class OutgoingRoute(Route):
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""
         report = self._report
-        known = self._described is not None
+        known = self.life.described
         publishers = len(self._publishers)
         failed = self._unresolved.stage if self._unresolved else ""
         why = self._unresolved.why if self._unresolved else ""
@@ -363,7 +363,7 @@ class OutgoingRoute(Route):
             Stage("QoS compatible", not clash if known else None, clash),
             Stage("subscribed", False if failure else self._subscribed or None, failure),
             self.link_stage(),
-            Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal),
+            self.accepted_stage(),
             Stage("sent", self._ledger.sent_now > 0 or None),
             Stage("received", self._ledger.received_now > 0 or None),
             Stage("published", self._ledger.delivered_now > 0 or None),

@@ -16,6 +16,7 @@ from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.route.lifecycle import Event, Lifecycle
 from rsb_bridge.route.pause import PauseState, Revisions
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.wire.messages import Close, ControlMessage, Propose
@@ -103,8 +104,7 @@ class Route:
         proposed_here: whether this side opens it anew after a reconnect.
         id: route id on the present connection; 0: not open.
         instance: of the peer's process that its present or last opening is with.
-        accepted: the peer said yes (or we did, to the peer's proposal).
-        refusal: why there is no such route, in words; empty: nothing was refused.
+        life: what the two sides have agreed on so far.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
     """
@@ -124,8 +124,7 @@ class Route:
         self.key = route_key(peer.name, proposal)
         self.id = 0
         self.instance = ""
-        self.accepted = False
-        self.refusal = ""
+        self.life = Lifecycle()
         self.opened_at = 0.0
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
@@ -152,9 +151,9 @@ class Route:
 
     def on_accepted(self) -> None:
         """Both sides want the route."""
-        self.accepted = True
-        self._backoff.reset()
-        self.advance()
+        if self.life.take(Event.ACCEPT):
+            self._backoff.reset()
+            self.advance()
 
     def advance(self) -> None:
         """Do what can be done next."""
@@ -202,12 +201,22 @@ class Route:
 
     # --- opening and closing
 
+    @property
+    def accepted(self) -> bool:
+        """Whether both sides want it."""
+        return self.life.accepted
+
+    @property
+    def refusal(self) -> str:
+        """Why it was refused; empty: it was not."""
+        return self.life.refusal
+
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
         self.id = route_id
         self.instance = self.peer.instance
         self.opened_at = self.context.now()
-        self.refusal = ""
+        self.life.take(Event.OPEN)
         self.stale.rearm(self.context.now())
 
     def close(self, reason: str) -> None:
@@ -220,7 +229,7 @@ class Route:
             self.release_port = None
         self.peer.closed(self.id)
         self.id = 0
-        self.accepted = False
+        self.life.take(Event.CLOSE)
         self.closed_at = self.context.now()
 
     def destroy(self) -> None:
@@ -233,7 +242,8 @@ class Route:
             self._told = reason
             self.log(Level.ERROR, code, reason)
         self.close(reason)
-        self.refusal = self.last_error = reason
+        self.life.take(Event.REFUSE, reason)
+        self.last_error = reason
         self.retry_at = self.context.now() + self._backoff.next()
 
     def awaited_until(self, linked_at: float) -> float:
@@ -326,6 +336,10 @@ class Route:
         """Whether the peer is there, and what carries this route gets through."""
         trouble = self._trouble()
         return Stage(LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
+
+    def accepted_stage(self) -> Stage:
+        """Whether both sides want the route."""
+        return Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal)
 
     def _trouble(self) -> str:
         return self.channel.trouble() if self.channel is not None else ""
