@@ -426,3 +426,10 @@ def test_a_history_that_begins_late_is_no_loss(
         newcomer.publish(payload(str(number)))
     eventually(lambda: received.payloads[-1:] == [payload("4")])
     assert subscription.lost == 0
+
+
+def test_closed_publishers_are_forgotten_in_time(open_node: Callable[..., RosNode]) -> None:
+    node = open_node()
+    for number in range(1100):
+        node.advertise(f"/closed_{number % 7}", STRING, "", Qos(), "link").close()
+    assert sum(len(gids) for gids in node._own.values()) == 1000

@@ -8,7 +8,7 @@ import re
 import secrets
 import threading
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.api import RosError
@@ -22,10 +22,16 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import Endpoint, OnFailure, Publisher, Sink, Subscription
     from rsb_bridge.ros.rcl import Participant, Reader, Writer
 
+_Key: TypeAlias = "tuple[str, Hashable]"
+"""A topic, and who our endpoints on it belong to."""
+
 _log = logging.getLogger(__name__)
 
 _BATCH = 64
 """Messages taken from one subscription before the next has its turn."""
+
+_CLOSED_REMEMBERED = 1000
+"""Publishers of our own that were closed: their messages are still known as ours."""
 
 _STOP_WITHIN = 1.0  # s
 
@@ -53,8 +59,8 @@ class RosNode:
         self._on_graph_change: Callable[[], None] = _nothing
         self._on_failure: Callable[[str], None] = _log.error
         self._failure = ""
-        # Kept after a publisher is closed: what it published may still be on its way.
-        self._own: defaultdict[tuple[str, Hashable], set[bytes]] = defaultdict(set)
+        self._own: defaultdict[_Key, set[bytes]] = defaultdict(set)
+        self._closed: deque[tuple[_Key, bytes]] = deque()  # in `_own` still: what they published may be on its way
 
     def start(self) -> None:
         """Join the domain and start the thread.
@@ -145,7 +151,7 @@ class RosNode:
         with self._lock:
             writer = self._joined().create_writer(topic, type_name, type_hash, qos)
             self._own[writer.topic, origin].add(writer.gid)
-            publisher = _Publisher(writer, qos, self)
+            publisher = _Publisher(writer, qos, self, (writer.topic, origin))
             self._publishers |= {publisher}
         return publisher
 
@@ -157,7 +163,15 @@ class RosNode:
     def forget(self, publisher: _Publisher) -> None:
         """Drop a publisher that was closed."""
         with self._lock:
+            if publisher not in self._publishers:
+                return
             self._publishers -= {publisher}
+            self._closed.append((publisher.key, publisher.gid))
+            if len(self._closed) > _CLOSED_REMEMBERED:
+                key, gid = self._closed.popleft()
+                self._own[key].discard(gid)
+                if not self._own[key] and not any(each.own is self._own[key] for each in self._subscriptions.values()):
+                    del self._own[key]
 
     def _joined(self) -> Participant:
         participant = self._participant
@@ -226,7 +240,7 @@ class _Subscription:
         self.qos = qos
         self._sink = sink
         self._on_failure = on_failure
-        self._own = own
+        self.own = own
         self._retire = retire
         self._delivering = threading.RLock()  # a sink may close its own subscription
         self._closed = False
@@ -241,7 +255,7 @@ class _Subscription:
             if self._closed:
                 return
             try:
-                batch = self.reader.take(_BATCH, self._own)
+                batch = self.reader.take(_BATCH, self.own)
             except RosError as error:
                 self.close()
                 if self._on_failure is not None:
@@ -259,8 +273,9 @@ class _Subscription:
 class _Publisher:
     """A writer that counts other nodes' subscriptions only."""
 
-    def __init__(self, writer: Writer, qos: Qos, node: RosNode) -> None:
+    def __init__(self, writer: Writer, qos: Qos, node: RosNode, key: _Key) -> None:
         self.writer = writer
+        self.key = key
         self.topic = writer.topic
         self.publish = writer.publish
         self.gid = writer.gid
