@@ -16,16 +16,16 @@ demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
 test: $(STAMP) system lint
-	timeout -k 5 300 $(BIN)/python -m pytest tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
+	timeout -k 5 600 $(BIN)/python -m pytest tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 	$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-programs test-people
 
 # Two halves of about the same length, run at the same time: tests of the engine and the commands; and tests of the console,
 # in the virtual machine, and in the simulation. They share no domain, port or file.
 test-programs: $(STAMP)
-	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/system tests/telemetry tests/transport
+	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/system tests/telemetry tests/transport
 
 test-people: $(STAMP)
-	timeout -k 5 540 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console tests/simulation
+	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console tests/simulation
 
 # Those of the tests that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md); `test` has them too.
 test-bluetooth: $(STAMP) system
