@@ -14,7 +14,7 @@ BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in
     "Sessions": ("o", "↑ ↓ and ⏎"),
     "New session": ("f2", "Encryption"),
     "Import": ("f3", "config/bringup.yaml"),
-    "Save as": ("W", "Key files are named"),
+    "Save as": ("W", "Key files are relative"),
     "Add a topic": ("a", "Direction"),
     "Edit": ("e", "Direction"),
     "Remove": ("d", "It stops crossing"),
