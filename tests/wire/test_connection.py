@@ -277,3 +277,26 @@ def test_a_message_may_fill_a_control_frame_and_no_more(suite: Suite) -> None:
     with pytest.raises(ValueError, match="a TopicList of"):
         client.send(topic_list_of(room + 1))
     assert server.receive_data(client.send(Ping(1, 1))) == [Received(Ping(1, 1))]
+
+
+def test_a_server_that_waited_in_vain_for_the_confirmation_is_understood() -> None:
+    """The client has been accepted, and its confirmation is under way for too long."""
+    client, server = make_client(), make_server()
+    server.receive_data(client.start())
+    the(Established, client.receive_data(server.data_to_send()))
+    refusal = server.refuse(RefusalCode.BUSY, "no handshake within 5 s")
+    assert client.receive_data(refusal) == [Refused(RefusalCode.BUSY, "no handshake within 5 s")]
+    assert client.receive_data(refusal) == []
+
+
+@pytest.mark.parametrize("frame", [preamble_frame(Kind.ACCEPT), b"rsb", bytes(20)], ids=["ACCEPT", "cut off", "other"])
+def test_any_other_frame_in_the_clear_breaks_the_format(frame: bytes) -> None:
+    client, *_ = established()
+    assert isinstance(the(Failed, client.receive_data(pack_frame(frame))), Failed)
+
+
+def test_a_refusal_after_a_sealed_frame_breaks_the_format() -> None:
+    client, server, *_ = established()
+    client.receive_data(server.send(Ping(n=1, sent=1)))
+    refusal = pack_frame(refuse_frame(RefusalCode.BUSY, "forged"))
+    assert isinstance(the(Failed, client.receive_data(refusal)), Failed)

@@ -24,6 +24,7 @@ from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameR
 from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
 from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome, decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.preamble import (
+    MAGIC,
     ControlPreamble,
     Kind,
     Refusal,
@@ -177,7 +178,13 @@ class _Control(_Stream):
             elif self._multiplexed and self._unconfirmed is None and len(header) == HEADER.size and header[0] == DATA:
                 self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
             else:
-                raise ProtocolError(f"unexpected frame on the control connection, header {header.hex(' ')}")
+                self._on_other_frame(frame)
+                return
+
+    def _on_other_frame(self, frame: memoryview) -> None:
+        raise ProtocolError(
+            f"unexpected frame on the control connection, header {bytes(frame[: HEADER.size]).hex(' ')}"
+        )
 
     def _on_control(self, content: bytes) -> None:
         self._events.append(Received(decode(content)))
@@ -200,6 +207,7 @@ class ClientConnection(_Control):
         self._key = key
         self._suite = Suite.PLAIN if key is None else suite
         self._handshake: Handshake = PlainHandshake()
+        self._heard = False  # a sealed frame: so the server has this side's confirmation
 
     def start(self) -> bytes:
         """The bytes to write first.
@@ -222,6 +230,19 @@ class ClientConnection(_Control):
                 self._outbox += self.start()
             case _:
                 raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
+
+    def _on_control(self, content: bytes) -> None:
+        self._heard = True
+        super()._on_control(content)
+
+    def _on_other_frame(self, frame: memoryview) -> None:
+        """Take a REFUSE of a server that has accepted, and then waited in vain for this side's confirmation."""
+        if self._heard or frame[: len(MAGIC)] != MAGIC:
+            super()._on_other_frame(frame)
+        kind, body = parse_preamble(bytes(frame))
+        if kind is not Kind.REFUSE:
+            super()._on_other_frame(frame)
+        self._refused_by_peer(body)
 
     def _on_accept(self, message: bytes) -> None:
         try:
