@@ -26,6 +26,7 @@ class Climate:
         commands: s from one command of an operator to the next, on average; 0: there are none.
         nights: part of the time that the robots are switched off, for hours.
         checks: s, between which everything is checked.
+        patience: how many times longer than usual everything may take: more where an engine is slowed down.
     """
 
     name: str
@@ -38,13 +39,14 @@ class Climate:
     commands: float = 300.0
     nights: float = 0.0
     checks: tuple[float, float] = (1.0, 5.0)
+    patience: float = 1.0
 
 
 QUIET = Climate("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, commands=900.0, nights=0.5)
 """A robot that is used by day, where something happens a few times an hour."""
 LIVELY = Climate("lively", robots=(1, 1, 2))
 """A robot or two, where something happens every minute."""
-STORM = Climate("storm", robots=(1, 1, 2), periods=(0.2, 20.0), faults=15.0, commands=30.0)
+STORM = Climate("storm", robots=(1, 1, 2), periods=(0.2, 20.0), size=20_000, faults=15.0, commands=30.0)
 """Where something happens every few seconds."""
 FLEET = Climate("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
 """Many robots on one server."""

@@ -59,11 +59,9 @@ async def cut_one_way(world: World, robot: Robot, random: Random) -> None:
     ends = [robot.station.machine, world.server.machine]
     random.shuffle(ends)
     with world.trouble("one-way cut", robot):
-        path = world.network.path(*ends)
-        path.cut = True
+        world.network.cut_one_way(*ends)
         await asyncio.sleep(duration(random))
-        path.cut = False
-        path.healed()
+        world.network.heal(*ends)
 
 
 async def flap(world: World, robot: Robot, random: Random) -> None:

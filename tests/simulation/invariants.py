@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 LINKED_WITHIN = 15.0
 """s from the end of what kept a robot from being linked."""
+NOTICED_WITHIN = 10.0
+"""s from when nothing gets through in one of the two directions until neither side seems to be linked: 5 s of silence
+for one side, and as long for the other where only one direction is cut."""
 AGREED_WITHIN = 25.0
 """s from then, or from the last command: a route that was refused is tried again after up to 10 s, and one that nobody
 asks for any more is forgotten up to 13 s after it was closed."""
@@ -52,6 +55,7 @@ class Invariants:
         self.checks = 0
         self.worst_recovery = 0.0
         self._world = world
+        self._patience = world.climate.patience
         self._random = world.random("invariants")
         self._linked: set[Robot] = set()
         self._agreed: dict[Robot, float] = {}
@@ -80,15 +84,22 @@ class Invariants:
             if sweep:
                 self._check_tables(run)
         if sweep:
-            self._next_sweep = world.loop.time() + _SWEEP_EVERY
+            self._next_sweep = world.loop.time() + self._patience * _SWEEP_EVERY
             self._check_timers()
 
     # --- links
 
     def _check_linked(self, robot: Robot) -> None:
-        """Whoever can be linked is linked within 15 s, and stays so."""
+        """Whoever can be linked is linked within 15 s, and stays so; who cannot does not seem to be."""
         world, now = self._world, self._world.loop.time()
         ends = world.link_ends(robot)
+        cut_off_at = world.cut_off_at(robot)
+        if cut_off_at is not None and now - cut_off_at > self._patience * NOTICED_WITHIN and not robot.has_twin:
+            for link in ends or ():
+                if link.linked:
+                    world.wrong(
+                        f"{robot.name} is cut off for {now - cut_off_at:.1f} s, and seems linked with {link.address}"
+                    )
         if ends is None or robot.troubles:
             self._linked.discard(robot)
             return
@@ -97,7 +108,7 @@ class Invariants:
             if robot not in self._linked:
                 self._linked.add(robot)
                 self.worst_recovery = max(self.worst_recovery, waited)
-        elif waited > LINKED_WITHIN:
+        elif waited > self._patience * LINKED_WITHIN:
             here, there = ends
             world.wrong(
                 f"{robot.name} can be linked since {waited:.1f} s, and is not: it says {here.down_reason!r}, "
@@ -131,7 +142,10 @@ class Invariants:
         }
         if not wrong:
             self._agreed[robot] = now
-        elif now - max(self._agreed.get(robot, 0.0), world.clear_since(robot), robot.commanded) > AGREED_WITHIN:
+        elif (
+            now - max(self._agreed.get(robot, 0.0), world.clear_since(robot), robot.commanded)
+            > self._patience * AGREED_WITHIN
+        ):
             world.wrong(f"{robot.name} and the server disagree on which routes there are, and paused: {wrong}")
 
     def _check_flow(self, robot: Robot, flow: Flow) -> None:
@@ -141,15 +155,15 @@ class Invariants:
             self._can_flow.pop(flow, None)
             return
         began = (self._can_flow.setdefault(flow, now), flow.changed, robot.commanded, world.clear_since(robot))
-        since = max(began) + FLOWS_WITHIN
+        since = max(began) + self._patience * FLOWS_WITHIN
         if flow.latched:
             if flow.topic.max_rate or not flow.ordered:
                 return  # the newest may be left out, or overtaken
             waited = now - max(since, flow.last_sent)
-            wrong = flow.sent > flow.newest.get(flow.life, 0) and waited > FLOWS_WITHIN
+            wrong = flow.sent > flow.newest.get(flow.life, 0) and waited > self._patience * FLOWS_WITHIN
         else:
             waited = now - max(since, flow.last_heard)
-            wrong = waited > FLOWS_WITHIN + 1.5 * flow.period
+            wrong = waited > self._patience * FLOWS_WITHIN + 1.5 * flow.period
         if wrong:
             world.wrong(
                 f"{flow} could flow for {waited:.1f} s, and does not: message {flow.sent} of life {flow.life} went in "
@@ -199,7 +213,7 @@ class Invariants:
         else:
             robot = world.robot(route.peer.name)
             last = max(account.last_offered, route.opened_at, world.clear_since(robot))
-            if not robot.troubles and route.flowing and now - last > SETTLED_WITHIN:
+            if not robot.troubles and route.flowing and now - last > self._patience * SETTLED_WITHIN:
                 if ledger.delivered < account.published - account.unreported:
                     wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
                 elif ledger.in_flight:

@@ -16,6 +16,7 @@ import asyncio
 import contextvars
 import heapq
 import itertools
+import math
 from collections import deque
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, TypeVarTuple
 
@@ -28,12 +29,17 @@ Ts = TypeVarTuple("Ts")
 
 _SWEEP_FROM = 512
 """Cancelled timers that are left in the heap until they would be due; from so many on they are swept out."""
+_MOST_AT_ONCE = 1_000_000
 _EXECUTOR = (0.0001, 0.002)
 """s, between which what an executor is asked for takes."""
 
 
 class Deadlock(Exception):  # noqa: N818 — it says how things are
     """Everything waits, and no timer will ever wake anything."""
+
+
+class Livelock(Exception):  # noqa: N818 — it says how things are
+    """Something runs again and again, and time does not go on."""
 
 
 class Program(Protocol):
@@ -140,7 +146,10 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
     def call_later(
         self, delay: float, callback: Callable[[*Ts], object], *args: *Ts, context: contextvars.Context | None = None
     ) -> Timer:
-        return self.call_at(self._now + delay, callback, *args, context=context)
+        when = self._now + delay
+        if when == self._now and delay > 0.0:  # less than a float can tell: but time goes on
+            when = math.nextafter(when, math.inf)
+        return self.call_at(when, callback, *args, context=context)
 
     def call_at(
         self, when: float, callback: Callable[[*Ts], object], *args: *Ts, context: contextvars.Context | None = None
@@ -199,18 +208,24 @@ class SimulatedLoop(asyncio.AbstractEventLoop):
 
     def _run(self) -> None:
         ready = self._ready
+        moment = self.callbacks  # when time last went on
         while not self._stopping:
             if ready:
                 handle = ready.popleft()
             elif self._timers:
-                self._now, _, handle = heapq.heappop(self._timers)
+                when, _, handle = heapq.heappop(self._timers)
                 if handle.cancelled():
                     self._cancelled_timers -= 1
                     continue
                 handle._scheduled = False
+                if when > self._now:
+                    self._now = when
+                    moment = self.callbacks
             else:
                 raise Deadlock(f"at {self._now:.3f} s everything waits for ever")
             self.callbacks += 1
+            if self.callbacks - moment > _MOST_AT_ONCE:
+                raise Livelock(f"{_MOST_AT_ONCE:,} callbacks have run at {self._now:.3f} s, and now comes {handle}")
             try:
                 handle.context.run(handle.callback, *handle.args)
             except (SystemExit, KeyboardInterrupt):

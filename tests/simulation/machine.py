@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tests.simulation.sockets import Socket
 
 ANY = "0.0.0.0"
+_STREAM_BUFFERS = (4_000, 32_000, 200_000)
 _FIRST_EPHEMERAL, _EPHEMERAL_PORTS = 32_768, 28_000
 
 
@@ -41,7 +42,8 @@ class Machine:
         name: in failures.
         network: it is on.
         address: its IPv4 address.
-        up: it is switched on.
+        off_at: s, since when it is switched off; None: it is on.
+        stream_buffer: bytes of a stream that its kernel takes before the peer's has acknowledged them.
         refuses: a firewall here answers connects with a refusal.
         bound: sockets by their type and port.
         processes: those that run.
@@ -51,12 +53,18 @@ class Machine:
         self.name = name
         self.network = network
         self.address = address
-        self.up = True
+        self.off_at: float | None = None
         self.refuses = False
+        self.stream_buffer = network.random.choice(_STREAM_BUFFERS)
         self.bound: dict[tuple[int, int], Socket] = {}
         self.processes: list[Process] = []
         self._last_port = 0
         network.join(self, address)
+
+    @property
+    def up(self) -> bool:
+        """Whether it is switched on."""
+        return self.off_at is None
 
     def __repr__(self) -> str:
         return f"<{self.name} {self.address}>"
@@ -77,13 +85,13 @@ class Machine:
 
     def power_off(self) -> None:
         """Lose everything, without a word to anybody."""
-        self.up = False
+        self.off_at = self.network.loop.time()
         for process in tuple(self.processes):
             process.end(lambda descriptor: descriptor.vanished())
 
     def power_on(self) -> None:
         """Be there again, with nothing running."""
-        self.up = True
+        self.off_at = None
         self.network.woke(self)
 
 
@@ -119,10 +127,11 @@ class Process:
         """End at once, as by kill -9: the kernel closes what is open."""
         self.end(lambda descriptor: descriptor.killed())
 
-    def exit(self) -> None:
-        """End in good order, with nothing left to close."""
-        assert not self.descriptors, f"left open: {list(self.descriptors)}"
-        self.end(lambda descriptor: None)
+    def exit(self) -> list[Descriptor]:
+        """End in good order; what was left open is returned, and closed by the kernel."""
+        left = list(self.descriptors)
+        self.kill()
+        return left
 
     def end(self, free: Callable[[Descriptor], None]) -> None:
         """End at once, and free each descriptor in some way."""

@@ -32,7 +32,7 @@ class Path:
         duplicates: part of the datagrams that come twice.
         bandwidth: bytes/s; None: no limit that matters.
         mtu: bytes of the largest packet.
-        cut: nothing arrives.
+        cut_at: s, since when nothing arrives; None: packets do.
     """
 
     latency: tuple[float, float] = _GOOD
@@ -40,7 +40,7 @@ class Path:
     duplicates: float = 0.0
     bandwidth: float | None = None
     mtu: int = 1500
-    cut: bool = False
+    cut_at: float | None = None
     _busy_until: float = 0.0
     _when_healed: dict[Callable[[], None], None] = field(default_factory=dict)
 
@@ -125,18 +125,22 @@ class Network:
 
     def cut(self, one: Machine, other: Machine) -> None:
         """Let nothing through between two machines."""
-        for path in self.both_ways(one, other):
-            path.cut = True
+        self.cut_one_way(one, other)
+        self.cut_one_way(other, one)
+
+    def cut_one_way(self, source: Machine, destination: Machine) -> None:
+        """Let nothing through in one direction."""
+        self.path(source, destination).cut_at = self.loop.time()
 
     def heal(self, one: Machine, other: Machine) -> None:
         """Let everything through again."""
         for path in self.both_ways(one, other):
-            path.cut = False
+            path.cut_at = None
             path.healed()
 
     def passes(self, source: Machine, destination: Machine) -> bool:
         """Whether a packet gets from one machine to another now."""
-        return source.up and destination.up and not self.path(source, destination).cut
+        return source.up and destination.up and self.path(source, destination).cut_at is None
 
     def woke(self, machine: Machine) -> None:
         """A machine is up again: what was on its way there may arrive."""

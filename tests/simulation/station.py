@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
 
     from tests.simulation.loop import SimulatedLoop
+    from tests.simulation.machine import Descriptor
     from tests.simulation.network import Network
 
     from rsb_bridge.config.keys import Key
@@ -95,6 +96,7 @@ class Station:
         on_run: told of each engine that begins to run.
         on_end: told of each engine that is about to end.
         on_event: told of each event.
+        on_leak: told of what an engine leaves open when it stops.
     """
 
     def __init__(self, network: Network, name: str, address: str, random: Random) -> None:
@@ -108,6 +110,7 @@ class Station:
         self.on_run: Callable[[Run], None] = _ignore
         self.on_end: Callable[[Run], None] = _ignore
         self.on_event: Callable[[Station, Level, EventCode, str, str], None] = _ignore
+        self.on_leak: Callable[[Station, list[Descriptor]], None] = _ignore
         self.random = random
 
     def start(self) -> Run:
@@ -230,7 +233,8 @@ class Run:
                 task.cancel()
             await asyncio.wait(tasks)
         self.node.stop()
-        self.process.exit()
+        if left := self.process.exit():
+            self.station.on_leak(self.station, left)
 
     def die(self) -> None:
         """The process is gone. What is left of its code is told to end, and reaches nobody any more."""

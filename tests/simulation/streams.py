@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from tests.simulation.network import Path
     from tests.simulation.sockets import Address, Socket
 
-_SOCKET_BUFFER = 200_000
-"""Bytes that a kernel takes before the peer's has acknowledged them."""
 _SHORTEST_RETRANSMISSION = 0.2
 _USER_TIMEOUT_MS = 924_600
 """How long what is not acknowledged is sent again, where the program does not say (tcp(7), tcp_retries2)."""
@@ -61,6 +59,7 @@ class StreamTransport(asyncio.Transport):
         self._sock: Socket
         self._local, self._remote = local, remote
         self._loop = process.loop
+        self._buffer = process.machine.stream_buffer
         self._random = process.network.random
         self._protocol: asyncio.Protocol | None = None
         self._context = contextvars.copy_context()
@@ -118,7 +117,7 @@ class StreamTransport(asyncio.Transport):
     def write(self, data: bytes | bytearray | memoryview) -> None:
         if self._closing or self._gone or not data:
             return
-        if self._waiting or self._unacknowledged >= _SOCKET_BUFFER:
+        if self._waiting or self._unacknowledged >= self._buffer:
             self._waiting.append(bytes(data))
             self._waiting_bytes += len(data)
             if self._waiting_bytes > self._high and not self._paused:
@@ -204,7 +203,7 @@ class StreamTransport(asyncio.Transport):
 
     def _passes(self) -> bool:
         ends = (self, self.peer)
-        return not self._path.cut and all(
+        return self._path.cut_at is None and all(
             end.process.machine.up and end.process.machine.address == end._local[0] for end in ends
         )
 
@@ -249,7 +248,7 @@ class StreamTransport(asyncio.Transport):
     def _acknowledged(self, size: int) -> None:
         """The other program has taken bytes: there is room again for as many."""
         self._unacknowledged -= size
-        while self._waiting and self._unacknowledged < _SOCKET_BUFFER:
+        while self._waiting and self._unacknowledged < self._buffer:
             data = self._waiting.popleft()
             self._waiting_bytes -= len(data)
             self._send(data)

@@ -26,9 +26,10 @@ def tables(root: object, name: str = "engine") -> dict[str, int]:
         if id(each) in seen or isinstance(each, _NOT_HELD):
             continue
         seen.add(id(each))
+        if isinstance(each, deque) and each.maxlen is not None:
+            continue  # it bounds itself
         if isinstance(each, (dict, list, tuple, set, frozenset, deque)):
-            bounded = isinstance(each, deque) and each.maxlen is not None
-            if not bounded and not isinstance(each, tuple):
+            if not isinstance(each, tuple):
                 found[way] = max(found.get(way, 0), len(each))
             waiting.extend((f"{way}[]", element) for element in _elements(each) if _is_own(element))
         elif isinstance(each, (bytearray,)):

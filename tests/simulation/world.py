@@ -54,6 +54,7 @@ class Robot:
         troubles: what goes on that may keep it from being linked, each with how often.
         clear_since: s, since when there is nothing.
         commanded: s, when an operator last changed something.
+        has_twin: whether another computer runs the same session.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Robot:
     troubles: Counter[str] = field(default_factory=Counter)
     clear_since: float = 0.0
     commanded: float = 0.0
+    has_twin: bool = False
 
 
 class World:
@@ -197,9 +199,11 @@ class World:
         original = robot.station
         address = f"10.254.0.{original.machine.address.rpartition('.')[2]}"
         station = self._station(f"{robot.name}'s twin", address, original.session, original.keys)
+        robot.has_twin = True
         try:
             yield station
         finally:
+            robot.has_twin = False
             self.stations.remove(station)
             self.network.leave(address)
 
@@ -209,6 +213,7 @@ class World:
         station.on_run = self._begins
         station.on_end = self.forget
         station.on_event = self._event
+        station.on_leak = lambda station, left: self.wrong(f"{station.name} has stopped, and left open {left}")
         self.stations.append(station)
         return station
 
@@ -327,9 +332,7 @@ class World:
 
     def _failed(self, details: dict[str, object]) -> None:
         error = details.get("exception")
-        if isinstance(error, Violation):
-            self._violation = self._violation or error
-        self.loop.fail(error if isinstance(error, BaseException) else Violation(str(details)))
+        self.wrong(f"nobody caught {error!r}: {details.get('message')}")
 
     def _event(self, station: Station, level: Level, code: EventCode, text: str, link: str) -> None:
         self.tell(f"{station.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
@@ -355,6 +358,12 @@ class World:
         there = next((link for link in server.links() if link.name == robot.name), None)
         (here,) = run.links()
         return None if there is None or here.name != robot.name else (here, there)
+
+    def cut_off_at(self, robot: Robot) -> float | None:
+        """Since when (s) nothing gets through between a robot and the server in a direction; None: everything does."""
+        ends = (robot.station.machine, self.server.machine)
+        since = [path.cut_at for path in self.network.both_ways(*ends)] + [machine.off_at for machine in ends]
+        return min((time for time in since if time is not None), default=None)
 
     def clear_since(self, robot: Robot) -> float:
         """Since when (s) nothing keeps a robot from being linked."""
