@@ -32,21 +32,19 @@ if TYPE_CHECKING:
 
 
 class Mutation(NamedTuple):
-    """A mistake, and the world that finds it.
+    """A mistake, and the worlds that find it.
 
     Attributes:
         what: it is.
         patches: that make it.
-        seed: of the world.
-        climate: of the world.
-        hours: that it lives, at most.
-        doing: what is made to happen in it.
+        climate: of the worlds.
+        hours: that each world lives, at most.
+        doing: what is made to happen in them.
         finds: part of what is found.
     """
 
     what: str
     patches: tuple[Any, ...]
-    seed: int
     climate: Climate
     hours: float
     finds: str
@@ -116,7 +114,6 @@ MUTATIONS = (
     Mutation(
         "the delay between two calls overflows, and the task that calls dies unseen",
         (patch.object(Backoff, "next", _overflowing), patch.object(Tasks, "keep", _unsupervised)),
-        seed=1,
         climate=STILL,
         hours=1.0,
         doing=lambda world: server_away(world, 1800.0, machine=False),
@@ -125,7 +122,6 @@ MUTATIONS = (
     Mutation(
         "the delay between two calls overflows, and the task that calls is started again",
         (patch.object(Backoff, "next", _overflowing),),
-        seed=1,
         climate=STILL,
         hours=1.0,
         doing=lambda world: server_away(world, 1800.0, machine=False),
@@ -137,7 +133,6 @@ MUTATIONS = (
             patch.object(RouteLedger, "settle", _settled_by_id),
             patch.object(IncomingRoute, "_counted_before", _counted_before),
         ),
-        seed=1,
         climate=replace(STILL, topics=(4,), periods=(1.0, 4.0), checks=(1.0, 2.0)),
         hours=4.0,
         doing=restarted_while_cut,
@@ -146,7 +141,6 @@ MUTATIONS = (
     Mutation(
         "the ids of routes that were closed are never forgotten",
         (patch.object(RouteTable, "closed", _nothing),),
-        seed=1,
         climate=STILL,
         hours=3.0,
         doing=lambda world: type_differs_for(world, 3 * 3600.0),
@@ -155,7 +149,6 @@ MUTATIONS = (
     Mutation(
         "tasks that have ended are kept",
         (patch.object(Tasks, "_add", _kept),),
-        seed=1,
         climate=STILL,
         hours=3.0,
         doing=lambda world: type_differs_for(world, 3 * 3600.0),
@@ -164,7 +157,6 @@ MUTATIONS = (
     Mutation(
         "a stream is not closed with its channel",
         (patch.object(StreamSender, "close", _nothing), patch.object(StreamReceiver, "close", _nothing)),
-        seed=1,
         climate=STORM,
         hours=2.0,
         finds="left open",
@@ -172,7 +164,6 @@ MUTATIONS = (
     Mutation(
         "what waits to be sent is not cleared when the channel is lost",
         (patch.object(SendQueue, "clear", SendQueue.__len__),),
-        seed=1,
         climate=STORM,
         hours=4.0,
         finds="a part of it is negative",
@@ -180,7 +171,6 @@ MUTATIONS = (
     Mutation(
         "a new connection is not told what is paused",
         (patch.object(RouteTable, "_propose", _unpaused),),
-        seed=1,
         climate=LIVELY,
         hours=4.0,
         finds="disagree",
@@ -188,7 +178,6 @@ MUTATIONS = (
     Mutation(
         "a silent peer is not given up",
         (patch.object(Keepalive, "watch", _nothing),),
-        seed=1,
         climate=STORM,
         hours=2.0,
         finds="seems linked",
@@ -196,7 +185,6 @@ MUTATIONS = (
     Mutation(
         "UDP sockets of links that are down are not closed",
         (patch.object(UdpChannel, "close", _nothing),),
-        seed=1,
         climate=STORM,
         hours=2.0,
         finds="left open",
