@@ -19,6 +19,7 @@ def test_it_is_found(mutation: Mutation) -> None:
             with mutation.made():
                 world.play(mutation.hours * 3600, *doings)
         except Violation as violation:
-            assert mutation.finds in str(violation)
-            return
+            if mutation.finds in str(violation):
+                return
+            raise
     pytest.fail(f"{len(_SEEDS)} worlds have lived for {mutation.hours:g} h, and nothing was wrong")
