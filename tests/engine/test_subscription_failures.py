@@ -36,7 +36,8 @@ def break_subscription(engine: Engine, topic: str) -> None:
 def test_both_sides_say_so_until_it_is_there_again(
     bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.lasting_subscription._FIRST_DELAY", 10.0)  # so that it can be seen on any machine
+    # Long enough to be seen on any machine.
+    monkeypatch.setattr("rsb_bridge.ros.lasting_subscription._FIRST_DELAY", 10.0)
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     carries([out], server, ["/chat"])
