@@ -37,12 +37,15 @@ class EngineApi(Protocol):
         """Join the ROS domain, and bind or begin to connect.
 
         Raises:
-            EngineError: it cannot; nothing is left running.
+            EngineError: it cannot, or `stop` was called; nothing is left running.
         """
         ...
 
     def stop(self, timeout: float = 5.0) -> None:
-        """Tell the peers, close everything, end the threads: within `timeout` s, whatever the peers do."""
+        """Tell the peers, close everything, end the threads: within `timeout` s, whatever the peers do.
+
+        It also ends a `start` that another thread has not finished yet.
+        """
         ...
 
     def snapshot(self) -> Snapshot:

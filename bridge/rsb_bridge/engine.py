@@ -34,12 +34,15 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session, Topic
 
+_STOP_WITHIN = 5.0
+_ROS_STOPS_WITHIN = 1.0
+
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 
 class Engine(EngineApi):
-    """Bridges what a session says, from `start` to `stop`. Used once.
+    """Bridges what a session says, from `start` to `stop`. Used once: after `stop`, `start` raises an error.
 
     All state belongs to the I/O thread; commands go there and return a future, whose exception is an `EngineError`.
 
@@ -69,6 +72,9 @@ class Engine(EngineApi):
         self._random = random or Random()  # noqa: S311 — jitter, no secret
         self._transports = transports or default_transports()
         self._events = EventLog(self._clock)
+        self._starting = threading.Lock()
+        """Held by whoever starts or ends the threads."""
+        self._stop_wanted = False
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
         transport = self._transports.of_link(session.server_ip)
@@ -92,6 +98,31 @@ class Engine(EngineApi):
         return self._bridge is not None and any(link.shut_down for link in self._bridge.links())
 
     def start(self) -> None:
+        with self._starting:
+            self._check_not_stopped()
+            self._start()
+            try:
+                self._check_not_stopped()
+            except EngineError:
+                self._end(_STOP_WITHIN)
+                raise
+
+    def stop(self, timeout: float = _STOP_WITHIN) -> None:
+        self._stop_wanted = True
+        # A start that is under way sees this and cleans up, so that nothing is left to do here after a long wait. If it
+        # hangs (in the middleware, say), it is not waited for any longer, and cleans up when it returns.
+        if not self._starting.acquire(timeout=timeout):
+            return
+        try:
+            self._end(timeout)
+        finally:
+            self._starting.release()
+
+    def _check_not_stopped(self) -> None:
+        if self._stop_wanted:
+            raise EngineError("the engine was stopped before it had started")
+
+    def _start(self) -> None:
         try:
             domain = domain_of(self._session, os.environ.get("ROS_DOMAIN_ID"))
         except ValueError as error:
@@ -116,12 +147,13 @@ class Engine(EngineApi):
             ros.stop()
             raise
 
-    def stop(self, timeout: float = 5.0) -> None:
+    def _end(self, timeout: float) -> None:
+        """End what `_start` has begun; nothing happens where that is nothing."""
         thread, bridge = self._thread, self._bridge
         if thread is None or bridge is None:
             return
         bridge.context.call(bridge.stop)
-        thread.join(timeout - 1.0)
+        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN))
         bridge.context.ros.stop()
         self._thread = None
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import signal
 import socket
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,17 +16,18 @@ from tests.support.domain import text
 from tests.support.resources import resources
 from tests.support.waiting import eventually
 
+from rsb_bridge.api import EngineError
+from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Programs
     from tests.support.relay import Relay
-
-    from rsb_bridge.engine import Engine
 
 
 def stops(engine: Engine) -> None:
@@ -142,9 +145,56 @@ def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
 
 
-def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
-    from rsb_bridge.api import EngineError
+class Waiting(RosNode):
+    """A node that has joined its domain, and whose start returns only when the test lets it."""
 
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(domain_id, "waiting")
+        self.joined = threading.Event()
+        self.may_return = threading.Event()
+
+    def start(self) -> None:
+        super().start()
+        self.joined.set()
+        assert self.may_return.wait(60)
+
+
+def test_a_stop_while_it_starts_wins(bridge: Bridge, robot: Domain) -> None:
+    """No thread, port or node is left, and it cannot be started any more."""
+    ros = Waiting(robot.id)
+    session = bridge.client_session()
+    engine = Engine(session, base=bridge.folder, ros=ros)
+    with ThreadPoolExecutor(2) as threads:
+        starting = threads.submit(engine.start)
+        assert ros.joined.wait(60)
+        stopping = threads.submit(engine.stop)
+        eventually(lambda: engine._stop_wanted)
+        ros.may_return.set()
+        with pytest.raises(EngineError, match="was stopped before it had started"):
+            starting.result(60)
+        stopping.result(60)
+    assert not engine.snapshot().running
+    assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
+    with pytest.raises(EngineError, match="was stopped"):
+        engine.start()
+
+
+def test_a_stop_does_not_wait_for_a_start_that_hangs(bridge: Bridge, robot: Domain) -> None:
+    """The start cleans up when it returns."""
+    ros = Waiting(robot.id)
+    engine = Engine(bridge.client_session(), base=bridge.folder, ros=ros)
+    with ThreadPoolExecutor(1) as threads:
+        starting = threads.submit(engine.start)
+        assert ros.joined.wait(60)
+        engine.stop(timeout=0.1)
+        assert not starting.done()
+        ros.may_return.set()
+        with pytest.raises(EngineError, match="was stopped before it had started"):
+            starting.result(60)
+    assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
+
+
+def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:
     before = resources()[:2]
     with socket.socket(type=socket.SOCK_DGRAM) as squatter:
         squatter.bind(("127.0.0.1", bridge.port))
