@@ -37,6 +37,27 @@ async def server_away(world: World, seconds: float, *, machine: bool) -> None:
         world.server.start()
 
 
+async def server_restarts(world: World, times: int) -> None:
+    """The server is stopped as an operator does it, and started again."""
+    for _ in range(times):
+        await asyncio.sleep(60.0)
+        with world.trouble("server stopped", *world.robots):
+            await world.server.stop()
+            await asyncio.sleep(10.0)
+            world.server.start()
+
+
+async def client_restarts(world: World, times: int) -> None:
+    """A robot's engine is stopped as an operator does it, and started again."""
+    robot = world.robots[0]
+    for _ in range(times):
+        await asyncio.sleep(60.0)
+        with world.trouble("client stopped", robot):
+            await robot.station.stop()
+            await asyncio.sleep(10.0)
+            robot.station.start()
+
+
 async def type_differs_for(world: World, seconds: float) -> None:
     """The two sides disagree on what a type is from the beginning, so that its topic is refused; then they agree."""
     flow = world.robots[0].flows[0]

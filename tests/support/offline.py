@@ -112,6 +112,7 @@ class FakePeer:
     clock_offset = 0.0
     clock_uncertainty = 0.001
     down_reason = ""
+    connections = 1
 
     def __init__(self) -> None:
         self.sent: list[ControlMessage] = []

@@ -43,11 +43,6 @@ class RouteOwner(Peer, Protocol):
         """s, when the present connection was made."""
         ...
 
-    @property
-    def connections(self) -> int:
-        """How many connections there have been: tells one from the next."""
-        ...
-
     def authorize(self, proposal: Propose) -> Propose:
         """The peer's proposal with this side's name for the topic.
 

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
+_LINK_OUTLIVES = 1.0
+"""s by which a link has to outlive a channel before the channel's loss is reported. A link that ends (with a goodbye, a
+crash or a cut) takes its channels with it, and they may be seen to end first."""
 LINK_STAGE = "link up"
 
 
@@ -45,6 +48,11 @@ class Peer(Protocol):
     latched: Budget
     expansion: TokenBucket
     revisions: Revisions
+
+    @property
+    def connections(self) -> int:
+        """How many connections there have been: tells one from the next."""
+        ...
 
     @property
     def linked(self) -> bool:
@@ -238,12 +246,19 @@ class Route:
 
     def refuse(self, code: EventCode, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
+        self._report_error(code, reason)
+        self._end(reason)
+
+    def _report_error(self, code: EventCode, reason: str) -> None:
+        self.last_error = reason
         if reason != self._told:  # until messages flow, the next tries need not say the same
             self._told = reason
             self.log(Level.ERROR, code, reason)
+
+    def _end(self, reason: str) -> None:
+        """End the present opening for a reason that is shown; it is opened again later if it was proposed here."""
         self.close(reason)
         self.life.take(Event.REFUSE, reason)
-        self.last_error = reason
         self.retry_at = self.context.now() + self._backoff.next()
 
     def awaited_until(self, linked_at: float) -> float:
@@ -253,15 +268,27 @@ class Route:
         return linked_at + _PROPOSED_WITHIN
 
     def channel_lost(self, reason: str) -> None:
-        """What carried the route broke while the link lives: open it again."""
-        self.request_reopen(EventCode.ROUTE_CHANNEL_LOST, f"data connection: {reason}")
+        """What carried the route broke: open it again. It is reported as an error once the link has outlived it."""
+        if self.id:
+            text, connection = f"data connection: {reason}", self.peer.connections
+            self._end_on_both_sides(text)
+
+            def report() -> None:
+                if self.peer.linked and self.peer.connections == connection:
+                    self._report_error(EventCode.ROUTE_CHANNEL_LOST, text)
+
+            self.context.loop.call_later(_LINK_OUTLIVES, report)
 
     def request_reopen(self, code: EventCode, reason: str) -> None:
         """Close the route on both sides; its proposer opens it again."""
         if self.id:
-            route_id = self.id
-            self.refuse(code, reason)
-            self.peer.send(Close(route=route_id, reason=sanitize_text(reason)))
+            self._report_error(code, reason)
+            self._end_on_both_sides(reason)
+
+    def _end_on_both_sides(self, reason: str) -> None:
+        route_id = self.id
+        self._end(reason)
+        self.peer.send(Close(route=route_id, reason=sanitize_text(reason)))
 
     @property
     def paused(self) -> bool:
