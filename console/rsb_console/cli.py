@@ -93,15 +93,15 @@ def _unexpected(error: Exception, *, show: bool) -> int:
     from platformdirs import user_state_path
 
     log = user_state_path("rsb-console") / "crash.log"
-    words = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
+    message = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("a", encoding="utf-8") as file:
             file.writelines(traceback.format_exception(error))
     except OSError:
-        print_error(f"{words} (details: again with --debug)")
+        print_error(f"{message} (details: again with --debug)")
     else:
-        print_error(f"{words} (details: {log})")
+        print_error(f"{message} (details: {log})")
     return FAILURE
 
 

@@ -50,14 +50,14 @@ class Preferences:
             problems.append(f"no theme is called {wanted!r}; there are {', '.join(self.themes)}")
             wanted = None
         if problems:
-            self.problems.append(("Themes left out", "\n".join(problems)))
+            self.problems.append(("Themes skipped", "\n".join(problems)))
         return wanted or default_theme()
 
     def _load_keys(self, config: Path) -> None:
         try:
             self.keymap = load_keymap(config / "keys.yaml")
         except KeymapError as error:
-            self.problems.append(("Keys are the default ones", str(error)))
+            self.problems.append(("The default keys are used", str(error)))
 
     def keys(self, action: Action) -> list[str]:
         """The keys that do `action`, by Textual's names."""

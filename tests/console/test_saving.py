@@ -60,7 +60,7 @@ def test_what_would_be_saved_as_it_is_leaves_the_file_with_its_comments(folder: 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("w")
-        await shown(pilot, "nothing has changed:")
+        await shown(pilot, "nothing to save:")
         assert "no topics" not in text(app), "a client's session holds them"
         assert path.read_text().startswith("# mine")
 
@@ -126,7 +126,7 @@ def test_saving_a_server_says_that_the_topics_are_not_in_it(folder: Path) -> Non
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("w")
-        await shown(pilot, "nothing has changed:")
+        await shown(pilot, "nothing to save:")
         await shown(pilot, "no topics")
         await save_as(pilot, "other.yaml")
         await shown(pilot, "saved: other.yaml")
@@ -148,7 +148,7 @@ def test_saved_to_another_folder_the_key_is_still_found(folder: Path) -> None:
         await save_as(pilot, str(folder / "robots" / "r.yaml"))
         await until(pilot, lambda: app.path == folder / "robots" / "r.yaml", "another file")
         await pilot.press("w")  # once more, over itself
-        await shown(pilot, "nothing has changed:")
+        await shown(pilot, "nothing to save:")
 
     drive(app, steps)
     saved = load(folder / "robots" / "r.yaml")
@@ -167,9 +167,9 @@ def test_what_ends_with_the_console_is_saved_with_its_key(folder: Path) -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await save_as(pilot, "kept.yaml")
-        await shown(pilot, "with its key: ")
+        await shown(pilot, "its key is saved, too: ")
         await pilot.press("w")
-        await shown(pilot, "nothing has changed:")
+        await shown(pilot, "nothing to save:")
         changed(app, Topic("/new", "transmit"))
         await pilot.press("w", "y")
         await until(pilot, lambda: load(folder / "kept.yaml").topics, "the topic")

@@ -101,7 +101,7 @@ def test_bad_themes_become_one_toast_and_the_rest_still_works(tmp_path: Path) ->
     app = scripted_app(config=tmp_path, theme="mine")
 
     async def steps(pilot: Pilot[None]) -> None:
-        await shown(pilot, "Themes left out")
+        await shown(pilot, "Themes skipped")
         assert app.theme == "mine"
         assert len(app._notifications) == 1
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class KeymapError(ValueError):
-    """A mistake in ``keys.yaml``, in words."""
+    """A mistake in ``keys.yaml``; the message says which, for the user."""
 
 
 def load_keymap(path: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The registry of everything an operator can do. Key bindings, footer, help and command palette are made from it."""
+"""All actions of an operator. Key bindings, footer, help and command palette are made from this registry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from textual.binding import Binding
 
 
 class Group(StrEnum):
-    """Where an action's handler lives, and its chapter in the help."""
+    """An action's chapter in the help, which also says where its handler is."""
 
     MOVE = "Move"  # the focused list
     VIEW = "View"  # the main screen
@@ -26,22 +26,22 @@ NAMESPACE = {
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """One thing to do.
+    """One action of an operator.
 
     Attributes:
         id: names the handler, ``action_<id>``, and the action in ``keys.yaml``.
         keys: Textual key names, comma-separated; the first is the one that is shown.
-        words: what the footer says.
-        help: what the help and the palette say.
+        label: what the footer shows beside the key.
+        help: its description in the help and the palette.
         group: its chapter.
-        changes: it changes the bridge or a file, so ``--readonly`` takes it away.
-        needs_topic: it concerns the topic under the cursor.
-        in_footer: it has a place there.
+        changes: whether it changes the bridge or a file, so that ``--readonly`` disables it.
+        needs_topic: whether it acts on the topic under the cursor.
+        in_footer: whether the footer shows it.
     """
 
     id: str
     keys: str
-    words: str
+    label: str
     help: str
     group: Group
     _: KW_ONLY
@@ -50,7 +50,7 @@ class Action:
     in_footer: bool = False
 
 
-# In the footer's order too, which shows as many as there is room for: what an operator needs sooner comes first.
+# The footer shows them in this order, as many as fit: what an operator needs most comes first.
 ACTIONS: tuple[Action, ...] = (
     Action("move_down", "j,down", "down", "Next line", Group.MOVE),
     Action("move_up", "k,up", "up", "Previous line", Group.MOVE),
@@ -65,10 +65,10 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
     Action("pause", "p", "pause", "Pause or resume the topic",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
-    Action("detail", "enter", "detail", "Open the topic's details, or the whole of a log line",
+    Action("detail", "enter", "detail", "Open the topic's details, or the full log line",
            Group.VIEW, needs_topic=True, in_footer=True),
-    Action("back", "escape", "back", "Close what is open; drop the filter", Group.VIEW),
-    Action("filter", "slash", "filter", "Show what matches a regular expression; /! what does not",
+    Action("back", "escape", "back", "Close what is open, or drop the filter", Group.VIEW),
+    Action("filter", "slash", "filter", "Filter by a regular expression; /! shows what does not match",
            Group.VIEW, in_footer=True),
     Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
     Action("previous_match", "N", "previous", "Previous match; without a filter, previous fault", Group.VIEW),
@@ -83,32 +83,32 @@ ACTIONS: tuple[Action, ...] = (
     Action("log", "l", "log", "Go to the log, and back", Group.VIEW, in_footer=True),
     Action("level", "L", "level", "Log level: all, info, WARN, ERROR", Group.VIEW),
     Action("copy", "y", "copy", "Copy the line under the cursor, over SSH too", Group.VIEW),
-    Action("export", "x", "export", "Write what the focused pane lists to a file", Group.VIEW),
+    Action("export", "x", "export", "Write the focused pane's lines to a file", Group.VIEW),
     Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, changes=True),
     Action("restart", "R", "restart", "Close all links on both sides and open them again",
            Group.OPERATE, changes=True, in_footer=True),
-    Action("links", "c", "links", "Look at the links: one a robot on a server", Group.SESSION, in_footer=True),
-    Action("bluetooth", "b", "bluetooth", "Look for Bluetooth adapters, devices and free channels",
+    Action("links", "c", "links", "Show the links; a server has one per robot", Group.SESSION, in_footer=True),
+    Action("bluetooth", "b", "bluetooth", "Find Bluetooth adapters, devices and free channels",
            Group.SESSION, in_footer=True),
-    Action("keys", "K", "keys", "Look at the key files, or make a key", Group.SESSION, in_footer=True),
+    Action("keys", "K", "keys", "Show the key files, or make a key", Group.SESSION, in_footer=True),
     Action("sessions", "o", "sessions", "Open another session", Group.SESSION, changes=True, in_footer=True),
-    Action("save", "w", "save", "Save the session with the topics it has now", Group.SESSION, changes=True),
+    Action("save", "w", "save", "Save the session with its present topics", Group.SESSION, changes=True),
     Action("save_as", "W", "save as", "Save the session to another file", Group.SESSION, changes=True),
     Action("new_session", "f2", "new", "Write a new session", Group.SESSION, changes=True),
     Action("import_session", "f3", "import", "Import a bringup.yaml of the thesis's bridge",
            Group.SESSION, changes=True),
     Action("demo", "f4", "demo", "Run the demo: a simulated robot on this machine", Group.SESSION, changes=True),
-    Action("welcome", "f5", "welcome", "Choose how to begin, as without a session", Group.SESSION, changes=True),
+    Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
-    Action("mouse", "m", "mouse", "Leave the mouse to the terminal, or take it back", Group.CONSOLE),
+    Action("mouse", "m", "mouse", "Give the mouse to the terminal, or take it back", Group.CONSOLE),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
-    Action("quit", "q", "quit", "Leave; the bridge stops", Group.CONSOLE, in_footer=True),
+    Action("quit", "q", "quit", "Quit; the bridge stops", Group.CONSOLE, in_footer=True),
 )  # fmt: skip
 
 BY_ID = {action.id: action for action in ACTIONS}
 
 
 def bindings(*groups: Group) -> list[Any]:
-    """Textual's bindings of the actions in `groups`."""
-    return [Binding(a.keys, a.id, a.words, id=a.id, show=False) for a in ACTIONS if a.group in groups]
+    """Textual's key bindings of the actions in some groups."""
+    return [Binding(a.keys, a.id, a.label, id=a.id, show=False) for a in ACTIONS if a.group in groups]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
 Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interrupted,
-143 terminated before it was at work."""
+143 terminated before it had started."""
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -38,21 +38,21 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
         added.set_defaults(command=run)
         return added
 
-    _run_arguments(command("run", commands.run, "bridge a session, with the console or without"))
+    _run_arguments(command("run", commands.run, "bridge a session, with or without the console"))
     check = command("check", commands.check, "say what a session would do, and what is wrong with it")
     _complete(check.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
     keygen = command("keygen", commands.keygen, "make a key for both sides of a link")
     keygen.add_argument(
         "path", type=Path, metavar="PATH", nargs="?", default=Path(DEFAULT_KEY_FILE), help="default: %(default)s"
     )
-    keygen.add_argument("--force", action="store_true", help="replace a key that is there")
-    _import_arguments(command("import", commands.import_thesis, "make a session of the thesis's bringup.yaml"))
+    keygen.add_argument("--force", action="store_true", help="replace an existing key file")
+    _import_arguments(command("import", commands.import_thesis, "make a session file from the thesis's bringup.yaml"))
     scan = command("bt-scan", commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
     scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
-    scan.add_argument("--json", action="store_true", help="for programs")
-    demo = command("demo", commands.demo, "bridge two domains of this machine, with made-up robots")
-    demo.add_argument("--no-ui", action="store_true", help="log instead of the console")
-    demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop by itself")
+    scan.add_argument("--json", action="store_true", help="print JSON, for programs")
+    demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
+    demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
+    demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop after N s")
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 
@@ -74,7 +74,7 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help="session file; none: choose one"),
         "yaml_files",
     )
-    parser.add_argument("--no-ui", action="store_true", help="bridge without the console, and log")
+    parser.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
     parser.add_argument(
         "--status-every", type=_seconds, default=5.0, metavar="N", help="with --no-ui: a status line every N s (5)"
@@ -94,18 +94,25 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
         "yaml_files",
     )
     parser.add_argument("--name", required=True, help="as in the launch file")
-    parser.add_argument("--role", choices=("client", "server"), help="default: what the file's node is")
+    parser.add_argument("--role", choices=("client", "server"), help="default: the role of the file's node")
     parser.add_argument("--key-file", type=Path, metavar="PATH", help="holds the launch file's key")
     parser.add_argument("--port", type=int, help="of the server, as in its launch file")
     parser.add_argument("--domain-id", type=int, metavar="N", help="default: $ROS_DOMAIN_ID at run time")
     parser.add_argument("--use-name", action="store_true", help="prefix the client's topics on the server")
     parser.add_argument("--no-encryption", action="store_true", help="everything crosses in the clear")
     parser.add_argument("-o", "--output", type=Path, metavar="SESSION", help="default: standard output")
-    parser.add_argument("--force", action="store_true", help="replace a session that is there")
+    parser.add_argument("--force", action="store_true", help="replace an existing session file")
 
 
 def _seconds(text: str) -> float:
-    """A time from the command line, in s; ArgumentTypeError where it is none, in words."""
+    """Parse a time from the command line.
+
+    Args:
+        text: in s.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a number above 0.
+    """
     try:
         seconds = float(text)
     except ValueError:

@@ -46,7 +46,7 @@ def _in_console(demo: Demo) -> int:
 
 def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:
     keep_output_clean()
-    print_line(f"a simulated robot, a desk in another ROS domain, and an encrypted bridge between: {demo.path.parent}")
+    print_line(f"a simulated robot, a desk in another ROS domain, an encrypted bridge between them: {demo.path.parent}")
     sys.stdout.flush()
     engine = Engine(demo.session, base=demo.path.parent)
     engine.start()

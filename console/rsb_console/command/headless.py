@@ -181,7 +181,7 @@ def text_status(snapshot: Snapshot) -> str:
         f"{linked}/{len(snapshot.links)} linked",
         f"{len(states)} topics" + (f": {counts}" if counts else ""),
         f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-        *(_rate_words(route) for route in _faults_first(snapshot.routes)[:_TOPICS_IN_STATUS]),
+        *(_rate_text(route) for route in _faults_first(snapshot.routes)[:_TOPICS_IN_STATUS]),
     ]
     if len(states) > _TOPICS_IN_STATUS:
         parts.append(f"and {len(states) - _TOPICS_IN_STATUS} more")
@@ -194,7 +194,7 @@ def _faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
     return sorted(routes, key=lambda route: worst_first.index(route.state))
 
 
-def _rate_words(route: RouteSnapshot) -> str:
+def _rate_text(route: RouteSnapshot) -> str:
     arrow = "→" if route.outgoing else "←"
     dropped = route.ledger.dropped_total
     return f"{arrow} {route.topic} {_how(route)}" + (f" ({dropped} dropped)" if dropped else "")
@@ -223,7 +223,7 @@ def _json_stopping(reason: str) -> str:
 
 
 def _json_status(snapshot: Snapshot) -> str:
-    """The figures for a monitor, without what only the console draws (histories, stages in words)."""
+    """The figures for a monitor, without what only the console draws (histories, the details of stages)."""
     links = {link.name: {"state": link.state, "peer": link.peer, "rtt": link.rtt} for link in snapshot.links}
     routes = [
         {

@@ -1,1 +1,1 @@
-"""How things look: themes, signs, and figures in words."""
+"""Themes, signs, and the formats of figures."""

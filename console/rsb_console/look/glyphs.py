@@ -1,7 +1,6 @@
-"""Signs that are drawn: states, arrows, small charts; and their stand-ins on a terminal that has only ASCII.
+"""Signs of states and directions, small charts, and the replacement of all of them on ASCII terminals.
 
-Widgets draw Unicode. Where the terminal cannot, `AsciiFilter` replaces each character by one of the same width on its
-way out, so nothing else needs to know.
+Widgets always draw Unicode. On a terminal without it, `AsciiFilter` replaces each character by ASCII of the same width.
 """
 
 from __future__ import annotations
@@ -30,12 +29,12 @@ _DOTS = ((0x40, 0x04, 0x02, 0x01), (0x80, 0x20, 0x10, 0x08))
 
 
 def sparkline(values: Sequence[float], width: int, top: float = 0.0) -> str:
-    """The last `width` values as bars, right-aligned.
+    """Draw the last `width` values as bars, right-aligned.
 
     Args:
         values: oldest first.
         width: cells.
-        top: the value of a full bar; a larger one among `values` takes its place.
+        top: the value of a full bar, unless one of `values` is larger.
     """
     shown = values[-width:]
     top = max(top, *shown, 0.0) if shown else 0.0
@@ -50,10 +49,10 @@ def _level(value: float, top: float) -> int:
 
 
 def braille_plot(values: Sequence[float], width: int, height: int, top: float) -> list[str]:
-    """A curve of the last ``2 * width`` values, in `height` lines of `width` braille cells.
+    """Draw the last ``2 * width`` values as a curve, in `height` lines of `width` braille cells.
 
     Args:
-        values: oldest first; the newest stands at the right edge.
+        values: oldest first; the newest is drawn at the right edge.
         width: cells, two values each.
         height: lines, four levels each.
         top: the value at the upper edge.
@@ -72,7 +71,7 @@ def braille_plot(values: Sequence[float], width: int, height: int, top: float) -
 
 
 def _ascii_braille(dots: int) -> str:
-    """The ASCII sign whose ink is about as high in its cell as the dots are."""
+    """The ASCII character whose ink is about as high in its cell as the dots of a braille cell."""
     if not dots:
         return " "
     heights = [y for column in _DOTS for y, dot in enumerate(column) if dots & dot]
@@ -91,7 +90,7 @@ ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}
 
 
 def to_ascii(text: str) -> str:
-    """`text` with every character that is not ASCII replaced by as many cells of ASCII."""
+    """Replace every character that is not ASCII by ASCII of the same width."""
     if text.isascii():
         return text
     plain = text.replace(" ± ", " +-").translate(ASCII)
@@ -99,10 +98,10 @@ def to_ascii(text: str) -> str:
 
 
 class ControlFilter(LineFilter):
-    """Lets no control character out to the terminal, whoever put it into a name or a reason; widths stay."""
+    """Removes control characters, which a peer or a file could put into a name or a reason; widths stay."""
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
-        """Replace what is not printable by blanks of its width, which is mostly none."""
+        """Replace characters that are not printable by blanks of the same width, which is mostly 0."""
         return [
             segment
             if segment.control or segment.text.isprintable()
@@ -116,8 +115,8 @@ def _printable(text: str) -> str:
 
 
 class AsciiFilter(LineFilter):
-    """Lets nothing but ASCII out to the terminal."""
+    """Replaces everything that is not ASCII, for terminals without Unicode."""
 
     def apply(self, segments: list[Segment], background: Color) -> list[Segment]:
-        """Replace what is not ASCII, keeping every width."""
+        """Replace characters that are not ASCII by ASCII of the same width."""
         return [Segment(to_ascii(text), style, control) for text, style, control in segments]

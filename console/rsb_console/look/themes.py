@@ -1,8 +1,8 @@
-"""Themes, one a YAML file: those shipped and the user's own.
+"""Themes, one per YAML file: the shipped ones and the user's own.
 
 A file holds Textual's theme colours (``primary: "#5fafff"``, ...), ``dark: true`` or ``false``, ``ansi: true`` for
-colours named after the terminal's own sixteen (``ansi_green``), and ``variables`` for single CSS variables. Its name is
-the theme's.
+the terminal's own sixteen colours (``ansi_green``), and ``variables`` for single CSS variables. The file's name is the
+theme's.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ VARIABLES = {
     "quiet": "#808080",
     "rule": "#444444",
 }
-"""What our style sheet needs beside Textual's own variables, for a theme that doesn't say."""
+"""Defaults of the variables that our style sheet uses beside Textual's own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Themes:
-    """The themes that were found, and what was wrong with the others.
+    """The themes that were read, and what is wrong with the others.
 
     Attributes:
         found: by name.
-        problems: one line a file.
+        problems: one line per file that is no theme.
     """
 
     found: dict[str, Theme]
@@ -48,12 +48,12 @@ class Themes:
 
 
 def config_path() -> Path:
-    """The user's folder: ``keys.yaml`` and ``themes/``."""
+    """The user's configuration folder, with ``keys.yaml`` and ``themes/``."""
     return user_config_path("rsb-console")
 
 
 def shipped_path() -> Path:
-    """Where the shipped themes are: in a checkout beside the packages, else installed as shared data."""
+    """The folder of the shipped themes: beside the packages in a checkout, else among the installed shared data."""
     checkout = Path(__file__).parents[3]
     if (checkout / "pyproject.toml").is_file():
         return checkout / "themes"
@@ -61,7 +61,7 @@ def shipped_path() -> Path:
 
 
 def load_themes(*folders: Path) -> Themes:
-    """Read every ``*.yaml`` in `folders`; of two of the same name the later counts."""
+    """Read every ``*.yaml`` in `folders`; of two themes of the same name, the later one counts."""
     found: dict[str, Theme] = {}
     problems: list[str] = []
     for path in (path for folder in folders for path in sorted(folder.glob("*.yaml"))):
@@ -73,14 +73,14 @@ def load_themes(*folders: Path) -> Themes:
 
 
 class ThemeError(ValueError):
-    """A mistake in a theme file, in words."""
+    """A mistake in a theme file; the message says which, for the user."""
 
 
 def read_theme(path: Path) -> Theme:
     """Read one theme.
 
     Raises:
-        ThemeError: it isn't one; says what is wrong.
+        ThemeError: it has a mistake.
         OSError: it cannot be read.
     """
     try:
@@ -118,6 +118,6 @@ def _check_color(key: str, value: Any) -> None:
 
 
 def default_theme(environ: dict[str, str] | os._Environ[str] = os.environ) -> str:
-    """The theme that looks right on this terminal: one of its own sixteen colours where it has no more."""
+    """The theme that suits this terminal: one of sixteen colours if the terminal announces no more."""
     many = environ.get("COLORTERM") in {"truecolor", "24bit"} or "256color" in environ.get("TERM", "")
     return DEFAULT if many else SIXTEEN_COLORS

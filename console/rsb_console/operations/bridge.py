@@ -79,6 +79,6 @@ class BridgeOperations:
         if not self._console.snapshot().running:
             await self._console.start_again()
             return
-        message = "All links are closed on both sides and opened again. No topic crosses for some seconds."
+        message = "All links are closed on both sides and opened again. No topic crosses for a few seconds."
         if await self._console.ask(ConfirmScreen("Restart the bridge?", message, "Restart")):
             await self._console.ask(RestartScreen(engine))

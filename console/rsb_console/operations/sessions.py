@@ -36,7 +36,7 @@ class SessionOperations:
 
         engine, saved, reasons = self._console.engine, self._console.saved, []
         if self._console.linked:
-            reasons.append("The bridge is linked and stops: no topic crosses any more.")
+            reasons.append("The bridge stops: no topic crosses any more.")
         if engine is not None and saved is not None:
             changes = unsaved(saved, engine.session)
             if changes:

@@ -18,7 +18,7 @@ class ConfirmScreen(ModalScreen[bool]):
 
     Args:
         title: what is about to happen: ``Remove /scan?``.
-        words: what that means.
+        message: what that means.
         yes: the label of the button that does it: ``Remove``.
     """
 
@@ -29,14 +29,14 @@ class ConfirmScreen(ModalScreen[bool]):
     ]
     AUTO_FOCUS = "#no"
 
-    def __init__(self, title: str, words: str, yes: str) -> None:
+    def __init__(self, title: str, message: str, yes: str) -> None:
         super().__init__()
-        self._title, self._words, self._yes = title, words, yes
+        self._title, self._message, self._yes = title, message, yes
 
     def compose(self) -> ComposeResult:
         with Vertical(classes="dialog") as dialog:
             dialog.border_title = self._title
-            yield Static(self._words, markup=False)
+            yield Static(self._message, markup=False)
             with Horizontal(classes="buttons"):
                 yield Button(self._yes, id="yes", variant="error", compact=True)
                 yield Button("No", id="no", compact=True)

@@ -73,7 +73,7 @@ class HelpScreen(ModalScreen[None]):
                 keys = "  ".join(self.console.key_labels(action))
                 first, *more = textwrap.wrap(action.help, room - 2)
                 yield ((f"  {keys:<{KEYS_WIDTH - 2}}", "key"), (f"{first:<{room}}", ""), (action.id, "dim"))
-                yield from ((((" " * KEYS_WIDTH + words), ""),) for words in more)
+                yield from ((((" " * KEYS_WIDTH + text), ""),) for text in more)
             yield ()
         others = f"Other keys: {self.console.config / 'keys.yaml'}, one line each, like   pause: P"
-        yield from (((words, "dim"),) for words in textwrap.wrap(others, max(20, width), drop_whitespace=False))
+        yield from (((text, "dim"),) for text in textwrap.wrap(others, max(20, width), drop_whitespace=False))

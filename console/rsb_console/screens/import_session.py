@@ -32,16 +32,16 @@ BRINGUP = Spec("bringup", "File", "config/bringup.yaml of ros2_socket_bridge: a 
                blank="type to look for a file", edited=True)  # fmt: skip
 FIELDS = (
     Spec("name", "Name", "As in the launch file (-name)."),
-    Spec("role", "Role", "Of the session to be; a client's file makes a server's session too.",
+    Spec("role", "Role", "The session's role. A client's file can make a server's session, too.",
          options=(("", "as the file's node"), ("client", "client"), ("server", "server"))),
     Spec("server_port", "Port", "Of the server, as in its launch file (-p).", blank="the file's"),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
-    Spec("key_file", "Key file", "Holds the launch file's key (-key), as from the session's folder.", "key.txt",
+    Spec("key_file", "Key file", "File with the launch file's key (-key), relative to the session's folder.", "key.txt",
          edited=True),
     Spec("use_name", "Prefix", "As in the launch file (-usename).", options=tuple(reversed(YES_NO))),
     Spec("use_encryption", "Encryption", "As in the launch file (-encrypt).", options=YES_NO),
-    Spec("path", "Session file", "Where the session is kept.", edited=True),
+    Spec("path", "Session file", "Where the session is saved.", edited=True),
 )  # fmt: skip
 
 
@@ -81,16 +81,16 @@ class ImportScreen(FormScreen[Opened]):
         self.form.fields["name"].control.focus()
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
-        words = {}
+        problems = {}
         if not values["name"]:
-            words["name"] = "missing: give one"
+            problems["name"] = "missing: give one"
         if problem := path_problem(values["path"]):
-            words["path"] = problem
+            problems["path"] = problem
         if not values["bringup"]:
-            words["bringup"] = "missing: name the file"
-        if not words.keys() & {"bringup", "name"}:
-            words |= self._import(values)
-        return words
+            problems["bringup"] = "missing: name the file"
+        if not problems.keys() & {"bringup", "name"}:
+            problems |= self._import(values)
+        return problems
 
     def _import(self, values: Mapping[str, str]) -> dict[str, str]:
         """Make the session; what is wrong in the file is about the file, the rest about its field."""
@@ -107,12 +107,12 @@ class ImportScreen(FormScreen[Opened]):
                 domain_id=number(values["domain_id"]) if values["domain_id"] else None,
             )
         except SessionError as error:
-            words: dict[str, list[str]] = {}
+            problems: dict[str, list[str]] = {}
             for problem in error.problems:
                 key = problem.location if problem.location in values else "bringup"
                 line = f"line {problem.line}: " if problem.line else ""
-                words.setdefault(key, []).append(problem.message if key == problem.location else f"{line}{problem}")
-            return {key: _few(lines) for key, lines in words.items()}
+                problems.setdefault(key, []).append(problem.message if key == problem.location else f"{line}{problem}")
+            return {key: _few(lines) for key, lines in problems.items()}
         return {}
 
     def result(self, values: Mapping[str, str]) -> Opened:
@@ -123,10 +123,10 @@ class ImportScreen(FormScreen[Opened]):
     async def accept(self, result: Opened) -> None:
         """Save it, say what is different now, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):
-            words = "\n".join(
-                ["Different from the thesis's bridge now:", *self._notes] if self._notes else ["All of it."]
+            summary = "\n".join(
+                ["What differs from the thesis's bridge:", *self._notes] if self._notes else ["All was imported."]
             )
-            run = await self.console.ask(ConfirmScreen(f"Imported. Run {result.path.name}?", words, "Run"))
+            run = await self.console.ask(ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run"))
             self.dismiss(result if run else None)
 
 

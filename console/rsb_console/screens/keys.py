@@ -40,14 +40,14 @@ class KeyFile(NamedTuple):
         user: whose links it is for.
         mode: ``0600``; empty: there is no file.
         fingerprint: empty: it cannot be read.
-        words: what an operator should know of it; empty: nothing.
+        note: what an operator should know about it; empty: nothing.
     """
 
     path: Path
     user: str
     mode: str
     fingerprint: str
-    words: str
+    note: str
 
 
 def look_at(path: Path, user: str) -> KeyFile:
@@ -101,7 +101,7 @@ class KeysTable(SelectableList):
         if index < self.sticky:
             return ((f"   {'FILE':<{NAME_WIDTH}} {'MODE':<5} {'FINGERPRINT':<20} FOR", "head"),)
         file = self._files[self.keys[index - self.sticky]]
-        sign, look = ("✗", "down") if not file.fingerprint else ("▲", "stale") if file.words else ("✓", "ok")
+        sign, look = ("✗", "down") if not file.fingerprint else ("▲", "stale") if file.note else ("✓", "ok")
         name = fit(((f"{file.path.name:<{NAME_WIDTH}}", "strong"),), NAME_WIDTH)
         figures = f" {file.mode or '-':<5} {file.fingerprint or 'no key':<20} {file.user}"
         return fit(
@@ -121,7 +121,7 @@ class KeysScreen(ModalScreen[None]):
         super().__init__()
         self.console = console
         self.table = KeysTable()
-        self._words = Notice("problem", id="key-words")
+        self._note = Notice("problem", id="key-note")
         self._made: dict[Path, str] = {}
 
     def compose(self) -> ComposeResult:
@@ -129,7 +129,7 @@ class KeysScreen(ModalScreen[None]):
         with Vertical(classes="dialog -wide") as dialog:
             dialog.border_title = "Keys"
             yield self.table
-            yield self._words
+            yield self._note
             keys = "" if self.console.readonly else "g generate a key   "
             yield Static(f"Both sides of a link need the same fingerprint.\n{keys}esc close", classes="hint keys")
 
@@ -145,7 +145,7 @@ class KeysScreen(ModalScreen[None]):
     def on_selectable_list_cursor_moved(self) -> None:
         """Say what is to be known of the file."""
         file = self.table.selected
-        self._words.set_text("No key file yet: g makes one." if file is None else file.words)
+        self._note.set_text("No key file yet: g makes one." if file is None else file.note)
 
     @work
     async def action_generate(self) -> None:
@@ -167,13 +167,13 @@ class GenerateScreen(FormScreen[Path]):
     """
 
     def __init__(self, path: Path) -> None:
-        words = "Mode 0600. Copy it to the other side over a safe channel, and keep it secret."
-        super().__init__("Generate a key", [Field(Spec("path", "File", words, str(path), edited=True))], "Generate")
+        advice = "Mode 0600. Copy it to the other side over a safe channel, and keep it secret."
+        super().__init__("Generate a key", [Field(Spec("path", "File", advice, str(path), edited=True))], "Generate")
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """Whether a file can be there."""
-        words = path_problem(values["path"])
-        return {"path": words} if words else {}
+        problem = path_problem(values["path"])
+        return {"path": problem} if problem else {}
 
     def result(self, values: Mapping[str, str]) -> Path:
         return typed_path(values["path"])
@@ -183,9 +183,9 @@ class GenerateScreen(FormScreen[Path]):
         """Write it; never over another without a yes."""
         exists = result.exists()  # noqa: ASYNC240 -- one stat
         if exists:
-            words = "Whoever holds only the old key can no longer link. The old key is lost."
+            message = "Whoever holds only the old key can no longer link. The old key is lost."
             if not await self.app.push_screen_wait(
-                ConfirmScreen(f"Replace the key in {result.name}?", words, "Replace")
+                ConfirmScreen(f"Replace the key in {result.name}?", message, "Replace")
             ):
                 return
         try:
@@ -194,7 +194,7 @@ class GenerateScreen(FormScreen[Path]):
             self.form.show_problems({"path": str(error)})
             return
         self.notify(
-            f"{result}: fingerprint {fingerprint(key)}. A running session uses it after it is opened again (o).",
+            f"{result}: fingerprint {fingerprint(key)}. A running session uses it once it is opened again (o).",
             title="A new key", markup=False, timeout=10,
         )  # fmt: skip
         self.dismiss(result)

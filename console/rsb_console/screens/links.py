@@ -103,8 +103,8 @@ class LinkDetail(LiveLines, can_focus=False):
 def _detail(link: LinkSnapshot, width: int) -> Iterator[Line]:
     if link.state is not State.OK:
         retry = "" if link.retry_in is None else f"; attempt {link.attempts + 1} in {link.retry_in:.0f} s"
-        for number, words in enumerate(textwrap.wrap(f"{link.reason}{retry}", max(20, width - LABEL))):
-            yield (_label("" if number else "why"), (words, link.state.value))
+        for number, line in enumerate(textwrap.wrap(f"{link.reason}{retry}", max(20, width - LABEL))):
+            yield (_label("" if number else "why"), (line, link.state.value))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
     version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))

@@ -118,7 +118,7 @@ class MainScreen(Screen[None]):
         events = [*self.log_pane.events, *self._held]
         cause = next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
         way_on = "" if self.console.readonly else f"{self._key('restart')} starts it again"
-        return ", ".join(words for words in (way_on, cause) if words)
+        return ", ".join(part for part in (way_on, cause) if part)
 
     def _key(self, action: str) -> str:
         return self.console.key_labels(BY_ID[action])[0]
@@ -158,7 +158,7 @@ class MainScreen(Screen[None]):
             [
                 (
                     self.console.key_labels(action)[0],
-                    action.words,
+                    action.label,
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
                 )
                 for action in ACTIONS

@@ -28,20 +28,20 @@ if TYPE_CHECKING:
 YES_NO = (("yes", "yes"), ("no", "no"))
 NUMBERS = ("server_port", "domain_id")
 FIELDS = (
-    Spec("role", "Role", "A client connects and says which topics cross; a server waits for it.",
+    Spec("role", "Role", "A client connects and says which topics cross; a server waits for clients.",
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
     Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
     Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.", "49152"),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
-    Spec("use_name", "Prefix", "On the server the client's topics have its name before them: /robot1/scan. The same on "
-         "both sides.", options=tuple(reversed(YES_NO))),
+    Spec("use_name", "Prefix", "On the server, the client's topics have its name as a prefix: /robot1/scan. The "
+         "same on both sides.", options=tuple(reversed(YES_NO))),
     Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
          options=YES_NO),
     Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other.",
          edited=True),
-    Spec("path", "Session file", "Where the session is kept.", edited=True),
+    Spec("path", "Session file", "Where the session is saved.", edited=True),
 )  # fmt: skip
 
 
@@ -91,29 +91,29 @@ class NewSessionScreen(FormScreen[NewSession]):
         if path_problem(str(path)):
             return ""
         if not path.exists():
-            return "will be made: copy it to the other side"
+            return "will be created: copy it to the other side"
         try:
-            return f"is there, fingerprint {fingerprint(read_key(path))}"
+            return f"exists, fingerprint {fingerprint(read_key(path))}"
         except KeyFileError:
             return ""
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """The session file's own rules, and those of the files."""
         new = self.result(values)
-        words: dict[str, str] = {}
+        problems: dict[str, str] = {}
         for problem in validate(new.session):
-            words.setdefault(problem.location, problem.message)
+            problems.setdefault(problem.location, problem.message)
         if not values["name"]:
-            words["name"] = "missing: give one"
+            problems["name"] = "missing: give one"
         if not values["server_ip"]:
-            words["server_ip"] = "missing: give the server's address"
+            problems["server_ip"] = "missing: give the server's address"
         if values["name"] or values["path"]:
-            words |= _at("path", path_problem(str(new.path)))
+            problems |= _at("path", path_problem(str(new.path)))
         else:
-            words["path"] = "missing: name the file"
-        if new.session.use_encryption and "key_file" not in words and "name" not in words:
-            words |= _at("key_file", _key_problem(_key_path(new)))
-        return words
+            problems["path"] = "missing: name the file"
+        if new.session.use_encryption and "key_file" not in problems and "name" not in problems:
+            problems |= _at("key_file", _key_problem(_key_path(new)))
+        return problems
 
     def result(self, values: Mapping[str, str]) -> NewSession:
         """The session; not to be used while there are problems."""
@@ -163,8 +163,8 @@ class NewSessionScreen(FormScreen[NewSession]):
             self._fields["server_port"].control.focus()
 
 
-def _at(key: str, words: str) -> dict[str, str]:
-    return {key: words} if words else {}
+def _at(key: str, problem: str) -> dict[str, str]:
+    return {key: problem} if problem else {}
 
 
 def number(text: str) -> int | str:
@@ -178,9 +178,9 @@ def _key_path(new: NewSession) -> Path:
 
 
 def _key_problem(path: Path) -> str:
-    words = path_problem(str(path))
-    if words or not path.exists():
-        return words
+    problem = path_problem(str(path))
+    if problem or not path.exists():
+        return problem
     try:
         read_key(path)
     except KeyFileError as error:

@@ -40,23 +40,23 @@ class Steps(LiveLines, can_focus=False):
     def line(self, index: int) -> Line:
         if index == len(self._steps):
             assert self._end is not None
-            look, words = self._end
-            return ((f"{DONE if look == 'ok' else FAILED} ", look), (words, look))
-        words, began = self._steps[index]
+            look, message = self._end
+            return ((f"{DONE if look == 'ok' else FAILED} ", look), (message, look))
+        message, began = self._steps[index]
         if index == len(self._steps) - 1 and self._end is None:
-            return ((f"{RUNNING} ", "waiting"), (words, "strong"))
+            return ((f"{RUNNING} ", "waiting"), (message, "strong"))
         ended = self._steps[index + 1][1] if index + 1 < len(self._steps) else self._ended
         failed = index == len(self._steps) - 1 and self._end is not None and self._end[0] == "down"
         sign = (f"{FAILED} ", "down") if failed else (f"{DONE} ", "ok")
-        return (sign, (f"{words:<60}", ""), (f"{ended - began:6.2f} s", "dim"))
+        return (sign, (f"{message:<60}", ""), (f"{ended - began:6.2f} s", "dim"))
 
-    def add(self, words: str) -> None:
-        self._steps.append((words, time.monotonic()))
+    def add(self, message: str) -> None:
+        self._steps.append((message, time.monotonic()))
         self._lay_out()
 
-    def end(self, look: str, words: str) -> None:
+    def end(self, look: str, message: str) -> None:
         self._ended = time.monotonic()
-        self._end = (look, words)
+        self._end = (look, message)
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -91,8 +91,8 @@ class RestartScreen(ModalScreen[None]):
     @work
     async def on_mount(self) -> None:
 
-        def step(words: str) -> None:  # on the engine's thread, which must not wait for us
-            self.call_later(self.steps.add, words)
+        def step(message: str) -> None:  # on the engine's thread, which must not wait for us
+            self.call_later(self.steps.add, message)
 
         try:
             await asyncio.wrap_future(self._engine.restart(step))

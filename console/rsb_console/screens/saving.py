@@ -38,7 +38,7 @@ async def save_elsewhere(console: Console, session: Session, path: Path) -> bool
             return False
         for file, key in files.items():
             copy_key(key, file)
-            console.notify(f"with its key: {file}", markup=False)
+            console.notify(f"its key is saved, too: {file}", markup=False)
     except KeyFileError as error:
         console.notify(str(error), title="The key is not saved", severity="error", markup=False, timeout=15)
         return False
@@ -62,7 +62,7 @@ async def save_asking(
     """
     timeout = 8 if note else 3
     if file_of(path, session) is not None:
-        message = f"nothing has changed: {path} is as it would be saved{note}"
+        message = f"nothing to save: {path} is up to date{note}"
         console.notify(message, markup=False, timeout=timeout)
         return True
     try:

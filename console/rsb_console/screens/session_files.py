@@ -70,7 +70,7 @@ def no_suggestion(text: str) -> str:
         return "no YAML file here; type a path"
     path = typed_path(text)
     if is_file(path):
-        return "the file is there: ⏎ takes it"
+        return "the file exists: ⏎ picks it"
     return "no such file; type its path"
 
 
@@ -86,7 +86,7 @@ class SessionsScreen(FormScreen[Opened | str]):
         spec = Spec(
             "path",
             "Session",
-            "↑ ↓ and ⏎ to open one of these; or type any path.",
+            "↑ ↓ and ⏎ to open one of these, or type a path.",
             blank="type to look for a file",
             edited=True,
         )
@@ -151,8 +151,8 @@ class SaveAsScreen(FormScreen[Path]):
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """Whether a file can be there."""
-        words = path_problem(values["path"])
-        return {"path": words} if words else {}
+        problem = path_problem(values["path"])
+        return {"path": problem} if problem else {}
 
     def result(self, values: Mapping[str, str]) -> Path:
         return typed_path(values["path"])

@@ -113,7 +113,7 @@ class TopicScreen(FormScreen[Draft]):
         late = "waiting for the other side's topics …" if link in self._late else ""
         field.note.set_text(self._errors.get(link) or self._errors.get(None) or late)
         waiting = self._awaited & {None, link}
-        empty = "asking both sides …" if waiting else "no other topic on either side; type its whole name"
+        empty = "asking both sides …" if waiting else "no other topic on either side; type the full name"
         suggestions = suggestions_for(Ends.of(now, link), self._found.get(None, []), self._found.get(link, []), bridged)
         field.suggest(suggestions, lambda _text: empty)
 
@@ -151,7 +151,7 @@ def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
         Spec(
             "topic",
             "Topic",
-            f"{name} Type to look for it, ↑ ↓ and ⏎ to pick; or the whole of it: /scan." if new else name,
+            f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type the full name: /scan." if new else name,
             blank="type to look for a topic of either side",
         ),
         Spec(
@@ -163,7 +163,7 @@ def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
         Spec(
             "type",
             "Type",
-            "package/msg/Name, or a common one's short name (LaserScan). Empty: what either graph says.",
+            "package/msg/Name, or a common type's short name (LaserScan). Empty: the type in either graph.",
             blank="auto",
         ),
         Spec(
@@ -190,7 +190,7 @@ def _how(session: Session, begun: str | None) -> tuple[Spec, ...]:
         "protocol",
         "Protocol",
         "tcp delivers all, in order; udp never waits for what was lost"
-        f"{'; bluetooth goes over the radio, on a channel that it names' if has_radio else ''}.",
+        f"{'; bluetooth uses the radio, on a channel of its own' if has_radio else ''}.",
         options=(*carriers, ("bluetooth", "bluetooth")) if has_radio else carriers,
     )
     packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
@@ -200,9 +200,9 @@ def _how(session: Session, begun: str | None) -> tuple[Spec, ...]:
     return (
         *(() if bluetooth else (protocol,)),
         Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared"),
-        Spec("max_rate", "Max rate", "Hz; what is more is left out. Empty: everything crosses.", blank="all"),
-        Spec("expected_rate", "Expected rate", "Hz, to judge the real one by. Empty: learned.", blank="learned"),
-        Spec("stale_after", "Stale after", "Seconds without a message until a warning; 0: never.", blank=after),
+        Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all"),
+        Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned"),
+        Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after),
         Spec("compression", "Compression", "zstd is worth it for maps and clouds, and on slow links.", options=packing),
         Spec("paused", "Paused", "Set up, but carries nothing until resumed.", options=(("", "no"), ("yes", "yes"))),
     )

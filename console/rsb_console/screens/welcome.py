@@ -24,7 +24,7 @@ Bridges ROS 2 topics between domains and networks over encrypted sockets,
 and shows what flows and what doesn't."""
 CHOICES = {
     "demo": ("d", "Demo", "a simulated robot, bridged on this machine"),
-    "new_session": ("n", "New session", "a form writes the file, and makes or takes the key"),
+    "new_session": ("n", "New session", "a form that writes the session file and the key"),
     "sessions": ("o", "Open a session", "a recent one, or any file"),
     "import_session": ("i", "Import", "a bringup.yaml of the thesis's ros2_socket_bridge"),
     "quit": ("q", "Quit", ""),
@@ -45,8 +45,8 @@ class Menu(SelectableList):
         super().__init__(id="menu")
         self._lines: dict[str, Line] = {}
         for choice in choices:
-            key, words, more = CHOICES[choice]
-            self._lines[choice] = ((f"{key}  ", "key"), (f"{words:<17}", "strong"), (more, "dim"))
+            key, label, more = CHOICES[choice]
+            self._lines[choice] = ((f"{key}  ", "key"), (f"{label:<17}", "strong"), (more, "dim"))
         for number, path in enumerate(recent, start=1):
             self._lines[str(path)] = ((f"{number}  ", "key"), (f"{path.stem:<17}", "strong"), (str(path), "dim"))
         self._lines["quit"] = self._lines.pop("quit")  # last

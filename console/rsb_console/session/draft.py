@@ -98,7 +98,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         replaced: one of the session's that it takes the place of.
 
     Returns:
-        Words by the key of the field.
+        Messages by the key of the field.
     """
     if session.role == "server":
         found = validate_topic(topic, session)
@@ -111,7 +111,7 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
             for problem in problems
             if problem.location.startswith(here)
         ]
-    words: dict[str, str] = {}
+    messages: dict[str, str] = {}
     for problem in found:
-        words.setdefault(problem.location.partition(".")[0] or "topic", problem.message)
-    return words
+        messages.setdefault(problem.location.partition(".")[0] or "topic", problem.message)
+    return messages

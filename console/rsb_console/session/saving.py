@@ -117,7 +117,7 @@ def topics_note(session: Session) -> str:
     """Say what a saved session lacks although the console shows it; empty: nothing."""
     if session.role == "client":
         return ""
-    return "\nIt holds no topics: they are in the clients' files; those added here last until this server ends."
+    return "\nIt holds no topics: those are in the clients' files, and topics added here last until this server ends."
 
 
 def file_of(path: Path, session: Session) -> SessionFile | None:

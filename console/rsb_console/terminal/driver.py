@@ -1,4 +1,4 @@
-"""The terminal under the app: one that stops reading, sends broken bytes or goes away must cost pictures only."""
+"""The terminal under the app. If it stops reading, sends broken bytes or goes away, only frames are lost."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from pathlib import Path
     from queue import Queue
 
-# Textual 8 dies of bytes that are no UTF-8, like the legacy mouse reports that tmux sends: its issue 6668.
+# Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
 _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
 
 _LOOK_EVERY_MS = 500
-CLOSE_TIMEOUT = 1.0  # s until a terminal that does not read is given up
+CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up
 
 
 @contextlib.contextmanager
 def terminal_to_itself(log: Path) -> Iterator[int]:
-    """Give the terminal to the app alone: what else writes to descriptors 1 and 2, as Fast DDS does, goes to `log`.
+    """Reserve the terminal for the app: whatever else writes to descriptors 1 and 2, as Fast DDS does, goes to a file.
 
     Args:
-        log: what was in it before is lost; where it cannot be written, nothing is kept.
+        log: the file, which is emptied first. If it cannot be written, that output is discarded.
 
     Yields:
-        A descriptor of the terminal. It is never closed: a thread may be stuck in a write to it.
+        A descriptor of the terminal. It is never closed, because a thread may be stuck in a write to it.
     """
     sys.stdout.flush()
     terminal, errors = os.dup(1), os.dup(2)
@@ -58,9 +58,14 @@ def terminal_to_itself(log: Path) -> Iterator[int]:
 
 
 class TerminalFile:
-    """The terminal as a file that writes straight through, and says so once when it is gone.
+    """The terminal as an unbuffered file.
 
-    A buffered stream would be locked by a write that never ends, and hold up the interpreter's exit.
+    A write to a terminal that does not read may never return. A buffered stream would stay locked then, and delay the
+    interpreter's exit.
+
+    Args:
+        fd: descriptor of the terminal.
+        gone: called once, when the terminal is gone.
     """
 
     def __init__(self, fd: int, gone: Callable[[], None]) -> None:
@@ -68,7 +73,7 @@ class TerminalFile:
         self._gone: Callable[[], None] | None = gone
 
     def write(self, text: str) -> None:
-        """Write all of `text`; blocks while the terminal does not read."""
+        """Write all of `text`. It blocks while the terminal does not read, and does nothing once it is gone."""
         data = text.encode("utf-8", "replace")
         while data and self._gone is not None:
             try:
@@ -77,13 +82,13 @@ class TerminalFile:
                 self.hung_up()
 
     def hung_up(self) -> None:
-        """The terminal is gone; there is nobody to tell but the app."""
+        """Tell the app that the terminal is gone, the first time this is called."""
         gone, self._gone = self._gone, None
         if gone is not None:
             gone()
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: there is no buffer."""
 
     def fileno(self) -> int:
         return self._fd
@@ -92,8 +97,8 @@ class TerminalFile:
 class ConsoleDriver(LinuxDriver):
     """Textual's driver, whose `write` never blocks the app.
 
-    Textual hands frames to a thread through a queue of 30 and waits when that is full: with the app would wait its keys
-    and signals. Here what doesn't fit is dropped, and once the terminal reads again the whole screen is drawn anew.
+    Textual passes frames to a thread through a queue of 30, and blocks the app, with its keys and signals, while that
+    is full. This driver drops frames that do not fit, and redraws the whole screen once the terminal reads again.
     """
 
     def __init__(self, app: Any, **options: Any) -> None:
@@ -104,7 +109,7 @@ class ConsoleDriver(LinuxDriver):
         self._continuing = False
 
     def _get_terminal_size(self) -> tuple[int, int]:
-        """Columns and lines; Textual would ask standard output, which need not be the terminal."""
+        """The terminal's columns and lines. Textual asks standard output, which need not be the terminal."""
         with contextlib.suppress(OSError):
             columns, lines = os.get_terminal_size(self._file.fileno())
             if columns and lines:
@@ -117,7 +122,7 @@ class ConsoleDriver(LinuxDriver):
         return self._writer_thread._queue
 
     def write(self, data: str) -> None:
-        """Hand `data` to the terminal, or drop it if that is far behind."""
+        """Pass `data` on to the terminal, or drop it while the queue is full."""
         if self._behind and self._queue.empty():
             self._behind = False
             self._app.call_later(self._app.refresh)
@@ -128,7 +133,7 @@ class ConsoleDriver(LinuxDriver):
 
     @property
     def mouse(self) -> bool:
-        """Whether the app gets the mouse; else it is the terminal's, to select text with."""
+        """Whether the app gets mouse events. If not, the terminal has the mouse, for selecting text."""
         return self._mouse
 
     @mouse.setter
@@ -139,16 +144,16 @@ class ConsoleDriver(LinuxDriver):
         self._enable_mouse_support()
 
     def _sigcont_application(self, *_: object) -> None:
-        """Take the terminal again, soon: signals may come faster than that goes, and one taking is enough for all."""
+        """Take the terminal back, soon. Signals may arrive faster than that takes; one call serves all of them."""
         if self._writer_thread is not None and not self._continuing:
             self._continuing = True
             self._app.call_later(self._continue)
 
     def _continue(self) -> None:
-        """Take the terminal again, and draw everything.
+        """Take the terminal back and redraw everything.
 
-        Textual would begin a second time where SIGTSTP had not ended the first, as after SIGSTOP and at a hangup: it
-        would leave threads behind, and raw mode as the one to go back to.
+        Without SIGTSTP before SIGCONT (after SIGSTOP, and at a hangup), Textual would enter application mode a second
+        time: it would leave threads behind, and restore raw mode at the end. So application mode is left first.
         """
         self._continuing = False
         if not self._must_signal_resume:
@@ -157,7 +162,7 @@ class ConsoleDriver(LinuxDriver):
         self._app.refresh()
 
     def run_input_thread(self) -> None:
-        """Read keys until the terminal is gone: what reads as nothing would be read again and again."""
+        """Read keys until the terminal is gone. Without the watch for a hangup, this would spin on empty reads."""
         self._unwatched = ended = threading.Event()
         threading.Thread(target=self._watch_hangup, args=(ended,), name="terminal-hangup", daemon=True).start()
         with contextlib.suppress(OSError):
@@ -165,7 +170,7 @@ class ConsoleDriver(LinuxDriver):
 
     def _watch_hangup(self, ended: threading.Event) -> None:
         poll = select.poll()
-        poll.register(self.fileno, 0)  # POLLHUP and POLLERR are told unasked
+        poll.register(self.fileno, 0)  # POLLHUP and POLLERR are always reported
         while not ended.is_set():
             if poll.poll(_LOOK_EVERY_MS):
                 ended.set()
@@ -173,7 +178,7 @@ class ConsoleDriver(LinuxDriver):
                 self._file.hung_up()
 
     def close(self) -> None:
-        """Let the last frames out, unless the terminal does not read."""
+        """Write the last frames, unless the terminal does not read."""
         self._unwatched.set()
         thread = self._writer_thread
         if thread is None:
@@ -186,10 +191,10 @@ class ConsoleDriver(LinuxDriver):
 
 
 def prefers_ascii(environ: Mapping[str, str]) -> bool:
-    """Whether the terminal is better given no Unicode: the locale isn't UTF-8, or it is Linux's own console.
+    """Whether to draw in ASCII: the locale is not UTF-8, or the terminal is the Linux console.
 
     Args:
-        environ: the process's; where no locale is set, Python has made it C.UTF-8 (PEP 538).
+        environ: the environment. If it sets no locale, Python uses C.UTF-8 (PEP 538).
     """
     locale = environ.get("LC_ALL") or environ.get("LC_CTYPE") or environ.get("LANG") or "C.UTF-8"
     return "utf" not in locale.lower() or environ.get("TERM") == "linux"

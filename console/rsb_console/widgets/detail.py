@@ -1,4 +1,4 @@
-"""All about one topic: why it isn't flowing, its rate, where its messages went."""
+"""The details of one topic: why it does not flow, its rate, and where its messages went."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TIED = "\N{NO-BREAK SPACE}"
 
 
 class DetailPane(LiveLines, can_focus=True):
-    """The topic under the cursor. It has no cursor itself: the keys of a list scroll it."""
+    """Shows the topic under the table's cursor. It has no cursor of its own: a list's keys scroll it."""
 
     BINDINGS = bindings(Group.MOVE)
 
@@ -37,24 +37,24 @@ class DetailPane(LiveLines, can_focus=True):
 
     @property
     def line_count(self) -> int:
-        """As many as the topic needs."""
+        """How many lines the topic's details take."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
         return self._lines[index]
 
     def show(self, route: RouteSnapshot | None, peer: str = "") -> None:
-        """Show `route`, from its beginning if it was another before.
+        """Show a topic. If it is another one than before, scroll to its first line.
 
         Args:
-            route: None: there is nothing to show.
-            peer: what the other side is called.
+            route: the topic's route; None: no topic is selected.
+            peer: the other side's name or address.
         """
         if (route and route.key) != (self._route and self._route.key):
             self.scroll_home(animate=False)
         self._route, self._peer = route, peer
         self.entitle("" if route is None else f"{route.topic} ")
-        width = self.scrollable_content_region.width  # without the scrollbar, which would hide the ends
+        width = self.scrollable_content_region.width  # without the scrollbar, which hides the ends of lines
         if route is None:
             self._lines = [(), ((" no topic selected", "dim"),)]
         else:
@@ -79,7 +79,13 @@ class DetailPane(LiveLines, can_focus=True):
 
 
 def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
-    """The pane's lines about `route`, which links with `peer`, for `width` cells."""
+    """Lay out the details of a topic.
+
+    Args:
+        route: the topic's route.
+        peer: the other side's name or address.
+        width: of the pane, cells.
+    """
     yield from _heading(route, peer, width)
     yield ()
     yield from _stages(route, width)
@@ -111,7 +117,7 @@ def _heading(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _stages(route: RouteSnapshot, width: int) -> Iterator[Line]:
-    """Why it isn't flowing: what is passed in short, what isn't on a line of its own, what comes after it in short."""
+    """The stages: those passed on one line, the first that fails with its reason, and the others on one line."""
     stages = route.stages
     waiting = [index for index, stage in enumerate(stages) if not stage.done]
     at = next((index for index in waiting if stages[index].done is False), next(iter(waiting), None))
@@ -184,22 +190,22 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
     if route.jitter is not None:
         yield from _figure("jitter", [formats.span(route.jitter)], width)
     if route.qos is not None:
-        yield from _figure("QoS", qos_words(route.qos), width)
+        yield from _figure("QoS", qos_parts(route.qos), width)
     if route.publisher_qos is not None:
-        yield from _figure("publishers", ["offer", *qos_words(route.publisher_qos, depth_known=False)], width)
+        yield from _figure("publishers", ["offer", *qos_parts(route.publisher_qos, depth_known=False)], width)
     if route.subscriber_qos is not None:
-        yield from _figure("subscribers", ["ask for", *qos_words(route.subscriber_qos, depth_known=False)], width)
+        yield from _figure("subscribers", ["ask for", *qos_parts(route.subscriber_qos, depth_known=False)], width)
     if route.type_hash:
-        yield _named("type hash", route.type_hash)  # of which a beginning is enough to tell it from another
+        yield _named("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
     if route.last_error:
         yield from _figure("last error", route.last_error.split(), width)
 
 
 def _figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
-    """A figure with its name, on as many lines as it takes; a piece that has room on one stays together."""
+    """A named figure, wrapped to the pane's width. A piece that fits on a line is not broken."""
     room = max(10, width - LABEL - 2)
     text = " ".join(pieces)
-    if len(text) <= room:  # as it mostly is, in every refresh
+    if len(text) <= room:  # the usual case, at every refresh
         yield _named(name, text)
         return
     tied = " ".join(piece.replace(" ", TIED) for piece in pieces)
@@ -211,16 +217,19 @@ def _named(name: str, text: str) -> Line:
     return ((f" {name:<{LABEL}} ", "dim"), (text, ""))
 
 
-def qos_words(qos: Qos, *, depth_known: bool = True) -> list[str]:
-    """``reliable,`` ``volatile,`` ``last 10``; without how many are kept where that is not known.
+def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
+    """Format a QoS as pieces of a list: ``reliable,`` ``volatile,`` ``last 10``.
 
-    A depth of 0 is chosen by the bridge: by the topic's rate, or on a latched topic by what its publishers keep.
+    Args:
+        qos: to format. A depth of 0 means that the bridge chooses it: from the topic's rate, or on a latched topic from
+            what its publishers keep.
+        depth_known: False leaves out history and depth.
     """
-    words = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
+    parts = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
     if depth_known:
-        words.append("all" if qos.history == "keep_all" else f"last {qos.depth}" if qos.depth else "auto depth")
+        parts.append("all" if qos.history == "keep_all" else f"last {qos.depth}" if qos.depth else "auto depth")
     if qos.deadline:
-        words.append(f"deadline {formats.span(qos.deadline)}")
+        parts.append(f"deadline {formats.span(qos.deadline)}")
     if qos.lifespan:
-        words.append(f"lifespan {formats.span(qos.lifespan)}")
-    return [f"{each}," for each in words[:-1]] + words[-1:]
+        parts.append(f"lifespan {formats.span(qos.lifespan)}")
+    return [f"{each}," for each in parts[:-1]] + parts[-1:]

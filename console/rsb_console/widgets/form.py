@@ -32,7 +32,7 @@ class Spec:
         help: one or two lines, shown while the field has the focus.
         value: at first.
         blank: what an empty field means, shown in it.
-        options: value and words of each, for a choice; empty: text.
+        options: value and label of each, for a choice; empty: text.
         edited: the value is more often changed than replaced, as a path is.
     """
 
@@ -166,12 +166,12 @@ class Form(VerticalScroll, can_focus=False):
         """Show what is wrong now: with a field beneath it, else beneath the form.
 
         Args:
-            problems: words by the field's key; another key is about the form as a whole.
+            problems: messages by the field's key; another key is about the form as a whole.
         """
         self._problems = problems
         for key, field in self.fields.items():
             field.problem.set_text(problems.get(key, "") if field.is_ready else "")
-        elsewhere = [words for key, words in problems.items() if key not in self.values]
+        elsewhere = [message for key, message in problems.items() if key not in self.values]
         self.problem.set_text("\n".join(elsewhere))
 
     def settle(self) -> bool:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class KeyBar(LiveLines):
-    """Keys and words, in the registry's order. Those of the last two (help, quit) always fit; a click does it."""
+    """Keys and labels, in the registry's order. Those of the last two (help, quit) always fit; a click does it."""
 
     can_focus = False
 
@@ -28,19 +28,19 @@ class KeyBar(LiveLines):
         return 1
 
     def show(self, entries: Sequence[tuple[str, str, str]]) -> None:
-        """Show `entries`: key, words, and the action that a click runs; none, or at least two."""
+        """Show `entries`: key, label, and the action that a click runs; none, or at least two."""
         self._entries = entries
         self.sync()
 
     def line(self, index: int) -> Line:
-        return tuple(piece for key, words, _ in self._fitting() for piece in _pieces(key, words))
+        return tuple(piece for key, label, _ in self._fitting() for piece in _pieces(key, label))
 
     def _fitting(self) -> list[tuple[str, str, str]]:
         if not self._entries:
             return []
         *others, second_last, last = self._entries
         always = [second_last, last]
-        room = self.width - sum(width_of(_pieces(key, words)) for key, words, _ in always)
+        room = self.width - sum(width_of(_pieces(key, label)) for key, label, _ in always)
         fitting = []
         for entry in others:
             room -= width_of(_pieces(entry[0], entry[1]))
@@ -52,12 +52,12 @@ class KeyBar(LiveLines):
     async def on_click(self, event: events.Click) -> None:
         """Do what stands under the mouse."""
         edge = 0
-        for key, words, action in self._fitting():
-            edge += width_of(_pieces(key, words))
+        for key, label, action in self._fitting():
+            edge += width_of(_pieces(key, label))
             if event.x < edge:
                 await self.run_action(action)
                 return
 
 
-def _pieces(key: str, words: str) -> tuple[tuple[str, str], ...]:
-    return (f" {key}", "key"), (f" {words} ", "dim")
+def _pieces(key: str, label: str) -> tuple[tuple[str, str], ...]:
+    return (f" {key}", "key"), (f" {label} ", "dim")

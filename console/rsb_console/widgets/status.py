@@ -1,4 +1,4 @@
-"""The two lines at the top: who is linked to whom, and what flows in all."""
+"""The two lines at the top: the links' state, and totals over all topics."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ ROOMY = 100  # cells from which on there is room for small charts
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How the console itself is shown.
+    """The console's own state, as the status bar shows it.
 
     Attributes:
-        session: the session file's name; empty: it is in no file.
+        session: the session file's name; empty: the session is not saved.
         refresh: Hz.
-        frozen_since: s since the epoch; None: live.
-        readonly: nothing can be changed.
-        note: what to say instead of the link's state while no engine runs.
-        cause: why the engine has ended by itself, as far as it is known.
+        frozen_since: s since the epoch; None: the view is live.
+        readonly: whether actions that change something are disabled.
+        note: shown instead of the link's state while no engine runs; empty: an engine runs.
+        cause: why the engine ended by itself; empty: not known, or it runs.
     """
 
     session: str = ""
@@ -42,7 +42,7 @@ class View:
 
 
 class StatusBar(LiveLines):
-    """Both lines; the counts among them always say all of it, whatever the table filters."""
+    """Both lines. Their counts are of all topics, whatever filter the table has."""
 
     can_focus = False
 
@@ -99,7 +99,7 @@ class StatusBar(LiveLines):
 
 
 def _as_many(groups: list[Line], width: int) -> Line:
-    """As many of `groups` as fit, the first always; narrow ones go without their charts."""
+    """Join as many groups as fit, at least the first. On a narrow screen their charts are left out."""
     line: Line = ()
     for group in groups:
         shown = tuple(piece for piece in group if width >= ROOMY or piece[1] != "plot")
@@ -123,13 +123,13 @@ def _identity(snapshot: Snapshot, view: View) -> Line:
     if view.note:
         pieces.append((f"   {view.note}", "alarm"))
     else:
-        pieces += link_words(snapshot, view.cause)
+        pieces += link_state(snapshot, view.cause)
     pieces.append((f"   domain {snapshot.domain_id}", "dim"))
     return tuple(pieces)
 
 
-def link_words(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
-    """The state of the link, or how many of a server's are linked, and that they are encrypted."""
+def link_state(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
+    """The state of the link, or how many of a server's links are up, and whether they are encrypted."""
     if not snapshot.running:
         return [(f"   ✗ STOPPED{f': {cause}' if cause else ''}", "down")]
     if not snapshot.links:
@@ -138,7 +138,7 @@ def link_words(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
 
 
 def _warnings(snapshot: Snapshot) -> list[tuple[str, str]]:
-    """What must be seen however narrow the screen is."""
+    """Warnings that are shown however narrow the screen is."""
     if all(link.encrypted for link in snapshot.links):
         return []
     return [(" ", ""), (" NOT ENCRYPTED ", "alarm")]
@@ -171,7 +171,7 @@ def _view(snapshot: Snapshot, view: View) -> Line:
 
 
 def _spread(left: Line, right: Line, width: int) -> Line:
-    """`left` and `right` at the two edges; what doesn't fit is cut from the left part's end."""
+    """Put two parts at the two edges. If both do not fit, the end of the left one is cut."""
     room = width - width_of(right)
     cut = fit(left, max(1, room - 1))
     return (*cut, (" " * (room - width_of(cut)), ""), *right)

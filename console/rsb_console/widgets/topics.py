@@ -1,4 +1,4 @@
-"""The table of bridged topics: sorted, filtered, faults first."""
+"""The table of bridged topics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SEVERITY = {state: rank for rank, state in enumerate(State)}
 FAULTS = frozenset({State.DOWN, State.STALE, State.WAITING})
-WIDE = 70  # cells from which on a state has its word beside its sign
+WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
 
 
@@ -32,11 +32,11 @@ class Column:
 
     Attributes:
         title: its heading.
-        width: cells; 0: what the others leave.
-        text: what it says of a route.
-        order: what it sorts by.
-        right: aligned to the right.
-        from_width: the table is at least so wide, else the column is left out.
+        width: cells; 0: all that the other columns leave.
+        text: a route's cell.
+        order: sort key of a route.
+        right: whether cells are aligned to the right.
+        from_width: cells; in a narrower table the column is left out.
     """
 
     title: str
@@ -62,12 +62,12 @@ def _rate(route: RouteSnapshot) -> str:
 
 
 def present_rate(route: RouteSnapshot) -> float:
-    """Hz; 0 of a stale topic, whose rate is still a mean over times when it flowed."""
+    """A topic's rate in Hz. A stale topic's is 0: the measured mean still covers seconds in which it flowed."""
     return 0.0 if route.state is State.STALE else route.rate
 
 
 def carries(route: RouteSnapshot) -> bool:
-    """Whether figures of a flow mean anything now."""
+    """Whether a topic's rate and throughput have a meaning in its present state."""
     return route.state in {State.OK, State.STALE}
 
 
@@ -107,11 +107,11 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = COLUMNS[0], COLUMNS[1], COLUMNS[2], C
 
 @cache
 def layout(width: int, *, peers: bool) -> tuple[tuple[Column, int], ...]:
-    """The columns for which there is room, and their widths.
+    """The columns that fit, each with its width in cells.
 
     Args:
         width: of the table, cells.
-        peers: there are several, so that theirs has a column.
+        peers: whether there are several peers, so that the table needs a column for them.
     """
     hidden = {SIGN if width >= WIDE else STATE} | (set() if peers else {PEER})
     shown = [column for column in COLUMNS if width >= column.from_width and column not in hidden]
@@ -120,7 +120,7 @@ def layout(width: int, *, peers: bool) -> tuple[tuple[Column, int], ...]:
 
 
 class TopicsTable(SelectableList):
-    """All routes of a snapshot, one a line; the cursor stays on its route."""
+    """Shows the routes of a snapshot, one per line. The cursor stays on its route when the order changes."""
 
     sticky = 1
 
@@ -136,11 +136,11 @@ class TopicsTable(SelectableList):
 
     @property
     def line_count(self) -> int:
-        """The heading, and one a route; or those that say why there is none."""
+        """The heading and a line per route, or the lines that say why there is no route."""
         return self.sticky + (len(self.keys) or len(self._empty))
 
     def explain(self, empty: str) -> None:
-        """Say why there is no topic, and what to do about it, wherever there is none."""
+        """Set the text shown while the table is empty: why it is, and what to do."""
         lines = textwrap.wrap(empty, max(20, self.size.width - 4))
         if lines != self._empty:
             self._empty = lines
@@ -164,7 +164,7 @@ class TopicsTable(SelectableList):
         )
 
     def is_cursor(self, index: int) -> bool:
-        """Only where there is a topic."""
+        """Whether the cursor is on a line; an empty table has none."""
         return bool(self.keys) and super().is_cursor(index)
 
     @property
@@ -173,7 +173,7 @@ class TopicsTable(SelectableList):
 
     @property
     def listed(self) -> list[RouteSnapshot]:
-        """What is shown, in its order."""
+        """The routes shown, in the table's order."""
         return [self.routes[key] for key in self.keys]
 
     def sort_by(self, step: int) -> None:
@@ -188,7 +188,7 @@ class TopicsTable(SelectableList):
         self.relist()
 
     def next_match(self, step: int) -> None:
-        """To the next line (a filter shows matches only), or without a filter to the next fault."""
+        """Move to the next match, or without a filter to the next fault. With a filter, every line is a match."""
         count = len(self.keys)
         for distance in range(1, count + 1):
             position = (self.position + step * distance) % count
@@ -215,7 +215,7 @@ class TopicsTable(SelectableList):
         return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
 
     def heading_clicked(self, x: int) -> None:
-        """Sort by the column; by the same one again, turn the order round."""
+        """Sort by the column at `x`; if the table is sorted by it already, reverse the order."""
         edge = 1
         for column, width in self._layout:
             edge += width + 1
