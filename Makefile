@@ -10,7 +10,7 @@ EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(co
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-programs test-people test-bluetooth lint bench screenshots clean system
+.PHONY: demo test test-programs test-people test-bluetooth lint bench soak screenshots clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -22,7 +22,7 @@ test: $(STAMP) system lint
 # Two halves of about the same length, run at the same time: tests of the engine and the commands; and tests of the console,
 # in the virtual machine, and in the simulation. They share no domain, port or file.
 test-programs: $(STAMP)
-	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/system tests/telemetry tests/transport
+	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/soak tests/system tests/telemetry tests/transport
 
 test-people: $(STAMP)
 	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console tests/simulation
@@ -39,6 +39,12 @@ lint: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m bench.run
+
+# New simulated worlds, and beside them real processes that are killed, cut off and frozen (docs/testing.md). It takes
+# SECONDS (`make soak SECONDS=7200`), and fails with the reasons in words.
+SECONDS ?= 1800
+soak: $(STAMP)
+	$(BIN)/python -m tests.soak --seconds $(SECONDS)
 
 PACKAGES := tmux qemu-system-x86 iproute2 nftables
 

@@ -63,7 +63,7 @@ class Programs:
             program.kill()
         self._forker.communicate()
         assert self._forker.returncode == 0
-        _free_shared_memory()
+        free_shared_memory()
         for program in self._programs:
             assert "Traceback" not in program.output, program.output
 
@@ -116,7 +116,7 @@ class Program:
         return [json.loads(line) for line in self.output.splitlines(keepends=True) if line[0] + line[-1] == "{\n"]
 
 
-def _free_shared_memory() -> None:
+def free_shared_memory() -> None:
     """Remove what DDS participants that were killed left: half a megabyte each, which nothing else ever frees.
 
     Fast DDS holds a lock on a file beside each segment as long as its process lives.

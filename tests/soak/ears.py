@@ -1,0 +1,66 @@
+"""Those who listen at the far end of each topic, in this process: what came, when, and whether it was right."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+from tests.soak.messages import Kind, decode
+from tests.support.domain import BEST_EFFORT, RELIABLE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.domain import Domain
+
+_LATCHED = QoSProfile(depth=100, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Ear:
+    """Listens to one topic.
+
+    Attributes:
+        name: ``robot1/scan``: the topic as the server sees it, whichever way it goes.
+        heard: messages so far.
+        wrong: what was wrong with some of them.
+        flowed_at: s since the epoch, when the first message came that was published after `expect`'s moment.
+    """
+
+    def __init__(self, name: str, domain: Domain, topic: str, kind: Kind) -> None:
+        self.name = name
+        self.kind = kind
+        self.heard = 0
+        self.wrong: list[str] = []
+        self.flowed_at: float | None = None
+        self._expected = 0.0
+        self._newest: dict[int, int] = {}
+        qos = _LATCHED if kind.latched else BEST_EFFORT if kind.best_effort else RELIABLE
+        self._handle = domain.node.create_subscription(String, topic, lambda _: None, qos, raw=True).handle
+
+    @property
+    def newest(self) -> int:
+        """The highest number of the talker's present life."""
+        return self._newest[max(self._newest)] if self._newest else 0
+
+    def expect(self, moment: float) -> None:
+        """Wait for a message published after `moment` (s since the epoch)."""
+        self._expected = moment
+        self.flowed_at = None
+
+    def take(self, clock: Callable[[], float]) -> None:
+        """Take what has come; `clock` gives s since the epoch."""
+        while (taken := self._handle.take_message(String, True)) is not None:
+            self.heard += 1
+            message = decode(taken[0])
+            if not message.whole:
+                self.wrong.append(f"{self.name}: a message came damaged")
+                continue
+            if self.flowed_at is None and message.sent > self._expected:
+                self.flowed_at = clock()
+            newest = self._newest.get(message.life, 0)
+            if message.number <= newest and self.kind.protocol == "tcp" and not self.kind.latched:
+                self.wrong.append(f"{self.name}: message {message.number} came after {newest}, over TCP")
+            self._newest[message.life] = max(newest, message.number)
+            while len(self._newest) > 4:
+                del self._newest[next(iter(self._newest))]

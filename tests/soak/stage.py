@@ -1,0 +1,174 @@
+"""A bridge as people run it: a server, clients, a network between them, and ROS nodes on all sides."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import yaml
+from tests.soak.ears import Ear
+from tests.soak.messages import KINDS, Kind
+from tests.soak.network import SERVER, Network
+from tests.soak.processes import Process, Program, Talkers
+from tests.support.bridge import free_port
+from tests.support.domain import Domain
+from tests.support.program import free_shared_memory
+
+from rsb_bridge.config.keys import write_key
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+_STARTS_WITHIN = 120.0
+_SAMPLE_EVERY = 1.0
+_TURN = 0.02
+
+
+class Stage:
+    """All of it.
+
+    Attributes:
+        network: a path for each client, in order.
+        server: the PC's program.
+        clients: the robots' programs.
+        talkers: the PC's first, then each robot's.
+        ears: of every topic, at its far end.
+    """
+
+    def __init__(self, folder: Path, domains: Iterable[int]) -> None:
+        """Prepare everything; nothing runs yet.
+
+        Args:
+            folder: for sessions, keys and logs.
+            domains: of the server, then of each client.
+        """
+        server_domain, *client_domains = domains
+        names = [f"robot{number}" for number in range(1, len(client_domains) + 1)]
+        port = free_port(SERVER)
+        self.network = Network(port, len(names))
+        self._domains = {
+            name: Domain(each) for name, each in zip(("pc", *names), (server_domain, *client_domains), strict=True)
+        }
+        common = {"server_port": port, "use_name": True}
+        clients = [{"name": name, "key_file": f"{name}.key"} for name in names]
+        self.server = self._program(folder, "pc", common | {"role": "server", "server_ip": SERVER, "clients": clients})
+        self.clients = [
+            self._program(
+                folder,
+                name,
+                common
+                | {"role": "client", "server_ip": path.address, "key_file": f"{name}.key"}
+                | {"topics": [kind.spec for kind in KINDS]},
+            )
+            for name, path in zip(names, self.network.paths, strict=True)
+        ]
+        for name in names:
+            write_key(folder / f"{name}.key")
+        down = [(f"/{name}", kind.topic) for name in names for kind in KINDS if kind.direction == "receive"]
+        up = [("", kind.topic) for kind in KINDS if kind.direction == "transmit"]
+        self.talkers = [Talkers("pc's talkers", server_domain, down)]
+        self.talkers += [
+            Talkers(f"{name}'s talkers", each, up) for name, each in zip(names, client_domains, strict=True)
+        ]
+        self.ears = [self._ear(name, kind) for name in names for kind in KINDS]
+        self._sampled = 0.0
+
+    @property
+    def programs(self) -> list[Program]:
+        """Server and clients."""
+        return [self.server, *self.clients]
+
+    @property
+    def flows(self) -> bool:
+        """Whether on each topic something has come that was published after the moment of `expect`."""
+        return all(ear.flowed_at for ear in self.ears)
+
+    def _program(self, folder: Path, name: str, session: dict[str, object]) -> Program:
+        path = folder / f"{name}.yaml"
+        path.write_text(yaml.safe_dump({"name": name, "domain_id": self._domains[name].id} | session))
+        return Program(name, path)
+
+    def _ear(self, robot: str, kind: Kind) -> Ear:
+        on_server = f"/{robot}{kind.topic}"
+        where, topic = ("pc", on_server) if kind.direction == "transmit" else (robot, kind.topic)
+        return Ear(on_server, self._domains[where], topic, kind)
+
+    def start(self) -> None:
+        """Start every process, and wait until each has said something."""
+        processes: list[Process] = [*self.programs, *self.talkers]
+        for process in processes:
+            process.start()
+        if not self.live_until(lambda: all(process.ready for process in processes), _STARTS_WITHIN):
+            late = [process.name for process in processes if not process.ready]
+            raise TimeoutError(f"not started within {_STARTS_WITHIN:g} s: {', '.join(late)}")
+
+    def restart(self, process: Process) -> None:
+        """Start a process again, and wait until it has said something: how long Python needs for that is not ours."""
+        process.start()
+        if not self.live_until(lambda: process.ready, _STARTS_WITHIN):
+            raise TimeoutError(f"{process.name} has not started within {_STARTS_WITHIN:g} s")
+
+    def live(self, seconds: float) -> None:
+        """Let time go by."""
+        self.live_until(lambda: False, seconds)
+
+    def live_until(self, condition: Callable[[], bool], within: float) -> bool:
+        """Let time go by until something is the case, for `within` s at most. Returns whether it is."""
+        deadline = time.monotonic() + within
+        while True:
+            for ear in self.ears:
+                ear.take(time.time)
+            now = time.monotonic()
+            if now - self._sampled >= _SAMPLE_EVERY:
+                self._sampled = now
+                for program in self.programs:
+                    program.measure()
+            if condition():
+                return True
+            if now >= deadline:
+                return False
+            time.sleep(_TURN)
+
+    def expect(self) -> float:
+        """Have all ears wait for what is published from now on. Returns now, in s since the epoch."""
+        now = time.time()
+        for ear in self.ears:
+            ear.expect(now)
+        return now
+
+    def calm(self) -> None:
+        """Note what each process holds now that all is well."""
+        for program in self.programs:
+            program.measure(calm=True)
+
+    def missing(self) -> str:
+        """What does not flow, and what both sides say of it."""
+        told = []
+        for ear in self.ears:
+            if ear.flowed_at:
+                continue
+            robot, topic = ear.name.strip("/").split("/")
+            words = [
+                f"{program.name}: {row['state']} {row['reason']!r} missing {row['missing']}"
+                for program in self.programs
+                for row in program.routes
+                if (row["link"], row["topic"]) in ((robot, ear.name), (robot, f"/{topic}"))
+                and program.name in ("pc", robot)
+            ]
+            told.append(f"{ear.name} ({'; '.join(words) or 'no route on either side'})")
+        return ", ".join(told)
+
+    def stop(self) -> None:
+        """End the programs as an operator does, clients first."""
+        for program in reversed(self.programs):
+            program.stop()
+
+    def close(self) -> None:
+        """End everything, whatever state it is in."""
+        for process in (*self.programs, *self.talkers):
+            process.close()
+        self.network.close()
+        for domain in self._domains.values():
+            domain.close()
+        free_shared_memory()
