@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
-from tests.support.bridge import free_port
+from tests.support.ports import free_port
 
 from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
@@ -124,7 +124,7 @@ class Pair(NamedTuple):
         return next(route for route in self.client.snapshot().routes if route.topic == topic)
 
     def remove(self, topic: str) -> None:
-        self.client.remove_topic(self.route(topic).key).result(5)
+        self.client.remove_topic(self.route(topic).key).result(60)
 
     def settled(self, *topics: str) -> None:
         """Every message is accounted for."""
@@ -155,10 +155,12 @@ def paired(base: Path, *topics: Topic, **changes: Any) -> Iterator[Pair]:
     radio = Radio()
     transports = Transports(radio, Tcp(), Udp())
     write_key(base / "robot.key")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    common = {"name": "robot1", "server_ip": "127.0.0.1", "server_port": port, "key_file": "robot.key"}
+    common: dict[str, Any] = {
+        "name": "robot1",
+        "server_ip": "127.0.0.1",
+        "server_port": free_port(),
+        "key_file": "robot.key",
+    }
     common |= {"bluetooth_address": _MAC, "domain_id": 1, "shutdown_topic": None} | changes
     here, there = StandIn(map=Qos(), joy=Qos(), odom=Qos(), late=Qos()), StandIn(cmd=Qos())
     server = Engine(Session(role="server", **common), base=base, ros=there, transports=transports)
@@ -201,8 +203,8 @@ def test_one_goes_and_others_come_while_the_connection_lives(tmp_path: Path) -> 
         pair.carries("/map", "/joy", "/cmd")
         pair.remove("/map")
         pair.carries("/joy", "/cmd")
-        pair.server.add_topic(on_channel("/late"), "robot1").result(5)
-        pair.client.add_topic(on_channel("/map")).result(5)
+        pair.server.add_topic(on_channel("/late"), "robot1").result(60)
+        pair.client.add_topic(on_channel("/map")).result(60)
         pair.carries("/map", "/joy", "/cmd", "/late")
         for topic in ("/joy", "/cmd", "/late"):
             pair.remove(topic)
@@ -211,7 +213,7 @@ def test_one_goes_and_others_come_while_the_connection_lives(tmp_path: Path) -> 
         assert not pair.radio.called[0].stream.over
         pair.remove("/map")
         wait_until(lambda: pair.radio.accepted[0].stream.gone, "the last one takes it along")
-        pair.client.add_topic(on_channel("/map")).result(5)
+        pair.client.add_topic(on_channel("/map")).result(60)
         pair.carries("/map", "/odom")
         assert len(pair.radio.called) == 2
         assert not pair.faults()
@@ -222,7 +224,7 @@ def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: 
         pair.carries("/map", "/joy", "/cmd")
         for _ in range(10):
             pair.here.publish("/map", bytes(1_000_000))
-        pair.server.remove_topic("robot1 → /map").result(5)  # its frames are still under way
+        pair.server.remove_topic("robot1 → /map").result(60)  # its frames are still under way
         for late in (_data_frame(1), pack_frame(data_header(bytes(8), 1), bytes(16))):
             pair.radio.called[0].say(late)
         pair.carries("/joy", "/cmd")
@@ -233,11 +235,11 @@ def test_a_topic_closed_amid_its_messages_does_not_disturb_the_others(tmp_path: 
 def test_a_topic_that_begins_paused_joins_when_it_is_resumed(tmp_path: Path) -> None:
     with paired(tmp_path, on_channel("/map"), on_channel("/cmd", "receive", paused=True)) as pair:
         pair.carries("/map")
-        pair.client.pause(pair.route("/cmd").key, False).result(5)
+        pair.client.pause(pair.route("/cmd").key, False).result(60)
         pair.carries("/map", "/cmd")
-        pair.client.pause(pair.route("/map").key, True).result(5)
+        pair.client.pause(pair.route("/map").key, True).result(60)
         pair.carries("/cmd")
-        pair.client.pause(pair.route("/map").key, False).result(5)
+        pair.client.pause(pair.route("/map").key, False).result(60)
         pair.carries("/map", "/cmd")
         assert len(pair.radio.called) == 1
         assert not pair.faults()
@@ -263,7 +265,7 @@ def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
         pair.carries("/odom")
         pair.radio.off = True
         for topic in _TOPICS[:3]:
-            pair.client.add_topic(topic).result(5)
+            pair.client.add_topic(topic).result(60)
         names = [topic.topic for topic in _TOPICS[:3]]
         wait_until(lambda: all("no answer" in pair.route(name).reason for name in names), "all say so")
         assert all(pair.route(name).state is State.DOWN for name in names)

@@ -275,8 +275,8 @@ def test_topics_share_a_channel_beside_an_ip_link(addresses: tuple[str, str], ba
     with running(listening, base, server_side) as server, running(calling, base, client_side) as client:
         _all_cross(client_side, server_side)
         wait_until(lambda: held_channels(listening, server.snapshot()) == {(addresses[0], 11)}, "the snapshot has it")
-        client.remove_topic("robot1 → /map").result(5)
-        client.add_topic(on_radio[0]).result(5)
+        client.remove_topic("robot1 → /map").result(60)
+        client.add_topic(on_radio[0]).result(60)
         _all_cross(client_side, server_side)
         before = link(client).since
         subprocess.run(_DISCONNECT[0].format(server=addresses[0]).split(), check=True)

@@ -77,6 +77,7 @@ class Pair:
     def __init__(self, address: str, channel: int) -> None:
         self.address, self.channel = address, channel
         self.accepted: list[Recorder] = []
+        self.called: list[Recorder] = []
         self._newest: asyncio.Queue[Recorder] = asyncio.Queue()
 
     def accept(self) -> Recorder:
@@ -86,7 +87,7 @@ class Pair:
 
     async def connect(self) -> tuple[Recorder, Recorder]:
         """A new connection: the client's end and the server's."""
-        client = Recorder()
+        self.called.append(client := Recorder())
         await Rfcomm().connect(self.address, self.channel, client)
         async with asyncio.timeout(_DEADLINE):
             server = await self._newest.get()
@@ -106,7 +107,7 @@ async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator
         yield pair
     finally:
         server.close()
-        for end in pair.accepted:
+        for end in pair.accepted + pair.called:
             if end.stream is not None:
                 end.stream.abort("test over")
 
