@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import fcntl
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.support.locks import locked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Programs
     from tests.support.relay import Relay
 
-_DOMAINS = range(30, 60, 2)
-
 
 @pytest.fixture(scope="session")
-def _domains() -> Iterator[int]:
+def _domains() -> int:
     """The first of two domains that no other run on this machine uses."""
-    for domain_id in _DOMAINS:
-        with (Path(tempfile.gettempdir()) / f"rsb-console-tests-{domain_id}").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield domain_id
-            return
-    pytest.fail(f"domains {_DOMAINS} are all in use by other runs of these tests")
+    return locked("domains", range(30, 60, 2))
 
 
 @pytest.fixture(scope="session")

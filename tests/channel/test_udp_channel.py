@@ -111,7 +111,7 @@ async def serving() -> AsyncIterator[Server]:
 
 
 async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
             await asyncio.sleep(0.005)
 

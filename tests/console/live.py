@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.support.bridge import free_port
+from tests.support.ports import free_port
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
 
-HERE, THERE = 83, 84  # ROS domains
+HERE, THERE = 60, 61  # ROS domains
 COMMAND = Path(sys.executable).with_name("rsb-console")
 
 
@@ -64,7 +64,7 @@ def end(process: subprocess.Popen[bytes]) -> None:
     """Let it go, by force only if need be: what is killed leaves its shared memory behind."""
     process.terminate()
     try:
-        process.wait(5)
+        process.wait(20)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -152,7 +152,7 @@ def test_chacha_where_one_side_has_no_aes(
 
 def test_ports_of_their_own(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Both transports, both ways; an edit that keeps the port finds it free again."""
-    from tests.support.bridge import free_port
+    from tests.support.ports import free_port
 
     tcp, udp = free_port(), free_port()
     names = ("/t", "/u", "/tb", "/ub")
@@ -178,10 +178,10 @@ def test_ports_of_their_own(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     all_cross(1)
     for topic in topics:
         edited = Topic(topic.topic, topic.direction, protocol=topic.protocol, port=topic.port, max_rate=1000.0)
-        client.edit_topic(route(client, topic.topic).key, edited).result(5)
+        client.edit_topic(route(client, topic.topic).key, edited).result(60)
     all_cross(2)
     for name in names:
-        client.remove_topic(route(client, name).key).result(5)
+        client.remove_topic(route(client, name).key).result(60)
     import socket
 
     def both_free() -> bool:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import free_port, happened, linked, now
+from tests.support.bridge import happened, linked, now
+from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode

@@ -28,21 +28,16 @@ def latched(depth: int) -> QoSProfile:
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def late(domain: Domain, topic: str, count: int) -> Counter[bytes]:
-    """What a subscription hears that joins now, once it has heard `count` messages and no more come."""
-    listener = domain.listener(topic, qos=JOINS_LATE)
-    eventually(lambda: len(listener.payloads) >= count, what=f"{count} messages, not {len(listener.payloads)}")
-    with contextlib.suppress(AssertionError):
-        holds(lambda: len(listener.payloads) == count, 0.5)
-    heard = Counter(bytes(payload) for payload in listener.payloads)
-    domain.node.destroy_subscription(listener.subscription)
-    return heard
-
-
 def same_on_both_sides(robot: Domain, pc: Domain, topic: str, expected: list[bytes]) -> None:
-    """Late joiners on either side hear just what is expected, each message once."""
-    assert late(robot, topic, len(expected)) == Counter(expected)
-    assert late(pc, topic, len(expected)) == Counter(expected)
+    """A subscription that joins now, on either side, hears just what is expected, each message once, and no more."""
+    late = [domain.listener(topic, qos=JOINS_LATE) for domain in (robot, pc)]
+    for listener in late:
+        eventually(lambda listener=listener: len(listener.payloads) >= len(expected), what=f"{len(expected)} messages")
+    with contextlib.suppress(AssertionError):
+        holds(lambda: all(len(listener.payloads) == len(expected) for listener in late), 0.5)
+    for domain, listener in zip((robot, pc), late, strict=True):
+        assert Counter(map(bytes, listener.payloads)) == Counter(expected)
+        domain.node.destroy_subscription(listener.subscription)
 
 
 def publish(publisher: Publisher, name: str, numbers: range) -> list[bytes]:

@@ -93,7 +93,7 @@ def test_a_stranger_has_no_more_connections_because_of_a_client(bridge: Bridge) 
         def come(count: int, host: str) -> None:
             for _ in range(count):
                 crowd.enter_context(
-                    socket.create_connection(("127.0.0.1", bridge.port), timeout=8, source_address=(host, 0))
+                    socket.create_connection(("127.0.0.1", bridge.port), timeout=60, source_address=(host, 0))
                 )
 
         come(TOPICS + 60, "127.0.0.1")

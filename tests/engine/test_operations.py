@@ -28,44 +28,44 @@ def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridg
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = bridge.both()
     engine = client if operator == "client" else server
-    key = engine.add_topic(Topic("/chat", "transmit")).result(5)
+    key = engine.add_topic(Topic("/chat", "transmit")).result(60)
     carries([out], server, ["/chat"])
     out.publish(text("tcp"))
     assert heard(there, 1) == [text("tcp")]
     with pytest.raises(EngineError, match="/chat is bridged in that direction already: edit or remove"):
-        engine.add_topic(Topic("/chat", "transmit")).result(5)
+        engine.add_topic(Topic("/chat", "transmit")).result(60)
     with pytest.raises(EngineError, match="'LaserScam' is not a known short type name"):
-        engine.edit_topic(key, Topic("/chat", "transmit", type="LaserScam")).result(5)
+        engine.edit_topic(key, Topic("/chat", "transmit", type="LaserScam")).result(60)
 
-    key = engine.edit_topic(key, Topic("/chat", "transmit", protocol="udp", qos=3)).result(5)
+    key = engine.edit_topic(key, Topic("/chat", "transmit", protocol="udp", qos=3)).result(60)
     eventually(lambda: route(server, "/chat").transport == route(client, "/chat").transport == "udp")
     carries([out], server, ["/chat"])
     out.publish(text("udp"))
     heard(there, 2)
 
     for side in (client, server):
-        side.pause(route(side, "/chat").key, True).result(5)
+        side.pause(route(side, "/chat").key, True).result(60)
         eventually(lambda: {route(each, "/chat").state for each in (client, server)} == {"paused"})
         eventually(lambda: not out.get_subscription_count())
-        side.pause(route(side, "/chat").key, False).result(5)
+        side.pause(route(side, "/chat").key, False).result(60)
         carries([out], server, ["/chat"])
     out.publish(text("resumed"))
     assert heard(there, 3) == [text("tcp"), text("udp"), text("resumed")]
     ours = (Topic("/chat", "transmit", protocol="udp", qos=3),)
     assert client.session.topics == (ours if operator == "client" else ())
 
-    engine.remove_topic(key).result(5)
+    engine.remove_topic(key).result(60)
     eventually(lambda: not client.snapshot().routes and not server.snapshot().routes)
     eventually(lambda: not out.get_subscription_count() and not there.matched)
     with pytest.raises(EngineError, match="there is no route"):
-        engine.remove_topic(key).result(5)
+        engine.remove_topic(key).result(60)
 
 
 def test_a_topic_that_one_side_opened_the_other_may_remove(bridge: Bridge, robot: Domain) -> None:
     robot.publisher("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     eventually(lambda: find(server, "/chat"))
-    server.remove_topic(route(server, "/chat").key).result(5)
+    server.remove_topic(route(server, "/chat").key).result(60)
     eventually(lambda: not client.snapshot().routes)
     assert client.session.topics == ()
     assert happened(client, EventCode.ROUTE_REMOVED, "/chat: removed by the other side")
@@ -75,7 +75,7 @@ def test_both_sides_add_the_same_topic_while_apart(bridge: Bridge, robot: Domain
     """The client's stays: it is in its file."""
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server = bridge.server()
-    server.add_topic(Topic("/chat", "transmit", protocol="udp")).result(5)
+    server.add_topic(Topic("/chat", "transmit", protocol="udp")).result(60)
     client = bridge.client(Topic("/chat", "transmit", protocol="tcp"))
     carries([out], server, ["/chat"])
     out.publish(text("once"))
@@ -89,7 +89,7 @@ def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> No
     server, client = bridge.both()
 
     def names(engine: Engine, link: str | None) -> dict[str, Any]:
-        return {each.topic: each for each in engine.topics(link).result(5)}
+        return {each.topic: each for each in engine.topics(link).result(60)}
 
     for engine, own, others in ((server, None, "robot1"), (client, "robot1", None)):
         eventually(lambda engine=engine, own=own: "/goal" in names(engine, own))
@@ -102,7 +102,7 @@ def test_the_other_sides_topics(bridge: Bridge, robot: Domain, pc: Domain) -> No
     client.stop()
     eventually(lambda: not linked(server))
     with pytest.raises(EngineError, match="robot1 is not linked"):
-        server.topics("robot1").result(5)
+        server.topics("robot1").result(60)
 
 
 @pytest.mark.parametrize(
@@ -122,9 +122,9 @@ def test_a_client_is_not_shown_the_topics_that_it_may_not_have(
     for name in topics:
         pc.publisher(name)
     server, engine = bridge.server(name="pc", clients=(client,)), bridge.client()
-    eventually(lambda: {each.topic for each in server.topics().result(5)} >= topics)
+    eventually(lambda: {each.topic for each in server.topics().result(60)} >= topics)
     eventually(lambda: linked(engine))
-    assert {each.topic for each in engine.topics("robot1").result(5)} & topics == shown
+    assert {each.topic for each in engine.topics("robot1").result(60)} & topics == shown
 
 
 def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
@@ -152,8 +152,8 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     eventually(lambda: "the server denies /robot1/secret_door to robot1" in route(one, "/secret_door").reason)
     eventually(lambda: "does not allow /secret_door to robot2" in route(two, "/secret_door").reason)
     with pytest.raises(EngineError, match="say which client: one of robot1, robot2"):
-        server.add_topic(Topic("/more", "receive")).result(5)
-    server.add_topic(Topic("/more", "receive"), "robot2").result(5)
+        server.add_topic(Topic("/more", "receive")).result(60)
+    server.add_topic(Topic("/more", "receive"), "robot2").result(60)
     eventually(lambda: find(two, "/more"))
     one.stop()
     eventually(lambda: not linked(server, "robot1"))
@@ -166,10 +166,10 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 def test_a_topic_that_is_edited_keeps_its_place_in_the_session(bridge: Bridge) -> None:
     """So that a save finds the topic's lines in the file, even where its name changed."""
     _, client = bridge.both(*(Topic(name, "transmit") for name in ("/a", "/b", "/c")))
-    client.edit_topic(route(client, "/b").key, Topic("/b2", "receive")).result(5)
+    client.edit_topic(route(client, "/b").key, Topic("/b2", "receive")).result(60)
     assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
     with pytest.raises(EngineError, match="is not an absolute topic name"):
-        client.edit_topic(route(client, "/a").key, Topic("a", "transmit")).result(5)
+        client.edit_topic(route(client, "/a").key, Topic("a", "transmit")).result(60)
     assert [topic.topic for topic in client.session.topics] == ["/a", "/b2", "/c"]
 
 
@@ -183,14 +183,14 @@ def test_a_prefix_that_makes_a_name_too_long_is_refused_in_words_and_the_link_st
     eventually(lambda: "has 253 characters, and ROS allows at most 247" in route(client, long).reason)
     eventually(lambda: happened(server, EventCode.ROUTE_REFUSED, "has 253 characters"))
     with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
-        server.add_topic(Topic("/" + "c" * 246, "receive")).result(5)
+        server.add_topic(Topic("/" + "c" * 246, "receive")).result(60)
     assert not happened(client, EventCode.LINK_LOST)
     assert route(client, "/b").stages[5].done, "accepted"
     bridge.close()
     bridge.move()
     _, client = bridge.both(Topic("/b", "transmit"), use_name=True)
     with pytest.raises(EngineError, match="has 254 characters with its prefix, and ROS allows at most 247"):
-        client.add_topic(Topic("/" + "c" * 246, "transmit")).result(5)
+        client.add_topic(Topic("/" + "c" * 246, "transmit")).result(60)
     assert linked(client)
 
 
@@ -288,7 +288,7 @@ def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain
     assert happened(engine, EventCode.ENGINE_SHUTDOWN)
     assert happened(server, EventCode.LINK_CLOSED if side == "server" else EventCode.LINK_CLOSED_BY_PEER)
     holds(lambda: not linked(server) and client.waits_for_operator, 1.5)
-    client.retry().result(5)
+    client.retry().result(60)
     eventually(lambda: linked(client) and linked(server))
     assert not client.waits_for_operator
     carries([out], server, ["/chat"])
@@ -300,11 +300,11 @@ def test_a_shutdown_while_calling(bridge: Bridge) -> None:
     """A client that is told to stay down does not call again, though it was between two attempts."""
     client = bridge.client()
     eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE))
-    client.shut_down().result(5)
+    client.shut_down().result(60)
     bridge.server()
     eventually(lambda: client.waits_for_operator)
     holds(lambda: not linked(client), 2.0)
-    client.retry().result(5)
+    client.retry().result(60)
     eventually(lambda: linked(client))
 
 
@@ -314,7 +314,7 @@ def test_restarting(operator: str, bridge: Bridge, robot: Domain, pc: Domain) ->
     server, client = bridge.both(Topic("/chat", "transmit"), Topic("/own", "transmit", protocol="udp"))
     carries([out], server, ["/chat"])
     steps: list[str] = []
-    (client if operator == "client" else server).restart(steps.append).result(10)
+    (client if operator == "client" else server).restart(steps.append).result(60)
     assert steps[-1] == ("2 of 2 topics open" if operator == "client" else "1 clients are back")
     carries([out], server, ["/chat"])
     out.publish(text("again"))
@@ -326,4 +326,4 @@ def test_commands_after_the_end(bridge: Bridge) -> None:
     client.stop()
     assert not client.snapshot().running
     with pytest.raises(EngineError, match="the engine is not running"):
-        client.retry().result(5)
+        client.retry().result(60)

@@ -67,7 +67,7 @@ def thief(bridge: Bridge) -> Iterator[Thief]:
 
 def restart_in_vain(server: Engine, thief: Thief) -> None:
     with pytest.raises(EngineError, match=r"is taken by another process.*The server keeps trying"):
-        server.restart(thief).result(10)
+        server.restart(thief).result(60)
 
 
 @pytest.mark.parametrize("kind", [Thief, UdpThief], ids=["tcp", "udp"])
@@ -99,7 +99,7 @@ def test_another_restart_takes_the_place_of_the_attempts(bridge: Bridge, thief: 
     server, client = bridge.both()
     restart_in_vain(server, thief)
     thief.give_back()
-    server.restart().result(10)
+    server.restart().result(60)
     eventually(lambda: linked(client) and linked(server))
     holds(lambda: linked(client) and linked(server), 2.0)
 
@@ -108,7 +108,7 @@ def test_two_restarts_at_once_are_one(bridge: Bridge) -> None:
     server, client = bridge.both()
     first, second = server.restart(), server.restart()
     with pytest.raises(EngineError, match="a restart is under way already"):
-        second.result(10)
-    first.result(10)
+        second.result(60)
+    first.result(60)
     assert linked(client)
     assert linked(server)

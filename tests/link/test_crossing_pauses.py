@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def press(engine: Engine, *states: bool) -> None:
     for paused in states:
-        engine.pause(route(engine, "/chat").key, paused).result(5)
+        engine.pause(route(engine, "/chat").key, paused).result(60)
 
 
 def paused(engine: Engine) -> bool:
@@ -68,7 +68,7 @@ def test_presses_that_cross(
 def test_a_press_while_the_link_is_down(operator: str, bridge: Bridge, relay: Relay, robot: Domain) -> None:
     server, client = both(bridge, robot)
     relay.stall()
-    eventually(lambda: not linked(client) and not linked(server), 15)
+    eventually(lambda: not linked(client) and not linked(server))
     press(client if operator == "client" else server, True)
     relay.stall(False)
     eventually(lambda: route(client, "/chat").state == route(server, "/chat").state == "paused")

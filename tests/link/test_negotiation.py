@@ -10,8 +10,9 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
-from tests.support.bridge import carries, find, free_port, happened, heard, link, route, stage
+from tests.support.bridge import carries, find, happened, heard, link, route, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
+from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
@@ -207,7 +208,7 @@ def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain
         for engine in (server, client):
             eventually(lambda engine=engine: down(engine, "/chat", f":{port} is taken by another process"))
             assert "choose another port" in route(engine, "/chat").reason
-    client.retry().result(5)
+    client.retry().result(60)
     carries([out], server, ["/chat"])
     out.publish(text("at last"))
     assert heard(there, 1) == [text("at last")]
@@ -240,9 +241,9 @@ def test_addresses_that_will_not_do(bridge: Bridge) -> None:
 
 def test_a_channel_of_the_servers_ports_number(bridge: Bridge, robot: Domain) -> None:
     """It is not the port that is bound already: without Bluetooth it can't be had, and the topic says so."""
-    place = {"server_ip": "127.0.0.11", "server_port": 11, "bluetooth_address": "5C:F3:70:9A:1B:2E"}
+    place = {"server_ip": "127.0.0.12", "server_port": 11, "bluetooth_address": "5C:F3:70:9A:1B:2E"}
     try:
-        socket.create_server(("127.0.0.11", 11)).close()
+        socket.create_server(("127.0.0.12", 11)).close()
     except PermissionError:
         pytest.skip("port 11 may not be bound here")
     robot.publisher("/beat")

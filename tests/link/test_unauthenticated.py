@@ -138,7 +138,7 @@ def test_a_server_that_is_none(bridge: Bridge) -> None:
         eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE))
         silent.close()
     server = bridge.server()
-    client.retry().result(5)
+    client.retry().result(60)
     eventually(lambda: linked(server))
 
 
@@ -280,7 +280,7 @@ def test_a_newer_connection_of_the_same_name(friend: Any, bridge: Bridge) -> Non
     eventually(lambda: (link(client).retry_in or 0) > 3)
     assert linked(server)
     newer.stop()
-    client.retry().result(5)
+    client.retry().result(60)
     eventually(lambda: linked(client) and route(client, "/beat").state != "down")
     carries([out], server, ["/beat"])
 

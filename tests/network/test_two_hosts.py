@@ -43,7 +43,7 @@ def test_every_size_crosses_and_no_packet_is_fragmented(
     bridge.robot.talk("/camera", rate=5, size=_MEGABYTE, count=said["/camera"])
     bridge.robot.talk("/map", rate=2, size=8 * _MEGABYTE, count=said["/map"])
 
-    eventually(lambda: {topic: len(bridge.pc.heard(topic)) for topic in said} == said, 15, "all from the robot")
+    eventually(lambda: {topic: len(bridge.pc.heard(topic)) for topic in said} == said, what="all from the robot")
     eventually(lambda: len(bridge.robot.heard("/goal")) == 5, what="all of /goal")
     for topic, ledger in bridge.settled(*said).items():
         assert (ledger.offered, ledger.delivered) == (said[topic], said[topic])

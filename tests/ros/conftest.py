@@ -23,9 +23,9 @@ DOMAIN = 20
 
 @pytest.fixture
 def eventually() -> Callable[[Callable[[], Any]], Any]:
-    """Wait for a condition, 10 s at most, and return what it returned."""
+    """Wait for a condition, with a deadline, and return what it returned."""
 
-    def wait(condition: Callable[[], Any], within: float = 10.0) -> Any:
+    def wait(condition: Callable[[], Any], within: float = 60.0) -> Any:
         deadline = time.monotonic() + within
         while not (found := condition()):
             assert time.monotonic() < deadline, "it did not happen in time"

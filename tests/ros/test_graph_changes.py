@@ -38,7 +38,7 @@ class Watcher:
     def settle(self) -> int:
         """Wait until nothing has changed for a while; how many changes there were so far."""
         seen, since = self.changes, time.monotonic()
-        deadline = since + 20
+        deadline = since + 60
         while time.monotonic() - since < 1.0:
             assert time.monotonic() < deadline
             time.sleep(0.01)
@@ -101,7 +101,7 @@ def test_messages_are_no_changes(
     before = watcher.settle()
     for _ in range(50):
         out.publish(String(data="x"))
-    assert taken.wait(10)
+    assert taken.wait(60)
     assert watcher.changes == before
 
 

@@ -105,7 +105,7 @@ def stock_relay() -> Iterator[None]:
         yield
         process.terminate()
         try:
-            process.wait(5)
+            process.wait(60)
         except subprocess.TimeoutExpired:
             process.kill()
 

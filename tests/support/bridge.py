@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import socket
 import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.api import RosInterface
 
-STOPS_WITHIN = 5.0
+STOPS_WITHIN = 15.0
 
 
 class Bridge:
@@ -123,17 +122,6 @@ class Bridge:
 def protocol_of(topic: str) -> Protocol:
     """What the topic's name ends with: tests name them ``/tcp``, ``/from_pc_udp`` and the like."""
     return "udp" if topic.endswith("udp") else "tcp"
-
-
-def free_port(host: str = "127.0.0.1") -> int:
-    """A port that neither TCP nor UDP has in use."""
-    while True:
-        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-            tcp.bind((host, 0))
-            port: int = tcp.getsockname()[1]
-            with contextlib.suppress(OSError):  # a UDP socket of somebody else's has that number
-                udp.bind((host, port))
-                return port
 
 
 def now(engine: Engine) -> Snapshot:

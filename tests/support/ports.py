@@ -1,0 +1,38 @@
+"""Ports that no other run of these tests takes meanwhile."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import socket
+from typing import TYPE_CHECKING
+
+from tests.support.locks import locked
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_BLOCK = 200
+_BLOCKS = range(8_000, 12_000, _BLOCK)
+"""Below those that DDS takes in the tests' domains (7400 + 250 a domain), and those that the kernel gives out."""
+
+
+def free_port(host: str = "127.0.0.1") -> int:
+    """A port that neither TCP nor UDP has in use."""
+    return next(port for port in _ports() if _is_free(host, port))
+
+
+@functools.cache
+def _ports() -> Iterator[int]:
+    first = locked("ports", _BLOCKS)
+    return itertools.cycle(range(first, first + _BLOCK))
+
+
+def _is_free(host: str, port: int) -> bool:
+    with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
+        try:
+            tcp.bind((host, port))
+            udp.bind((host, port))
+        except OSError:
+            return False
+    return True
