@@ -10,8 +10,8 @@ from tests.soak.ears import Ear
 from tests.soak.messages import KINDS, Kind
 from tests.soak.network import SERVER, Network
 from tests.soak.processes import Process, Program, Talkers
-from tests.support.bridge import free_port
 from tests.support.domain import Domain
+from tests.support.ports import free_port
 from tests.support.program import free_shared_memory
 
 from rsb_bridge.config.keys import write_key
