@@ -7,6 +7,7 @@ import contextlib
 import fcntl
 import os
 import random
+import shutil
 import signal
 import sys
 import tempfile
@@ -110,8 +111,11 @@ def _report(outcome: Outcome | None, worlds: Worlds | None, folder: Path) -> int
         reasons += [f"a world failed: {failure}" for failure in worlds.failures]
     if not reasons:
         tell("\nall bounds hold")
+        shutil.rmtree(folder)
         return 0
-    tell(f"\nBROKEN; sessions and logs are in {folder}")
+    if outcome:
+        report.write_samples(outcome.lives, folder / "samples.csv")
+    tell(f"\nBROKEN; sessions, logs and samples are in {folder}")
     for reason in reasons:
         tell(f"- {reason}")
     return 1

@@ -46,11 +46,31 @@ def audit(stage: Stage, seconds: float) -> list[str]:
     _tell(stage, "talk")
     stage.live(seconds)
     after, still_wrong = _settled(stage)
+    wrong += [*still_wrong, *_late(stage, after)]
     _tell(stage, "talk")
-    wrong += still_wrong
     for name in before.keys() & after.keys():
         wrong += _compare(name, before[name], after[name])
     return wrong
+
+
+def _late(stage: Stage, counts: dict[str, _Counts]) -> list[str]:
+    """What those miss who join the latched topics only now that nobody talks."""
+    ears = stage.late_ears()
+    missing = [ear for ear in ears if ear.name in counts]
+
+    def heard() -> bool:
+        for ear in ears:
+            ear.take(time.time)
+        missing[:] = [ear for ear in missing if ear.newest != counts[ear.name].said]
+        return not missing
+
+    stage.live_until(heard, _ANSWERS_WITHIN)
+    for ear in ears:
+        ear.close()
+    return [
+        f"{ear.name}: who joins late gets message {ear.newest} as the newest of {counts[ear.name].said}"
+        for ear in missing
+    ]
 
 
 def _compare(name: str, before: _Counts, after: _Counts) -> list[str]:

@@ -36,7 +36,8 @@ class Ear:
         self._expected = 0.0
         self._newest: dict[int, int] = {}
         qos = _LATCHED if kind.latched else BEST_EFFORT if kind.best_effort else RELIABLE
-        self._handle = domain.node.create_subscription(String, topic, lambda _: None, qos, raw=True).handle
+        self._domain = domain
+        self._subscription = domain.node.create_subscription(String, topic, lambda _: None, qos, raw=True)
 
     @property
     def newest(self) -> int:
@@ -48,9 +49,14 @@ class Ear:
         self._expected = moment
         self.flowed_at = None
 
+    def close(self) -> None:
+        """Stop listening."""
+        self._domain.node.destroy_subscription(self._subscription)
+
     def take(self, clock: Callable[[], float]) -> None:
         """Take what has come; `clock` gives s since the epoch."""
-        while (taken := self._handle.take_message(String, True)) is not None:
+        handle = self._subscription.handle
+        while (taken := handle.take_message(String, True)) is not None:
             self.heard += 1
             message = decode(taken[0])
             if not message.whole:

@@ -48,7 +48,7 @@ class Kind:
 KINDS = (
     Kind("/scan", "transmit", "udp", 20.0, 2_000, best_effort=True),
     Kind("/odom", "transmit", "tcp", 20.0),
-    Kind("/map", "transmit", "tcp", 1.0, 20_000, latched=True),
+    Kind("/map", "transmit", "tcp", 2.0, 20_000, latched=True),
     Kind("/image", "transmit", "tcp", 2.0, 500_000),
     Kind("/cmd", "receive", "udp", 10.0),
     Kind("/goal", "receive", "tcp", 10.0),

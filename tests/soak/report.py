@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from tests.soak.measures import Life
     from tests.soak.run import Outcome
@@ -55,6 +56,14 @@ def leaks(life: Life) -> bool:
     """Whether a life is long enough to tell, and its memory grows beyond the bounds."""
     minutes = life.warm_minutes
     return minutes >= SLOPE_AFTER and life.slope * minutes > GROWTH + SLOPE * minutes
+
+
+def write_samples(lives: Iterable[Life], path: Path) -> None:
+    """Save what was measured, a line for each sample."""
+    with path.open("w") as file:
+        file.write("program,pid,time_s,resident_kb,descriptors,threads\n")
+        for life in lives:
+            file.writelines(f"{life.program},{life.pid},{','.join(map(str, each))}\n" for each in life.samples)
 
 
 def of_processes(outcome: Outcome) -> str:

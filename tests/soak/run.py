@@ -89,12 +89,16 @@ def play(
             outcome.wrong.append(f"nothing flows {_FIRST_FLOW:g} s after the start: {stage.missing()}")
             return outcome
         tell(f"{time.monotonic() - began:7.1f} s  all topics flow")
+        close_behind = False
         for fault in faults:
-            stage.live(random.uniform(calm, 3 * calm))
-            stage.calm()
+            if close_behind:
+                stage.live(random.uniform(0.0, calm))
+            else:
+                stage.live(random.uniform(calm, 3 * calm))
+                stage.calm()
             outcome.faults += 1
             fault.strike(stage)
-            if random.random() < _CLOSE_BEHIND:
+            if close_behind := random.random() < _CLOSE_BEHIND:
                 tell(f"{time.monotonic() - began:7.1f} s  {fault}: the next one is close behind")
                 continue
             outcome.recoveries.append(recovery := _recover(stage, fault))

@@ -94,6 +94,10 @@ class Stage:
         where, topic = ("pc", on_server) if kind.direction == "transmit" else (robot, kind.topic)
         return Ear(on_server, self._domains[where], topic, kind)
 
+    def late_ears(self) -> list[Ear]:
+        """Listeners who join the latched topics now, beside those who are there."""
+        return [self._ear(ear.name.split("/")[1], ear.kind) for ear in self.ears if ear.kind.latched]
+
     def start(self) -> None:
         """Start every process, and wait until each has said something."""
         processes: list[Process] = [*self.programs, *self.talkers]
