@@ -16,6 +16,7 @@ from tests.support.ports import free_port
 from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
+from rsb_bridge.link.client import ClientLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
@@ -29,7 +30,7 @@ from rsb_bridge.wire.framing import CONTROL_LIMIT, DATA, HEADER, LENGTH, pack_fr
 from rsb_bridge.wire.preamble import Kind, data_header, preamble_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
     from pathlib import Path
 
     from rsb_bridge.model.session import Direction
@@ -73,13 +74,14 @@ class Radio(Rfcomm):
     Attributes:
         called: the client's ends of the connections that were made, the oldest first.
         accepted: the server's ends.
-        off: whoever calls hears that nobody answers.
+        off: whoever calls hears that nobody answers,
+        searching: once it is no longer searched for.
     """
 
     def __init__(self) -> None:
         self.called: list[_End] = []
         self.accepted: list[_End] = []
-        self.off = False
+        self.off = self.searching = False
         self._port = free_port()
         self._tcp = Tcp()
 
@@ -92,7 +94,8 @@ class Radio(Rfcomm):
         assert (host, port) == (_MAC, _CHANNEL)
         assert all(end.stream.over for end in self.called), "two adapters have one connection on a channel"
         if self.off:
-            await asyncio.sleep(0.5)  # so that others come to wait for the same
+            while self.searching:  # noqa: ASYNC110 — a test's thread says so
+                await asyncio.sleep(0.01)
             raise OSError("no answer")
         return await self._tcp.connect("127.0.0.1", self._port, _Noting(handler, self.called))
 
@@ -122,6 +125,14 @@ class Pair(NamedTuple):
     def route(self, topic: str) -> RouteSnapshot:
         """A topic as the client has it."""
         return next(route for route in self.client.snapshot().routes if route.topic == topic)
+
+    @property
+    def waiting(self) -> Collection[object]:
+        """The client's topics that wait for the connection."""
+        assert self.client._bridge is not None
+        (link,) = self.client._bridge.links()
+        assert isinstance(link, ClientLink)
+        return link._waiting.get(_CHANNEL, {})
 
     def remove(self, topic: str) -> None:
         self.client.remove_topic(self.route(topic).key).result(60)
@@ -263,9 +274,11 @@ def test_all_are_begun_anew_when_the_connection_dies(side: str, tmp_path: Path) 
 def test_all_that_wait_hear_why_there_is_no_connection(tmp_path: Path) -> None:
     with paired(tmp_path, Topic("/odom", "transmit")) as pair:
         pair.carries("/odom")
-        pair.radio.off = True
+        pair.radio.off = pair.radio.searching = True
         for topic in _TOPICS[:3]:
             pair.client.add_topic(topic).result(60)
+        wait_until(lambda: len(pair.waiting) == 3, "all wait for the same connection")
+        pair.radio.searching = False
         names = [topic.topic for topic in _TOPICS[:3]]
         wait_until(lambda: all("no answer" in pair.route(name).reason for name in names), "all say so")
         assert all(pair.route(name).state is State.DOWN for name in names)

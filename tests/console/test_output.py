@@ -29,7 +29,7 @@ def test_a_reader_that_comes_late_gets_the_newest_and_how_many_are_missing() -> 
 
     thread = threading.Thread(target=read)
     thread.start()
-    writer.close(20.0)
+    writer.close(60.0)
     os.close(pipe)
     thread.join()
     os.close(reader)
@@ -49,6 +49,6 @@ def test_a_writer_that_is_stuck_is_left_behind() -> None:
     writer.write("more")
     writer.close(0.01)
     os.close(reader)  # the write ends, with an error
-    writer._thread.join(20.0)
+    writer._thread.join(60.0)
     assert not writer._thread.is_alive()
     os.close(pipe)

@@ -43,7 +43,7 @@ def test_every_message_is_accounted_for(network: Network, robot: Host, pc: Host)
     assert {topic: ledger.offered for topic, ledger in ledgers.items()} == said
     scan, cloud, odom = (ledgers[topic] for topic in said)
     assert set(scan.dropped) == {"lost on the way"}
-    assert 0.01 < scan.dropped["lost on the way"] / said["/scan"] < 0.12
+    assert 0 < scan.dropped["lost on the way"] / said["/scan"] < 0.12
     assert cloud.expired > 0  # of five fragments, some came
     assert odom.delivered == said["/odom"]
     heard = bridge.pc.heard("/scan")
