@@ -10,26 +10,26 @@ EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(co
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-programs test-people test-bluetooth lint bench soak screenshots clean system
+.PHONY: demo test test-wire lint bench soak screenshots clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
-test: $(STAMP) system lint
-	timeout -k 5 600 $(BIN)/python -m pytest tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
-	$(MAKE) --no-print-directory --jobs=2 --output-sync=target test-programs test-people
+# The tests by folder, the longest first and five at a time: many wait for most of their time. Folders share no ROS domain,
+# port or file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's
+# Bluetooth (docs/bluetooth.md).
+LONGEST := engine bluetooth console network simulation link system command
+FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
+PARTS := lint test-wire $(addprefix test-,$(LONGEST) $(filter-out wire $(LONGEST),$(FOLDERS)))
 
-# Two halves of about the same length, run at the same time: tests of the engine and the commands; and tests of the console,
-# in the virtual machine, and in the simulation. They share no domain, port or file.
-test-programs: $(STAMP)
-	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/channel tests/command tests/config tests/engine tests/link tests/model tests/network tests/ros tests/route tests/soak tests/system tests/telemetry tests/transport
+test: $(STAMP) system
+	$(MAKE) --no-print-directory --keep-going --jobs=5 --output-sync=target $(PARTS)
 
-test-people: $(STAMP)
-	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/bluetooth tests/console tests/simulation
+test-wire: $(STAMP)
+	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 
-# Those of the tests that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md); `test` has them too.
-test-bluetooth: $(STAMP) system
-	timeout -k 5 900 $(BIN)/python -m pytest tests/bluetooth
+test-%: $(STAMP) system
+	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/$*
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
