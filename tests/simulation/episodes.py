@@ -7,6 +7,8 @@ import contextlib
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
+from tests.simulation import station
+
 from rsb_bridge import bridge
 from rsb_bridge.link import graph_watch, keepalive
 from rsb_bridge.route import route
@@ -92,6 +94,7 @@ def slow_motion(tick: float) -> Iterator[None]:
     """
     slower = {
         (bridge, "_TICK"): tick,
+        (station, "_SNAPSHOT_EVERY"): tick,
         (graph_watch, "_ALWAYS_AFTER"): tick,
         (keepalive, "DEAD_AFTER"): 5 * tick,
         (route, "_LONGEST_PAUSE"): tick,

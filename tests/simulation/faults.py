@@ -226,10 +226,10 @@ async def server_upgrade(world: World, random: Random) -> None:
 
 def _set_clock(world: World, station: Station, random: Random) -> None:
     """Somebody, or NTP, sets a wall clock: by milliseconds, or by years."""
-    world.counts["clock set"] += 1
+    world.chronicle.fault("clock set")
     step = random.choice((-1, 1)) * 10 ** random.uniform(-3, 8)
     station.clock.offset = min(max(station.clock.offset + step, -1e9), 1e9)
-    world.tell(f"{station.name}: its clock is set by {step:.3f} s")
+    world.chronicle.tell(f"{station.name}: its clock is set by {step:.3f} s")
 
 
 # --- ROS
@@ -268,7 +268,7 @@ async def take_fails(world: World, flow: Flow, random: Random) -> None:
 
 async def busy_ros(world: World, flow: Flow, random: Random) -> None:
     """The ROS thread has much to do, while a burst of messages comes."""
-    world.counts["burst"] += 1
+    world.chronicle.fault("burst")
     before = flow.source.taking
     flow.source.taking = random.choice((before, (0.0, 0.2)))
     for _ in range(random.randrange(10, 200)):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.outgoing import OutgoingRoute
 
 _HEAD = struct.Struct("<4sIII")
 _CDR = b"\0\1\0\0"
@@ -56,7 +57,7 @@ class Account:
     Attributes:
         offered: messages that it took.
         published: of those, how many the other side's engine has published.
-        unreported: how many of these the sender may never learn of, because their publisher's process died.
+        unreported: how many of these the sender may never learn of, because whoever published them is gone.
         last_offered: s, when it took the last one.
     """
 
@@ -67,6 +68,10 @@ class Account:
         self.published = 0
         self.unreported = 0
         self.last_offered = 0.0
+
+    def forget(self, route: OutgoingRoute) -> None:
+        """Whoever published for that route is gone, and has reported what the route knows."""
+        self.unreported = self.published - route.ledger().delivered
 
 
 class Flow:

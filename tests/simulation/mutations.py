@@ -32,30 +32,32 @@ if TYPE_CHECKING:
 
 
 class Mutation(NamedTuple):
-    """A mistake, and the worlds that find it.
+    """A mistake, and the world that finds it.
 
     Attributes:
         what: it is.
-        patches: that make it.
-        climate: of the worlds.
-        hours: that each world lives, at most.
-        doing: what is made to happen in them.
-        finds: part of what is found.
+        changes: what is put in the place of which attribute of which class.
+        finds: part of the violation, a regular expression.
+        climate: of the world.
+        seed: of the world.
+        hours: that the world lives, at most.
+        doing: what is made to happen in it.
     """
 
     what: str
-    patches: tuple[Any, ...]
-    climate: Climate
-    hours: float
+    changes: tuple[tuple[type, str, object], ...]
     finds: str
+    climate: Climate
+    seed: int
+    hours: float
     doing: Callable[[World], Coroutine[None, None, None]] | None = None
 
     @contextlib.contextmanager
     def made(self) -> Iterator[None]:
         """Have the mistake in the program."""
         with contextlib.ExitStack() as stack:
-            for each in self.patches:
-                stack.enter_context(each)
+            for owner, name, mistake in self.changes:
+                stack.enter_context(patch.object(owner, name, mistake))
             yield
 
 
@@ -110,83 +112,67 @@ async def _unpaused(self: Any, route: Any, route_id: int) -> None:
         await _propose(self, route, route_id)
 
 
+def _away(world: World) -> Coroutine[None, None, None]:
+    return server_away(world, 1800.0, machine=False)
+
+
+def _differs(world: World) -> Coroutine[None, None, None]:
+    return type_differs_for(world, 3 * 3600.0)
+
+
+_MANY = replace(STILL, topics=(4,), periods=(1.0, 4.0), checks=(1.0, 2.0))
+
+# fmt: off
 MUTATIONS = (
     Mutation(
         "the delay between two calls overflows, and the task that calls dies unseen",
-        (patch.object(Backoff, "next", _overflowing), patch.object(Tasks, "keep", _unsupervised)),
-        climate=STILL,
-        hours=1.0,
-        doing=lambda world: server_away(world, 1800.0, machine=False),
-        finds="has died of OverflowError",
+        ((Backoff, "next", _overflowing), (Tasks, "keep", _unsupervised)),
+        "has died of OverflowError", STILL, 1, 1.0, _away,
     ),
     Mutation(
         "the delay between two calls overflows, and the task that calls is started again",
-        (patch.object(Backoff, "next", _overflowing),),
-        climate=STILL,
-        hours=1.0,
-        doing=lambda world: server_away(world, 1800.0, machine=False),
-        finds="nobody caught OverflowError",
+        ((Backoff, "next", _overflowing),),
+        "nobody caught OverflowError", STILL, 1, 1.0, _away,
     ),
     Mutation(
         "a count is taken from whatever process has the same route id",
-        (
-            patch.object(RouteLedger, "settle", _settled_by_id),
-            patch.object(IncomingRoute, "_counted_before", _counted_before),
-        ),
-        climate=replace(STILL, topics=(4,), periods=(1.0, 4.0), checks=(1.0, 2.0)),
-        hours=4.0,
-        doing=restarted_while_cut,
-        finds="the ledger of",
+        ((RouteLedger, "settle", _settled_by_id), (IncomingRoute, "_counted_before", _counted_before)),
+        "the ledger of", _MANY, 1, 4.0, restarted_while_cut,
     ),
     Mutation(
         "the ids of routes that were closed are never forgotten",
-        (patch.object(RouteTable, "closed", _nothing),),
-        climate=STILL,
-        hours=3.0,
-        doing=lambda world: type_differs_for(world, 3 * 3600.0),
-        finds="_by_id",
+        ((RouteTable, "closed", _nothing),),
+        "_by_id", STILL, 1, 3.0, _differs,
     ),
     Mutation(
         "tasks that have ended are kept",
-        (patch.object(Tasks, "_add", _kept),),
-        climate=STILL,
-        hours=3.0,
-        doing=lambda world: type_differs_for(world, 3 * 3600.0),
-        finds="_tasks",
+        ((Tasks, "_add", _kept),),
+        "_tasks", STILL, 1, 3.0, _differs,
     ),
     Mutation(
         "a stream is not closed with its channel",
-        (patch.object(StreamSender, "close", _nothing), patch.object(StreamReceiver, "close", _nothing)),
-        climate=STORM,
-        hours=2.0,
-        finds="left open",
+        ((StreamSender, "close", _nothing), (StreamReceiver, "close", _nothing)),
+        "left open", STORM, 2, 2.0,
     ),
     Mutation(
         "what waits to be sent is not cleared when the channel is lost",
-        (patch.object(SendQueue, "clear", SendQueue.__len__),),
-        climate=STORM,
-        hours=4.0,
-        finds="a part of it is negative",
+        ((SendQueue, "clear", SendQueue.__len__),),
+        "a part of it is negative", STORM, 2, 1.0,
     ),
     Mutation(
         "a new connection is not told what is paused",
-        (patch.object(RouteTable, "_propose", _unpaused),),
-        climate=LIVELY,
-        hours=4.0,
-        finds="disagree",
+        ((RouteTable, "_propose", _unpaused),),
+        "disagree", LIVELY, 5, 1.0,
     ),
     Mutation(
         "a silent peer is not given up",
-        (patch.object(Keepalive, "watch", _nothing),),
-        climate=STORM,
-        hours=2.0,
-        finds="seems linked",
+        ((Keepalive, "watch", _nothing),),
+        "seems linked", STORM, 2, 1.0,
     ),
     Mutation(
         "UDP sockets of links that are down are not closed",
-        (patch.object(UdpChannel, "close", _nothing),),
-        climate=STORM,
-        hours=2.0,
-        finds="left open",
+        ((UdpChannel, "close", _nothing),),
+        "left open", STORM, 2, 2.0,
     ),
 )
+# fmt: on

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 from tests.simulation.faults import duration
+from tests.simulation.sessions import some_topic
 
 from rsb_bridge.api import EngineError
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
 
 _MOST_TOPICS = 8
+_LOOKS = 25
+"""How often, once a second, an operator looks whether a robot is to be connected again."""
 
 
 class Operator:
@@ -63,7 +66,7 @@ class Operator:
         if gone and self._random.random() < 0.7:
             topic = self._random.choice(gone).topic
         elif len(self._robot.flows) < _MOST_TOPICS:
-            topic = self._world.new_topic(self._robot, self._random)
+            topic = some_topic(self._robot.name, len(self._robot.flows), self._random)
             flow = self._world.add_flow(self._robot, topic, self._random)
             flow.listen()
             flow.appear()
@@ -81,6 +84,7 @@ class Operator:
             }
             topic = msgspec.structs.replace(route.spec, **changes)
             await self._command("edit", run, run.bridge.edit_topic(route.key, topic))
+            self._world.forget_route(route)
 
     async def _pause(self) -> None:
         run, route = self._some_route()
@@ -103,6 +107,7 @@ class Operator:
         run, route = self._some_route()
         if run is not None and route is not None:
             await self._command("remove", run, run.bridge.remove_topic(route.key))
+            self._world.forget_route(route)
 
     async def _retry(self) -> None:
         run = self._some_run()
@@ -119,7 +124,7 @@ class Operator:
         run = self._some_run()
         if run is not None:
             robots = [self._robot] if run is self._robot.station.run else self._world.robots
-            with self._world.trouble("restart", *robots):
+            with self._world.trouble("restart", *robots, fault=False):
                 await self._command("restart", run, run.bridge.restart())
 
     async def _shut_down(self) -> None:
@@ -128,12 +133,14 @@ class Operator:
         if run is None:
             return
         robots = [self._robot] if run is self._robot.station.run else self._world.robots
-        with self._world.trouble("shut down", *robots):
+        with self._world.trouble("shut down", *robots, fault=False):
             await self._command("shut down", run, run.bridge.shut_down())
             await asyncio.sleep(duration(self._random))
-            for robot in robots:
-                while (client := robot.station.run) is not None and client.links()[0].shut_down:
-                    await self._command("retry", client, client.bridge.retry())
+            for _ in range(_LOOKS):  # one may be told of it later, over a bad network
+                for robot in robots:
+                    if (client := robot.station.run) is not None and client.links()[0].shut_down:
+                        await self._command("retry", client, client.bridge.retry())
+                await asyncio.sleep(1.0)
 
     # --- how
 
@@ -150,8 +157,8 @@ class Operator:
 
     async def _command(self, what: str, run: Run, work: Coroutine[None, None, object]) -> None:
         world, robot = self._world, self._robot
-        world.counts[what] += 1
-        world.tell(f"{run.station.name}: the operator's command is {what}")
+        world.chronicle.commands[what] += 1
+        world.chronicle.tell(f"{run.station.name}: the operator's command is {what}")
         robot.commanded = world.loop.time()
         with contextlib.suppress(EngineError):
             await run.command(work)

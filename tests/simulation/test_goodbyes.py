@@ -15,6 +15,8 @@ from rsb_bridge.model.codes import EventCode
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from tests.simulation.conftest import Play
+
 _TIMES = 5
 _CLIMATE = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 
@@ -22,11 +24,11 @@ _CLIMATE = replace(STILL, topics=(8,), periods=(0.5, 2.0))
 @pytest.mark.parametrize("restarts", [server_restarts, client_restarts])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_goodbye_ends_the_topics_streams_without_an_error(
-    seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]]
+    seed: int, restarts: Callable[[World, int], Coroutine[None, None, None]], play: Play
 ) -> None:
     """Whichever connection is seen to end first: that of the goodbye, or those of the TCP topics."""
     world = World(seed, _CLIMATE)
-    world.play((_TIMES + 1) * 75.0, restarts(world, _TIMES))
+    play(world, (_TIMES + 1) * 75.0, restarts(world, _TIMES))
     assert any(flow.topic.protocol == "tcp" for flow in world.flows.values())
-    assert world.counts[EventCode.LINK_CLOSED_BY_PEER] >= _TIMES
-    assert not world.counts[EventCode.ROUTE_CHANNEL_LOST]
+    assert world.chronicle.events[EventCode.LINK_CLOSED_BY_PEER] >= _TIMES
+    assert not world.chronicle.events[EventCode.ROUTE_CHANNEL_LOST]

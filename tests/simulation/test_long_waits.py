@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from tests.simulation.climate import STILL
 from tests.simulation.episodes import server_away, slow_motion, type_differs_for
@@ -10,25 +11,28 @@ from tests.simulation.world import World
 
 from rsb_bridge.model.codes import EventCode
 
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+
 _DAY = 86_400.0
 _TICK = 600.0
 """s from one round of the engines' regular work to the next; calls keep their pace."""
 _SLOW = replace(STILL, checks=(_TICK, _TICK), patience=_TICK)
 
 
-def test_a_server_that_is_away_for_a_week() -> None:
+def test_a_server_that_is_away_for_a_week(play: Play) -> None:
     """Its clients call for all that time, and are linked soon after it is back."""
     world = World(1, _SLOW)
     with slow_motion(_TICK):
-        world.play(7.1 * _DAY, server_away(world, 7 * _DAY, machine=True))
-    assert world.counts[EventCode.LINK_UNREACHABLE] > 100_000
+        play(world, 7.1 * _DAY, server_away(world, 7 * _DAY, machine=True))
+    assert world.chronicle.events[EventCode.LINK_UNREACHABLE] > 100_000
     assert world.invariants.worst_recovery <= _TICK  # when it is looked at next
 
 
-def test_a_topic_that_is_refused_for_a_month() -> None:
+def test_a_topic_that_is_refused_for_a_month(play: Play) -> None:
     """It is asked for all that time, and flows soon after the reason is gone."""
     world = World(1, _SLOW)
     (flow,) = world.flows.values()
     with slow_motion(_TICK):
-        world.play(30.5 * _DAY, type_differs_for(world, 30 * _DAY))
+        play(world, 30.5 * _DAY, type_differs_for(world, 30 * _DAY))
     assert flow.heard

@@ -5,41 +5,45 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.simulation.world import Violation, World
 
-HOURS = {
-    1: 2.0,
-    2: 2.0,
-    3: 4.0,
-    6: 6.0,
-    8: 1.0,
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+
+DAYS = {
+    1: 0.5,
+    3: 0.7,
+    5: 0.8,
+    6: 0.6,
+    8: 0.4,
+    58: 0.05,
 }
-"""Simulated hours by seed."""
+"""Simulated days by seed: robots that are used now and then (3, 6) or all the time (1, 5), a world where something
+happens every few seconds (8), and many robots on one server (58)."""
 
 
-@pytest.mark.parametrize("seed", HOURS)
-def test_nothing_stays_wrong(seed: int) -> None:
+@pytest.mark.parametrize("seed", DAYS)
+def test_nothing_stays_wrong(seed: int, play: Play) -> None:
     """Every invariant holds all along, whatever happens."""
-    play(World(seed), HOURS[seed])
+    world = World(seed)
+    try:
+        play(world, DAYS[seed] * 86_400)
+    except Violation as violation:
+        pytest.fail(f"{violation}\nsee it again: {world.command()}", pytrace=False)
+
+
+def test_three_days_are_played() -> None:
+    """What `make test` plays of such worlds is not little."""
+    assert sum(DAYS.values()) >= 3.0
 
 
 def test_a_seed_is_a_world() -> None:
     """The same seed gives the same world, to the microsecond, in another process with another hash seed, too."""
     told = [played(hash_seed) for hash_seed in ("1", "2")]
     assert told[0] == told[1]
-
-
-def play(world: World, hours: float) -> None:
-    """Let a world live; a failure says how to see it again."""
-    try:
-        world.play(hours * 3600)
-    except Violation as violation:
-        days = world.loop.time() / 86_400 + 0.001
-        pytest.fail(
-            f"{violation}\nsee it again: python -m tests.simulation {world.seed} --days {days:.3f}", pytrace=False
-        )
 
 
 def played(hash_seed: str) -> str:

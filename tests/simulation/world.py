@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import zlib
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING
 
 from tests.simulation import faults, operators
+from tests.simulation.chronicle import Chronicle
 from tests.simulation.climate import Climate, climate_of
 from tests.simulation.flows import Account, Flow, label_of
 from tests.simulation.invariants import Invariants, route_of
 from tests.simulation.loop import SimulatedLoop
 from tests.simulation.network import Network
+from tests.simulation.sessions import SERVER_ADDRESS, SERVER_NAME, client_session, server_session, some_topic
 from tests.simulation.sockets import simulated
 from tests.simulation.station import Run, Station
 
 from rsb_bridge.config.keys import Key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Client, Protocol, Session, Topic
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:
@@ -31,12 +32,9 @@ if TYPE_CHECKING:
     from tests.simulation.ros import Reader, Writer
 
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.ros.api import RawMessage
-
-PORT = 49_152
-SERVER_NAME = "control-pc"
-_REMEMBERED = 300
+    from rsb_bridge.route.route import Route
 
 
 class Violation(AssertionError):  # noqa: N818 — it is what was found, not what went wrong here
@@ -77,8 +75,7 @@ class World:
         robots: the clients.
         flows: by number.
         accounts: what each route's sending half did, by the route.
-        counts: what happened, by name: faults, commands, links.
-        log: the last things that happened, for whoever has to understand a failure.
+        chronicle: what has happened.
     """
 
     def __init__(self, seed: int, climate: Climate | None = None) -> None:
@@ -95,18 +92,16 @@ class World:
         self.network = Network(self.loop, self.random("network"))
         self.flows: dict[int, Flow] = {}
         self.accounts: dict[OutgoingRoute, Account] = {}
-        self.counts: Counter[str] = Counter()
-        self.log: deque[str] = deque(maxlen=_REMEMBERED)
+        self.chronicle = Chronicle(self.loop)
         self.stations: list[Station] = []
-        self.digest = 0
         self.invariants = Invariants(self)
         self._violation: Violation | None = None
         random = self.random("world")
         encrypted = random.random() < 0.7
         names = [f"robot{number}" for number in range(1, random.choice(self.climate.robots) + 1)]
         secret = {name: Key(random.randbytes(32)) if encrypted else None for name in names}
-        self.network.names[SERVER_NAME] = random.choice((["10.0.0.1"], ["10.255.0.1", "10.0.0.1"]))
-        self.server = self._station("pc", "10.0.0.1", self._server_session(names, random, encrypted=encrypted), secret)
+        self.network.names[SERVER_NAME] = random.choice(([SERVER_ADDRESS], ["10.255.0.1", SERVER_ADDRESS]))
+        self.server = self._station("pc", SERVER_ADDRESS, server_session(names, random, encrypted=encrypted), secret)
         self.robots = [self._robot(name, 2 + index, {name: secret[name]}, random) for index, name in enumerate(names)]
 
     def random(self, purpose: str) -> Random:
@@ -115,59 +110,13 @@ class World:
 
     # --- how it is made
 
-    def _server_session(self, names: list[str], random: Random, *, encrypted: bool) -> Session:
-        if len(names) == 1 and random.random() < 0.5:
-            name = names[0]
-            clients: tuple[Client, ...] = ()
-        else:
-            name = "pc"
-            clients = tuple(Client(name=each) for each in names)
-        return Session(
-            name=name,
-            role="server",
-            server_ip=random.choice(("0.0.0.0", "10.0.0.1")),
-            server_port=PORT,
-            domain_id=1,
-            use_name=True,
-            use_encryption=encrypted,
-            clients=clients,
-        )
-
     def _robot(self, name: str, number: int, keys: dict[str, Key | None], random: Random) -> Robot:
-        topics = tuple(self._topic(name, index, random) for index in range(random.choice(self.climate.topics)))
-        session = Session(
-            name=name,
-            role="client",
-            server_ip=random.choice((SERVER_NAME, "10.0.0.1")),
-            server_port=PORT,
-            domain_id=number,
-            use_name=True,
-            use_encryption=None not in keys.values(),
-            topics=topics,
-        )
+        topics = tuple(some_topic(name, index, random) for index in range(random.choice(self.climate.topics)))
+        session = client_session(name, number, topics, random, encrypted=None not in keys.values())
         robot = Robot(name, self._station(name, f"10.0.0.{number}", session, keys))
         for topic in topics:
             self.add_flow(robot, topic, random)
         return robot
-
-    def new_topic(self, robot: Robot, random: Random) -> Topic:
-        """A further topic of a robot's."""
-        return self._topic(robot.name, len(robot.flows), random)
-
-    def _topic(self, robot: str, index: int, random: Random) -> Topic:
-        protocols: tuple[Protocol | None, ...] = ("tcp", "tcp", "udp", None)
-        return Topic(
-            topic=f"/topic{index}",
-            direction=random.choice(("transmit", "receive")),
-            type="auto",
-            protocol=random.choice(protocols),
-            port=random.choice((None, None, None, 20_000 + index)),
-            qos=random.choice(("auto", "auto", 10)),
-            remote_topic=random.choice((None, None, f"/{robot}/elsewhere{index}")),
-            compression=random.choice((None, None, "zstd")),
-            max_rate=random.choice((None, None, None, 5.0)),
-            paused=random.random() < 0.05,
-        )
 
     def add_flow(self, robot: Robot, topic: Topic, random: Random) -> Flow:
         """Have a publisher at one end of a topic and a subscription at the other."""
@@ -267,20 +216,8 @@ class World:
     def wrong(self, what: str) -> None:
         """Something is as it must not be: the world ends."""
         if self._violation is None:
-            self._violation = Violation(f"{self.stamp()} {what}")
+            self._violation = Violation(f"{self.chronicle.stamp()} {what}")
             self.loop.fail(self._violation)
-
-    def tell(self, what: str) -> None:
-        """Note what happens."""
-        line = f"{self.stamp()} {what}"
-        self.log.append(line)
-        self.digest = zlib.crc32(line.encode(), self.digest)
-
-    def stamp(self) -> str:
-        """The time, as days and time of day."""
-        minutes, seconds = divmod(self.loop.time(), 60)
-        hours, minutes = divmod(int(minutes), 60)
-        return f"day {hours // 24} {hours % 24:02}:{minutes:02}:{seconds:06.3f}"
 
     def command(self) -> str:
         """What plays it again, up to now."""
@@ -288,21 +225,21 @@ class World:
 
     def summary(self) -> str:
         """What it was, in a few lines."""
-        events = {code.value for code in EventCode}
-        done = ", ".join(f"{count} {what}" for what, count in sorted(self.counts.items()) if what not in events)
         messages = sum(flow.heard for flow in self.flows.values())
         return (
             f"world {self.seed} ({self.climate.name}): {len(self.robots)} robots, {len(self.flows)} topics, "
-            f"{self.stamp()}, {self.invariants.checks} checks, {messages} messages came out, "
-            f"{self.counts[EventCode.LINK_UP]} ends linked, "
-            f"at most {self.invariants.worst_recovery:.1f} s after it was possible, digest {self.digest:08x}\n{done}"
+            f"{self.chronicle.stamp()}, {self.invariants.checks} checks, {messages} messages came out, "
+            f"{self.chronicle.events[EventCode.LINK_UP]} ends linked, "
+            f"at most {self.invariants.worst_recovery:.1f} s after it was possible, "
+            f"digest {self.chronicle.digest:08x}\n{self.chronicle.summary()}"
         )
 
     @contextlib.contextmanager
-    def trouble(self, what: str, *robots: Robot) -> Iterator[None]:
-        """While this lasts, the robots need not be linked."""
-        self.counts[what] += 1
-        self.tell(f"{what} begins: {', '.join(robot.name for robot in robots)}")
+    def trouble(self, what: str, *robots: Robot, fault: bool = True) -> Iterator[None]:
+        """While this lasts, the robots need not be linked; where `fault` is False, because an operator wants it so."""
+        if fault:
+            self.chronicle.fault(what)
+        self.chronicle.tell(f"{what} begins: {', '.join(robot.name for robot in robots)}")
         for robot in robots:
             robot.troubles[what] += 1
         try:
@@ -313,13 +250,13 @@ class World:
                 if not robot.troubles[what]:
                     del robot.troubles[what]
                 robot.clear_since = self.loop.time()
-            self.tell(f"{what} is over: {', '.join(robot.name for robot in robots)}")
+            self.chronicle.tell(f"{what} is over: {', '.join(robot.name for robot in robots)}")
 
     @contextlib.contextmanager
     def flow_trouble(self, flow: Flow, what: str) -> Iterator[None]:
         """While this lasts, a topic need not flow."""
-        self.counts[what] += 1
-        self.tell(f"{flow}: {what}")
+        self.chronicle.fault(what)
+        self.chronicle.tell(f"{flow}: {what}")
         flow.troubles[what] += 1
         try:
             yield
@@ -328,15 +265,16 @@ class World:
             if not flow.troubles[what]:
                 del flow.troubles[what]
             flow.changed = self.loop.time()
-            self.tell(f"{flow}: {what} no more")
+            self.chronicle.tell(f"{flow}: {what} no more")
 
     def _failed(self, details: dict[str, object]) -> None:
         error = details.get("exception")
         self.wrong(f"nobody caught {error!r}: {details.get('message')}")
 
     def _event(self, station: Station, level: Level, code: EventCode, text: str, link: str) -> None:
-        self.tell(f"{station.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
-        self.counts[code] += 1
+        if level is not Level.DEBUG:  # they repeat what was told before
+            self.chronicle.tell(f"{station.name}: {level} {code} {text}" + (f" ({link})" if link else ""))
+        self.chronicle.events[code] += 1
         if code == EventCode.ENGINE_ERROR:
             self.wrong(f"{station.name}: {text}")
 
@@ -385,10 +323,16 @@ class World:
         """An engine ends: what it published and has not reported yet, nobody will hear of."""
         for route, account in self.accounts.items():
             if run is self.server.run or route.peer.name == run.station.session.name:
-                account.unreported = account.published - route.ledger().delivered
+                account.forget(route)
+
+    def forget_route(self, removed: Route) -> None:
+        """The receiving half of a route is removed: likewise, where the link is down and the sending half is not."""
+        for route, account in self.accounts.items():
+            if route.peer.name == removed.peer.name and route.remote_topic == removed.remote_topic:
+                account.forget(route)
 
     def _begins(self, run: Run) -> None:
-        self.tell(f"{run.station.name}: an engine begins")
+        self.chronicle.tell(f"{run.station.name}: an engine begins")
         run.node.on_reader = lambda reader, origin: self._subscribed(run, reader, origin)
         run.node.on_writer = lambda writer, _: self._advertised(writer)
 

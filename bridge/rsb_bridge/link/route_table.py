@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.session import Topic
     from rsb_bridge.wire.fields import RefuseCode
+    from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _CLOSED_REMEMBERED = 4
 """Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
@@ -375,12 +376,19 @@ class RouteTable:
         await in_slices(tuple(self._by_id.values()), advance)
 
     def report(self) -> None:
-        """Tell the peer this side's counts."""
-        routes = [route for route in self.routes.values() if route.id]
-        sent = tuple(route.sent_report() for route in routes if isinstance(route, OutgoingRoute))
-        received = tuple(route.received_report() for route in routes if isinstance(route, IncomingRoute))
+        """Tell the peer this side's counts, as far as it does not know them."""
+        sent: list[SentReport] = []
+        received: list[ReceivedReport] = []
+        for route in self.routes.values():
+            if not route.id:
+                continue
+            if isinstance(route, OutgoingRoute):
+                if (sending := route.news()) is not None:
+                    sent.append(sending)
+            elif isinstance(route, IncomingRoute) and (receiving := route.news()) is not None:
+                received.append(receiving)
         if sent or received:
-            self._owner.send(Report(sent=sent, received=received))
+            self._owner.send(Report(sent=tuple(sent), received=tuple(received)))
 
     def tick(self) -> None:
         """Once a second while linked: propose again what was refused, and remove what the peer no longer wants."""

@@ -84,7 +84,7 @@ class IncomingRoute(Route):
     def close(self, reason: str) -> None:
         """End the opening. The next one is counted anew, as the sender does, who is told then what came of this one."""
         if self._received:
-            self._before = self.instance, self.received_report()
+            self._before = self.instance, self._received_report()
             self._received = self._delivered = 0
             self._dropped.clear()
         super().close(reason)
@@ -280,8 +280,19 @@ class IncomingRoute(Route):
         """As the sender last said."""
         return self._sender_ledger
 
-    def received_report(self) -> ReceivedReport:
-        """What the sender is told of the present opening."""
+    def news(self) -> ReceivedReport | None:
+        """The report to send to the peer now; None: it knows everything.
+
+        As long as messages are in flight it is told the same counts again: the sender takes what has not arrived after
+        some time for lost.
+        """
+        report = self._received_report()
+        if report == self._told_report and not self._sender_ledger.in_flight:
+            return None
+        self._told_report = report
+        return report
+
+    def _received_report(self) -> ReceivedReport:
         counts = self.channel.counts() if self.channel is not None else None
         return ReceivedReport(
             route=self.id,

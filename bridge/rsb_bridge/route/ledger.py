@@ -210,12 +210,13 @@ class RouteLedger:
             lost_in_dds: beyond those in `lost_in_dds`.
             numbered: whether the channel numbers its messages and may lose them.
         """
-        delivered, expired, dropped = self._delivered, self._expired, Counter(self.dropped)
+        delivered, expired, dropped = self._delivered, self._expired, self.dropped.copy()
         for opening in (self._opening, self._unsettled):
             if opening is not None and opening.counted is not None:
                 delivered += opening.counted.delivered
                 expired += opening.counted.expired
-                dropped.update(opening.counted.dropped)
+                if opening.counted.dropped:
+                    dropped.update(opening.counted.dropped)
         if numbered and (lost := self._lost()):
             dropped["lost on the way"] += lost
         accounted = delivered + expired + self.throttled + dropped.total()

@@ -323,8 +323,15 @@ class OutgoingRoute(Route):
         lost_in_dds = self._intake.lost if self._intake else 0
         return self._ledger.ledger(lost_in_dds, numbered=isinstance(self.transport, DatagramTransport))
 
-    def sent_report(self) -> SentReport:
-        """What the peer is told."""
+    def news(self) -> SentReport | None:
+        """The report that the peer has not been sent yet; None: it knows everything."""
+        report = self._sent_report()
+        if report == self._told_report:
+            return None
+        self._told_report = report
+        return report
+
+    def _sent_report(self) -> SentReport:
         ledger = self.ledger()
         return SentReport(
             route=self.id,

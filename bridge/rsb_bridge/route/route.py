@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.token_bucket import TokenBucket
     from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
@@ -154,13 +155,13 @@ class Route:
         self.stale = StaleWatch(after, session.stale_warnings, context.now())
         self.never_stale = spec.stale_after is None
         self.release_port: Callable[[], None] | None = None
+        self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
 
     def on_accepted(self) -> None:
         """Both sides want the route."""
         if self.life.take(Event.ACCEPT):
-            self._backoff.reset()
             self.advance()
 
     def advance(self) -> None:
@@ -224,6 +225,7 @@ class Route:
         self.id = route_id
         self.instance = self.peer.instance
         self.opened_at = self.context.now()
+        self._told_report = None
         self.life.take(Event.OPEN)
         self.stale.rearm(self.context.now())
 
@@ -339,7 +341,10 @@ class Route:
         now = self.context.now()
         self.meter.tick(now)
         self.latency.tick()
-        if self.flowing and not self.is_latched:
+        flowing = self.flowing
+        if flowing:  # that both sides accept it says little: what it is refused for may be found out later
+            self._backoff.reset()
+        if flowing and not self.is_latched:
             if number := self.stale.check(now):
                 text = f"nothing for {self.stale.after * number:g} s (warning {number} of {self.stale.times})"
                 if number == self.stale.times:

@@ -9,6 +9,7 @@ from statistics import median
 HISTORY = 120
 """Seconds of history a route keeps: what the console plots."""
 _WINDOWS = (3, 10, 30)
+"""Seconds of the windows that a rate is taken over; ascending."""
 _BUSY_SECONDS = 5
 _SHORTEST_TICK = 0.5
 """s; a shorter tick is left to the next one, as one message in so short a time says nothing about a rate."""
@@ -57,7 +58,8 @@ class RateMeter:
     __slots__ = (
         "_at_tick",
         "_bytes_at_tick",
-        "_seconds",
+        "_marks",
+        "_quiet",
         "_smoothed",
         "_ticked",
         "bytes",
@@ -79,7 +81,9 @@ class RateMeter:
         self._at_tick = 0
         self._bytes_at_tick = 0
         self._smoothed = Smoothed(now)
-        self._seconds: deque[tuple[int, float]] = deque(maxlen=HISTORY)  # messages, and how many s they took
+        # Messages, and s, until the end of each of the last seconds; the first one is where the longest window begins.
+        self._marks: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=_WINDOWS[-1] + 1)
+        self._quiet = HISTORY  # entries of the history since the last one with messages
 
     @property
     def bytes_per_second(self) -> float:
@@ -99,13 +103,18 @@ class RateMeter:
             return
         self._ticked = now
         messages, self._at_tick = self.count - self._at_tick, self.count
+        if not messages and self._quiet >= HISTORY == len(self.history):
+            self._smoothed.add(0.0, now)
+            return  # one quiet second more makes no difference
         seconds = max(1, round(elapsed))
         length = elapsed / seconds
         same = not messages and not any(islice(self.history, max(0, len(self.history) + seconds - HISTORY)))
         for number in range(max(0, seconds - HISTORY), seconds):
             share = messages * (number + 1) // seconds - messages * number // seconds
-            self._seconds.append((share, length))
+            count, end = self._marks[-1]
+            self._marks.append((count + share, end + length))
             self.history.append(round(share / length))
+            self._quiet = 0 if self.history[-1] else self._quiet + 1
         self._smoothed.add(self.bytes - self._bytes_at_tick, now)
         self._bytes_at_tick = self.bytes
         if not same:  # else only quiet seconds have come and gone
@@ -123,12 +132,13 @@ class RateMeter:
     def _rate(self) -> float:
         # Report 0 Hz once an expected message is missing, even if the longer windows still hold some.
         missed = max(_WINDOWS[0], 3 / self.usual_rate) if self.usual_rate else _WINDOWS[-1]
-        if not any(islice(reversed(self.history), int(missed))):
+        if self._quiet >= int(missed):
             return 0.0
+        count, end = self._marks[-1]
         messages, seconds = 0, 0.0
         for window in _WINDOWS:
-            last = list(islice(reversed(self._seconds), window))
-            messages, seconds = sum(count for count, _ in last), sum(length for _, length in last)
+            count_before, begin = self._marks[max(0, len(self._marks) - 1 - window)]
+            messages, seconds = count - count_before, end - begin
             if messages >= 3:
                 break
         return messages / seconds if seconds else 0.0

@@ -1,0 +1,62 @@
+"""Sessions and topics, as a seed has them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.session import Client, Protocol, Session, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from random import Random
+
+PORT = 49_152
+SERVER_NAME = "control-pc"
+"""Its host name; it may have more than one address."""
+SERVER_ADDRESS = "10.0.0.1"
+
+
+def server_session(clients: Sequence[str], random: Random, *, encrypted: bool) -> Session:
+    """The server's, for clients of those names."""
+    alone = len(clients) == 1 and random.random() < 0.5
+    return Session(
+        name=clients[0] if alone else "pc",
+        role="server",
+        server_ip=random.choice(("0.0.0.0", SERVER_ADDRESS)),
+        server_port=PORT,
+        domain_id=1,
+        use_name=True,
+        use_encryption=encrypted,
+        clients=() if alone else tuple(Client(name=each) for each in clients),
+    )
+
+
+def client_session(name: str, domain_id: int, topics: tuple[Topic, ...], random: Random, *, encrypted: bool) -> Session:
+    """A robot's."""
+    return Session(
+        name=name,
+        role="client",
+        server_ip=random.choice((SERVER_NAME, SERVER_ADDRESS)),
+        server_port=PORT,
+        domain_id=domain_id,
+        use_name=True,
+        use_encryption=encrypted,
+        topics=topics,
+    )
+
+
+def some_topic(robot: str, number: int, random: Random) -> Topic:
+    """A robot's topic of that number, of any kind."""
+    protocols: tuple[Protocol | None, ...] = ("tcp", "tcp", "udp", None)
+    return Topic(
+        topic=f"/topic{number}",
+        direction=random.choice(("transmit", "receive")),
+        type="auto",
+        protocol=random.choice(protocols),
+        port=random.choice((None, None, None, 20_000 + number)),
+        qos=random.choice(("auto", "auto", 10)),
+        remote_topic=random.choice((None, None, f"/{robot}/elsewhere{number}")),
+        compression=random.choice((None, None, "zstd")),
+        max_rate=random.choice((None, None, None, 5.0)),
+        paused=random.random() < 0.05,
+    )

@@ -1,0 +1,61 @@
+"""What an engine says while nothing happens: no more than the other side needs to know."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+from tests.simulation.climate import STILL
+from tests.simulation.episodes import type_differs_for
+from tests.simulation.world import World
+
+from rsb_bridge.link.link import Link
+from rsb_bridge.wire.messages import Ping, Propose, Report
+
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+
+    from rsb_bridge.wire.messages import ControlMessage
+
+_HOUR = 3600.0
+_SETTLED_AFTER = 60.0
+
+
+def count_messages(play: Play, world: World, seconds: float, *doings: object) -> Counter[type]:
+    """The control messages of both sides, by type, from a minute after the beginning."""
+    sent: Counter[type] = Counter()
+    send = Link.send
+
+    def counting(self: Link, message: ControlMessage) -> None:
+        if world.loop.time() > _SETTLED_AFTER:
+            sent[type(message)] += 1
+        send(self, message)
+
+    with patch.object(Link, "send", counting):
+        play(world, seconds, *doings)  # type: ignore[arg-type]
+    return sent
+
+
+def test_a_link_on_which_nothing_happens_only_pings(play: Play) -> None:
+    """Counts that the peer knows are not reported again."""
+    sent = count_messages(play, World(1, replace(STILL, topics=(4,), periods=(1e9, 1e9))), _HOUR)
+    assert sent[Ping] > 1.9 * (_HOUR - _SETTLED_AFTER)
+    assert not sent[Report]
+
+
+def test_each_message_is_reported_and_no_more(play: Play) -> None:
+    """The receiver's count, the sender's ledger with it, and the sender's before: three reports for a message."""
+    world = World(1, replace(STILL, topics=(1,), periods=(30.0, 30.0)))
+    sent = count_messages(play, world, _HOUR)
+    (flow,) = world.flows.values()
+    assert flow.heard > 0.8 * _HOUR / 30.0
+    assert sent[Report] <= 4 * flow.heard
+
+
+def test_a_route_whose_types_differ_is_proposed_ever_more_rarely(play: Play) -> None:
+    """Both sides accept it every time, and find out only then what it is refused for."""
+    world = World(1, STILL)
+    sent = count_messages(play, world, _HOUR, type_differs_for(world, 2 * _HOUR))
+    assert 0.9 * _HOUR / 10.0 - 10 < sent[Propose] <= _HOUR / 10.0
