@@ -7,10 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.locks import alone
 
 from rsb_bridge.config.session_file import load
 
@@ -418,6 +420,14 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
     assert all({"time", "level"} <= line.keys() and "number" not in line for line in lines)
 
 
+@pytest.fixture
+def only_demo() -> Iterator[None]:
+    """Two of them could choose the same domains."""
+    with alone("demo"):
+        yield
+
+
+@pytest.mark.usefixtures("only_demo")
 def test_the_demo_bridges_and_leaves_one_topic_to_add() -> None:
     """A Ctrl-C goes to the terminal's whole process group: the simulated robot writes no traceback for it."""
     environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

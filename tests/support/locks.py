@@ -1,7 +1,8 @@
-"""What one run of these tests has for itself, as long as its process lives, while others run on this machine."""
+"""What one run of these tests has for itself while others run on this machine."""
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import tempfile
@@ -9,18 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 
 def locked(what: str, numbers: Iterable[int]) -> int:
-    """The first of some numbers that no other run has taken.
+    """The first of some numbers that no other run has taken; it is this process's as long as that lives.
 
     Raises:
         AssertionError: others have them all.
     """
     for number in numbers:
-        path = Path(tempfile.gettempdir()) / f"rsb-console-tests-{what}-{number}"
-        lock = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)  # it stays open: the lock goes with the process
+        lock = _opened(f"{what}-{number}")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -28,3 +28,18 @@ def locked(what: str, numbers: Iterable[int]) -> int:
             continue
         return number
     raise AssertionError(f"{what} {numbers} are all in use by other runs of these tests")
+
+
+@contextlib.contextmanager
+def alone(what: str) -> Iterator[None]:
+    """Wait until no other run does the same, and keep others from it meanwhile."""
+    lock = _opened(what)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _opened(name: str) -> int:
+    return os.open(Path(tempfile.gettempdir()) / f"rsb-console-tests-{name}", os.O_CREAT | os.O_RDWR, 0o666)
