@@ -157,8 +157,8 @@ class Invariants:
         began = (self._can_flow.setdefault(flow, now), flow.changed, robot.commanded, world.clear_since(robot))
         since = max(began) + self._patience * FLOWS_WITHIN
         if flow.latched:
-            if flow.topic.max_rate or not flow.ordered:
-                return  # the newest may be left out, or overtaken
+            if not flow.ordered:
+                return  # the newest may be lost
             waited = now - max(since, flow.last_sent)
             wrong = flow.sent > flow.newest.get(flow.life, 0) and waited > self._patience * FLOWS_WITHIN
         else:

@@ -1,5 +1,7 @@
 """A ROS domain without ROS: publishers and subscriptions, as far as a bridge can tell them from DDS's.
 
+What an engine sees of it is in `tests.simulation.node`.
+
 - Endpoints find each other a moment after they are made, and until then messages do not reach.
 - A publisher that is transient_local keeps its last `depth` messages for subscriptions that come later.
 - A subscription keeps `depth` messages until they are taken; when more come, the oldest are lost.
@@ -12,18 +14,19 @@ from __future__ import annotations
 import contextvars
 import itertools
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from rsb_bridge.model.qos import Qos, incompatible
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.api import RawMessage, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
     from random import Random
 
     from tests.simulation.loop import SimulatedLoop
+    from tests.simulation.node import Node
 
     from rsb_bridge.ros.api import OnFailure, Sink
 
@@ -53,6 +56,7 @@ class Domain:
         random: how long discovery and taking take.
         taking: s, between which messages wait until they are taken: more where the ROS thread is busy.
         installed: hash by type name, of the types that nodes here were built with.
+        numbers: whether messages carry their publisher's numbers, which some middleware does not give.
     """
 
     def __init__(self, loop: SimulatedLoop, random: Random, wall_ns: Callable[[], int]) -> None:
@@ -68,6 +72,7 @@ class Domain:
         self.wall_ns = wall_ns
         self.taking = _TAKING
         self.installed = {STRING: hash_of(STRING)}
+        self.numbers = False
         self._gids = itertools.count(1)
         self._writers: defaultdict[str, list[Writer]] = defaultdict(list)
         self._readers: defaultdict[str, list[Reader]] = defaultdict(list)
@@ -201,7 +206,7 @@ class Writer:
         if self.closed:
             return
         self.published += 1
-        sample = RawMessage(payload, self._domain.wall_ns(), self.gid)
+        sample = RawMessage(payload, self._domain.wall_ns(), self.gid, self.published if self._domain.numbers else 0)
         self.kept.append(sample)
         if self.on_publish is not None:
             self.on_publish(payload)
@@ -305,116 +310,3 @@ class Reader:
             self.close()
             if self._on_failure is not None:
                 self._context.run(self._on_failure, RosError(f"{self.topic}: taking failed"))
-
-
-class Node:
-    """The engine's node in a domain: `rsb_bridge.ros.api.RosInterface`.
-
-    Attributes:
-        instance_id: as a real node's.
-        node_name: as a real node's.
-        writers: what it publishes with.
-        readers: what it subscribes with.
-        on_writer: told of each publisher made.
-        on_reader: told of each subscription made.
-    """
-
-    def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
-        self.instance_id = instance_id
-        self.writers: dict[Writer, None] = {}
-        self.readers: dict[Reader, None] = {}
-        self.on_writer: Callable[[Writer, Hashable], None] | None = None
-        self.on_reader: Callable[[Reader, Hashable], None] | None = None
-        self._domain = domain
-        self.node_name = f"rsb_{name}_{instance_id}"
-        self._name = f"/{self.node_name}"
-        self._stopped = False
-
-    def start(self) -> None:
-        """It is in the domain already."""
-
-    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Its thread, which it does not have, never fails."""
-        context = contextvars.copy_context()
-        self._domain.watch(self, lambda: context.run(on_graph_change))
-
-    def stop(self) -> None:
-        self._domain.unwatch(self)
-        self._stopped = True
-        for end in self._ends():
-            end.close()
-
-    def die(self) -> None:
-        """The node's process is gone without a word: nobody hears of it any more, but others see its endpoints on."""
-        self._domain.unwatch(self)
-        self._stopped = True
-        for end in self._ends():
-            if not end.closed:
-                end.closed = True
-                self._domain.forget_later(end)
-
-    def _ends(self) -> list[Writer | Reader]:
-        return [*self.writers, *self.readers]
-
-    def topics(self) -> dict[str, list[str]]:
-        found = self._domain.topics()
-        return {
-            topic: sorted(types)
-            for topic, types in found.items()
-            if self.publishers(topic) or self.subscriptions(topic)
-        }
-
-    def publishers(self, topic: str) -> list[Endpoint]:
-        self._check_running()
-        return [_endpoint(each) for each in self._domain.writers(topic) if each.node != self._name]
-
-    def subscriptions(self, topic: str) -> list[Endpoint]:
-        self._check_running()
-        return [_endpoint(each) for each in self._domain.readers(topic) if each.node != self._name]
-
-    def installed_hash(self, type_name: str) -> str | None:
-        return self._domain.installed.get(type_name)
-
-    def subscribe(
-        self,
-        topic: str,
-        type_name: str,
-        type_hash: str,
-        qos: Qos,
-        sink: Sink,
-        origin: Hashable,
-        on_failure: OnFailure | None = None,
-    ) -> Reader:
-        self._check_type(type_name, type_hash)
-        reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, sink, origin, on_failure)
-        _keep(self.readers, reader)
-        if self.on_reader is not None:
-            self.on_reader(reader, origin)
-        return reader
-
-    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Writer:
-        self._check_type(type_name, type_hash)
-        writer = Writer(self._domain, self._name, topic, type_name, type_hash, qos, origin)
-        _keep(self.writers, writer)
-        if self.on_writer is not None:
-            self.on_writer(writer, origin)
-        return writer
-
-    def _check_running(self) -> None:
-        if self._stopped:
-            raise RosError("the ROS node is not running")
-
-    def _check_type(self, type_name: str, type_hash: str) -> None:
-        self._check_running()
-        if not type_hash and type_name not in self._domain.installed:
-            raise RosError(f"{type_name} is not installed here, and its hash is not known")
-
-
-def _keep(kept: dict[Any, None], end: Any) -> None:
-    for other in [each for each in kept if each.closed]:
-        del kept[other]
-    kept[end] = None
-
-
-def _endpoint(end: Writer | Reader) -> Endpoint:
-    return Endpoint(end.node, end.type_name, end.type_hash, end.seen_qos, end.gid)

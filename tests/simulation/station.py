@@ -7,7 +7,8 @@ from random import Random
 from typing import TYPE_CHECKING, TypeVar
 
 from tests.simulation.machine import Machine, Process
-from tests.simulation.ros import Domain, Node
+from tests.simulation.node import Node
+from tests.simulation.ros import Domain
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.bridge import Bridge

@@ -31,7 +31,8 @@ _PROBES_EACH_UNTIL = 16
 """Up to this number each message is probed for, later every doubling of the number: a probe replays the history."""
 _MOST_TRIES = 5
 _LAST_NUMBER = 2**63 - 1
-_FORGOTTEN_AFTER = 5.0  # s
+_FORGOTTEN_AFTER = 20.0
+"""s that a publisher is gone; longer than the peer keeps its history, as its messages may be numbered here."""
 _UNNUMBERED_DEPTH = 10
 
 
@@ -68,6 +69,7 @@ class _Publisher:
         at_most: likewise.
         held: until it is known; each with whether it was replayed.
         held_size: bytes.
+        gone_since: s, when the graph was first seen without it; None: it has it.
     """
 
     taken: int
@@ -84,6 +86,7 @@ class _Publisher:
     at_most: int = _LAST_NUMBER
     held: deque[tuple[RawMessage, bool]] = field(default_factory=deque)
     held_size: int = 0
+    gone_since: float | None = None
 
 
 class Histories:
@@ -133,8 +136,11 @@ class Histories:
             new += 1
             publisher.taken = max(publisher.taken, message.number)
             depth = self._depth_of(publisher, message.number)
+            if not message.number:  # it gets one here, so that a message that overtakes it on the way stays the newest
+                publisher.taken += 1
             if depth:
-                samples.append(_sample(message, depth, replayed=not publisher.settled))
+                number = message.number or publisher.taken
+                samples.append(_sample(message, number, depth, replayed=not publisher.settled))
             else:
                 publisher.held.append((message, not publisher.settled))
                 publisher.held_size += len(message.payload)
@@ -156,11 +162,15 @@ class Histories:
             present: the ids of those that the graph has.
         """
         now = self._loop.time()
-        for gid in self._publishers.keys() - set(present):
-            publisher = self._publishers[gid]
+        for gid, publisher in tuple(self._publishers.items()):
+            if gid in present:
+                publisher.gone_since = None
+                continue
+            if publisher.gone_since is None:
+                publisher.gone_since = now
             if publisher.settled and publisher.held:  # a probe would find nothing
                 self._conclude(publisher, publisher.newest)
-            elif now - publisher.latest > _FORGOTTEN_AFTER:
+            elif now - max(publisher.latest, publisher.gone_since) > _FORGOTTEN_AFTER:
                 del self._publishers[gid]
 
     def close(self) -> int:
@@ -296,7 +306,7 @@ class Histories:
         while publisher.held and publisher.held[0][0].number <= newest:
             message, replayed = publisher.held.popleft()
             publisher.held_size -= len(message.payload)
-            samples.append(_sample(message, publisher.depth, replayed=replayed))
+            samples.append(_sample(message, message.number, publisher.depth, replayed=replayed))
         if samples:
             self._emit(samples)
 
@@ -333,5 +343,5 @@ def _settles_at(publisher: _Publisher) -> float:
     return min(publisher.latest + _SETTLES_AFTER, publisher.began + _SETTLES_AT_LATEST)
 
 
-def _sample(message: RawMessage, depth: int, *, replayed: bool) -> Sample:
-    return Sample(HistoryHeader(publisher_id(message.gid), message.number, depth), message, replayed)
+def _sample(message: RawMessage, number: int, depth: int, *, replayed: bool) -> Sample:
+    return Sample(HistoryHeader(publisher_id(message.gid), number, depth), message, replayed)

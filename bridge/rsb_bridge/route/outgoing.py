@@ -20,7 +20,7 @@ from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
-from rsb_bridge.route.throttle import Throttle
+from rsb_bridge.route.throttle import LatestLater, Throttle
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.framing import HISTORY, ZSTD, Message
@@ -64,6 +64,7 @@ class OutgoingRoute(Route):
         self._intake: Intake | None = None
         self._queue = SendQueue()
         self._throttle = Throttle(proposal.max_rate)
+        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._largest = self.transport.largest_message
@@ -184,7 +185,7 @@ class OutgoingRoute(Route):
     def _end_intake(self) -> None:
         self._present = None
         if self._intake is not None:
-            self._ledger.drop("link lost", self._intake.close())
+            self._ledger.drop("link lost", self._intake.close() + self._latest_later.clear())
             self._ledger.lost_in_dds += self._intake.lost
             self._intake = None
 
@@ -238,15 +239,17 @@ class OutgoingRoute(Route):
         self._send(messages)
 
     def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
-        """Take messages of a latched topic. A history is never throttled: it is what late joiners get."""
+        """Take messages of a latched topic."""
         self._ledger.offered += new
+        admitted, left_out = self._latest_later.admit(samples)
+        self._ledger.throttled += left_out
+        self._send_latched(admitted)
+
+    def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
             messages, depth = [], 0
-            for header, (payload, stamp, *_), replayed in group:
+            for header, (payload, stamp, *_), _ in group:
                 depth = header.depth
-                if not replayed and not self._throttle.passes(stamp, publisher):
-                    self._ledger.throttled += 1
-                    continue
                 content, _, flags = self._message(payload, stamp)
                 messages.append((header.pack() + content, stamp, flags | HISTORY))
             self._send(messages, publisher, depth)

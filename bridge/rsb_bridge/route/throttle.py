@@ -2,6 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.route.histories import Sample
+
 _MOST_PUBLISHERS = 4096
 
 
@@ -30,3 +38,68 @@ class Throttle:
         # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
         self._due[publisher] = (due if late < interval else stamp) + interval
         return True
+
+    def due(self, publisher: bytes) -> int:
+        """When (ns, as stamps are) the next message of a publisher passes."""
+        return self._due.get(publisher, 0)
+
+
+class LatestLater:
+    """A throttle for a latched topic: of the messages that come too fast, the last one passes later.
+
+    A late joiner gets what was published last, so that must not be left out for good, however long nothing follows it.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, throttle: Throttle, send: Callable[[Sequence[Sample]], None]
+    ) -> None:
+        """Begin.
+
+        Args:
+            loop: the I/O loop.
+            throttle: decides.
+            send: gets the messages that pass later.
+        """
+        self._loop = loop
+        self._throttle = throttle
+        self._send = send
+        self._waiting: dict[bytes, tuple[int, Sample]] = {}
+        self._timers: dict[bytes, asyncio.TimerHandle] = {}
+
+    def admit(self, samples: Sequence[Sample]) -> tuple[list[Sample], int]:
+        """Take messages, oldest first. A history is never throttled: it is what late joiners get.
+
+        Returns:
+            Those that pass now, and how many are left out because a newer one of their publisher has come.
+        """
+        admitted: list[Sample] = []
+        left_out = 0
+        for sample in samples:
+            publisher, stamp = sample.header.publisher, sample.message.stamp
+            passes = sample.replayed or self._throttle.passes(stamp, publisher)
+            left_out += self._forget(publisher)
+            if passes:
+                admitted.append(sample)
+            elif len(self._waiting) < _MOST_PUBLISHERS:
+                due = self._throttle.due(publisher)
+                self._waiting[publisher] = due, sample
+                self._timers[publisher] = self._loop.call_later((due - stamp) / 1e9, self._pass, publisher)
+            else:
+                left_out += 1
+        return admitted, left_out
+
+    def clear(self) -> int:
+        """Let nothing pass any more; how many waited."""
+        return sum(self._forget(publisher) for publisher in tuple(self._waiting))
+
+    def _forget(self, publisher: bytes) -> int:
+        if self._waiting.pop(publisher, None) is None:
+            return 0
+        self._timers.pop(publisher).cancel()
+        return 1
+
+    def _pass(self, publisher: bytes) -> None:
+        due, sample = self._waiting.pop(publisher)
+        del self._timers[publisher]
+        self._throttle.passes(due, publisher)
+        self._send([sample])

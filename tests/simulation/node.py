@@ -1,0 +1,129 @@
+"""An engine's node in a simulated ROS domain."""
+
+from __future__ import annotations
+
+import contextvars
+from typing import TYPE_CHECKING, Any
+
+from tests.simulation.ros import Domain, Reader, Writer
+
+from rsb_bridge.ros.api import Endpoint, RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import OnFailure, Sink
+
+
+class Node:
+    """The engine's node in a domain: `rsb_bridge.ros.api.RosInterface`.
+
+    Attributes:
+        instance_id: as a real node's.
+        node_name: as a real node's.
+        writers: what it publishes with.
+        readers: what it subscribes with.
+        on_writer: told of each publisher made.
+        on_reader: told of each subscription made.
+    """
+
+    def __init__(self, domain: Domain, name: str, instance_id: str) -> None:
+        self.instance_id = instance_id
+        self.writers: dict[Writer, None] = {}
+        self.readers: dict[Reader, None] = {}
+        self.on_writer: Callable[[Writer, Hashable], None] | None = None
+        self.on_reader: Callable[[Reader, Hashable], None] | None = None
+        self._domain = domain
+        self.node_name = f"rsb_{name}_{instance_id}"
+        self._name = f"/{self.node_name}"
+        self._stopped = False
+
+    def start(self) -> None:
+        """It is in the domain already."""
+
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        """Its thread, which it does not have, never fails."""
+        context = contextvars.copy_context()
+        self._domain.watch(self, lambda: context.run(on_graph_change))
+
+    def stop(self) -> None:
+        self._domain.unwatch(self)
+        self._stopped = True
+        for end in self._ends():
+            end.close()
+
+    def die(self) -> None:
+        """The node's process is gone without a word: nobody hears of it any more, but others see its endpoints on."""
+        self._domain.unwatch(self)
+        self._stopped = True
+        for end in self._ends():
+            if not end.closed:
+                end.closed = True
+                self._domain.forget_later(end)
+
+    def _ends(self) -> list[Writer | Reader]:
+        return [*self.writers, *self.readers]
+
+    def topics(self) -> dict[str, list[str]]:
+        found = self._domain.topics()
+        return {
+            topic: sorted(types)
+            for topic, types in found.items()
+            if self.publishers(topic) or self.subscriptions(topic)
+        }
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        self._check_running()
+        return [_endpoint(each) for each in self._domain.writers(topic) if each.node != self._name]
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        self._check_running()
+        return [_endpoint(each) for each in self._domain.readers(topic) if each.node != self._name]
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return self._domain.installed.get(type_name)
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Reader:
+        self._check_type(type_name, type_hash)
+        reader = Reader(self._domain, self._name, topic, type_name, type_hash, qos, sink, origin, on_failure)
+        _keep(self.readers, reader)
+        if self.on_reader is not None:
+            self.on_reader(reader, origin)
+        return reader
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Writer:
+        self._check_type(type_name, type_hash)
+        writer = Writer(self._domain, self._name, topic, type_name, type_hash, qos, origin)
+        _keep(self.writers, writer)
+        if self.on_writer is not None:
+            self.on_writer(writer, origin)
+        return writer
+
+    def _check_running(self) -> None:
+        if self._stopped:
+            raise RosError("the ROS node is not running")
+
+    def _check_type(self, type_name: str, type_hash: str) -> None:
+        self._check_running()
+        if not type_hash and type_name not in self._domain.installed:
+            raise RosError(f"{type_name} is not installed here, and its hash is not known")
+
+
+def _keep(kept: dict[Any, None], end: Any) -> None:
+    for other in [each for each in kept if each.closed]:
+        del kept[other]
+    kept[end] = None
+
+
+def _endpoint(end: Writer | Reader) -> Endpoint:
+    return Endpoint(end.node, end.type_name, end.type_hash, end.seen_qos, end.gid)

@@ -1,0 +1,78 @@
+"""Whatever happens on the way: what is published last on a latched topic is what late joiners get on the far side."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.simulation.climate import STILL
+from tests.simulation.world import World
+
+from rsb_bridge.model.qos import Qos
+
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+    from tests.simulation.flows import Flow
+
+    from rsb_bridge.model.session import Protocol
+
+_BURST = 7
+
+
+def latched_world(seed: int, protocol: Protocol, max_rate: float | None, *, numbers: bool) -> tuple[World, Flow]:
+    """A world with one latched topic, of which one message is kept and only a test publishes."""
+    world = World(seed, replace(STILL, periods=(1e9, 1e9)))
+    (robot,), (flow,) = world.robots, world.flows.values()
+    topic = msgspec.structs.replace(
+        flow.topic, protocol=protocol, port=None, qos="auto", max_rate=max_rate, paused=False
+    )
+    robot.station.session = msgspec.structs.replace(robot.station.session, topics=(topic,))
+    flow.topic, flow.qos, flow.period = topic, Qos(durability="transient_local", depth=1), 1e9
+    flow.source.numbers = numbers
+    return world, flow
+
+
+@pytest.mark.parametrize("numbers", [True, False])
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_burst_that_is_reordered(seed: int, numbers: bool, play: Play) -> None:
+    """Datagrams overtake each other; an older message never takes the place of a newer one."""
+    world, flow = latched_world(seed, "udp", None, numbers=numbers)
+    late: list[int] = []
+
+    async def burst() -> None:
+        await asyncio.sleep(30.0)
+        for path in world.network.both_ways(world.robots[0].station.machine, world.server.machine):
+            path.latency = (0.01, 0.4)
+        for _ in range(_BURST):
+            flow.publish()
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(10.0)
+        flow.listen()
+        await asyncio.sleep(5.0)
+        late.append(max(flow.newest.values()))
+
+    play(world, 60.0, burst())
+    assert late == [flow.sent]
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_a_burst_that_is_throttled(seed: int, play: Play) -> None:
+    """The last message comes as soon as the limit allows, though nothing follows it; the others are left out."""
+    world, flow = latched_world(seed, "tcp", 1.0, numbers=True)
+    came: list[tuple[int, int]] = []
+
+    async def burst() -> None:
+        await asyncio.sleep(30.0)
+        for _ in range(_BURST):
+            flow.publish()
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(1.5)
+        came.append((flow.heard, max(flow.newest.values())))
+
+    play(world, 60.0, burst())
+    ((heard, newest),) = came
+    assert newest == flow.sent
+    assert heard <= 4
