@@ -19,7 +19,7 @@ BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in
     "Edit": ("e", "Direction"),
     "Remove": ("d", "It stops crossing"),
     "Restart?": ("R", "All links are closed"),
-    "Quit?": ("q", "The bridge is linked"),
+    "Quit?": ("q", "The bridge stops"),
 }
 LABELS = {
     "Sessions": ["Open", "Cancel", "New…", "Import…", "Save", "Save as…"],

@@ -274,7 +274,7 @@ def test_what_vanishes_with_its_session_is_neither_unsaved_nor_recent(tmp_path: 
         await pilot.press("w")  # is kept elsewhere, if at all
         await shown(pilot, "Save as")
         await pilot.press("escape", "q")
-        await shown(pilot, "The bridge is linked")
+        await shown(pilot, "The bridge stops")
         assert "Not saved" not in text(app)
 
     drive(app, steps)
