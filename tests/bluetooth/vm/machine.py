@@ -30,7 +30,7 @@ _QEMU = (
     "qemu-system-x86_64 -accel tcg,thread=single -icount shift=2,sleep=off -rtc clock=vm -machine pc -cpu max -smp 1"
     " -m 1024 -nodefaults -no-user-config -display none -nic none -no-reboot"
 )
-_TIME_LIMIT = 900.0
+_TIME_LIMIT = 1500.0
 _CONSOLE_LINES = 60  # a kernel trace
 
 
