@@ -24,6 +24,12 @@ def _domains() -> int:
 
 
 @pytest.fixture(scope="session")
+def _further_domains() -> int:
+    """The first of two more."""
+    return locked("domains", range(30, 60, 2))
+
+
+@pytest.fixture(scope="session")
 def _robot_domain(_domains: int) -> Iterator[Domain]:
     yield from _domain(_domains)
 
@@ -53,6 +59,12 @@ def pc(_pc_domain: Domain) -> Iterator[Domain]:
     """The server's domain."""
     yield _pc_domain
     _pc_domain.clear()
+
+
+@pytest.fixture
+def third(_further_domains: int) -> Iterator[Domain]:
+    """A domain beside those two."""
+    yield from _domain(_further_domains)
 
 
 @pytest.fixture

@@ -80,6 +80,7 @@ class Bridge:
         """
         started = False
         try:
+            self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
             await self._role.start()
             started = True
@@ -130,8 +131,14 @@ class Bridge:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
         await self._role.stop()
+        self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
+
+    def _bridges_changed(self) -> None:
+        for link in self.links():
+            link.tell_neighbours()
+        self.graph_watch.changed()
 
     def _watch_shutdown(self) -> LastingSubscription | None:
         context, topic = self.context, self.context.session.shutdown_topic

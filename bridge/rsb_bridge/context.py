@@ -8,6 +8,9 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
 
@@ -15,9 +18,7 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import Level
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.ros.queue import RosToLoopQueue
     from rsb_bridge.telemetry.event_log import EventLog
@@ -38,6 +39,7 @@ class Context:
         random: for jitter; never for secrets.
         transports: what links and routes run over.
         limited: the way to `events` for what a peer may be the cause of.
+        announcements: what this bridge and the others in its domain tell each other.
     """
 
     session: Session
@@ -50,9 +52,11 @@ class Context:
     random: Random = field(default_factory=Random)
     transports: Transports = field(default_factory=default_transports)
     limited: RateLimitedEventLog = field(init=False)
+    announcements: Announcements = field(init=False)
 
     def __post_init__(self) -> None:
         self.limited = RateLimitedEventLog(self.events, self.now)
+        self.announcements = Announcements(self.ros, self.loop, self._warn)
 
     def log(
         self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "", link_status: bool = False
@@ -62,6 +66,9 @@ class Context:
             self.limited.add(level, code, text, link=link, topic=topic, link_status=link_status)
         else:
             self.events.add(level, code, text, topic=topic)
+
+    def _warn(self, text: str) -> None:
+        self.log(Level.WARNING, EventCode.ENGINE_ANNOUNCEMENTS, text)
 
     def call(self, work: Callable[[], None]) -> None:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""

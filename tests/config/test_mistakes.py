@@ -6,6 +6,7 @@ import pytest
 
 from rsb_bridge.config.session_file import SessionError, load, parse, validate, validate_topic
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 
 FILE = Path("robot1.yaml")
 CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
@@ -86,6 +87,7 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         ),
         (CLIENT + "stale_after: 1e300\n", 6, "stale_after: 1e+300 is out of range"),
         (topic("paused: yes"), 7, "topics[0].paused: 'yes' is not true or false"),
+        (topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"), 7, "topics[0].remote_topic: '/_rsb_bridge/published' is what"),
         (topic("remote_topic: scan"), 7, "topics[0].remote_topic: 'scan' is not an absolute topic name"),
         (topic("remote_topic: ~/scan"), 7, "(did you mean /scan?)"),
         (topic("remote_topic: /front-scan/2"), 7, "(did you mean /front_scan/_2?)"),

@@ -12,7 +12,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
 from rsb_bridge.ros.rcl import Participant, _endpoint
 from rsb_bridge.wire.messages import Describe, Report, TopicList, decode, encode
-from rsb_bridge.wire.records import ReceivedReport, SentReport, TopicEntry
+from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry
 
 STRING = "std_msgs/msg/String"
 
@@ -53,7 +53,7 @@ def test_a_qos_is_clamped_to_what_every_message_takes(announced: Qos, clamped: Q
     for qos in (clamp_qos(announced), match_publishers([clamped] * 2), match_subscriptions([clamped] * 2)):
         sent, received = SentReport(route=1, publisher_qos=qos), ReceivedReport(route=1, subscriber_qos=qos)
         for message in (
-            Describe(route=1, type=STRING, type_hash="", qos=qos),
+            Describe(route=1, type=STRING, type_hash="", qos=qos, sources=(Source(("rsb_a/x",)),)),
             Report(sent=(sent,), received=(received,)),
             TopicList(request=1, topics=(TopicEntry("/chat", STRING, "", qos, 1, 1),)),
         ):

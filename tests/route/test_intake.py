@@ -13,12 +13,12 @@ from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.telemetry.meters import RateMeter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.ros.api import OnFailure
+    from rsb_bridge.ros.api import OnFailure, RawMessage
 
 
 class FakeRos:
@@ -27,6 +27,8 @@ class FakeRos:
     Attributes:
         subscriptions: every one so far.
     """
+
+    node_name = "rsb_robot1_0123abcd"
 
     def __init__(self) -> None:
         self.subscriptions: list[FakeSubscription] = []
@@ -59,6 +61,9 @@ class Owner:
     def __init__(self) -> None:
         self.meter = RateMeter(0.0)
         self.events: list[EventCode] = []
+
+    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        return batch
 
     def offer(self, batch: object) -> None:
         """Take nothing."""

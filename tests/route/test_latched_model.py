@@ -47,6 +47,8 @@ class Writer:
 class NearDds:
     """The sending side's DDS: histories come first, and each reader hears each writer in order, a little late."""
 
+    node_name = "rsb_robot1_0123abcd"
+
     def __init__(self, loop: VirtualLoop, random: Random) -> None:
         self.loop = loop
         self.random = random
@@ -181,6 +183,9 @@ class Route:
         intake = Intake(self.context, self, subject, automatic=True, expected_rate=None, known=self.topic.newest())
         intake.subscribe()
         return intake
+
+    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        return batch
 
     def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
         self.offered += new

@@ -24,6 +24,7 @@ from rsb_bridge.config.keys import Key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:
@@ -351,6 +352,9 @@ class World:
         reader.on_take = took
 
     def _advertised(self, writer: Writer) -> None:
+        if writer.topic == ANNOUNCEMENT_TOPIC:
+            return  # no flow's
+
         def published(payload: bytes) -> None:
             label = label_of(payload)
             if label is not None:

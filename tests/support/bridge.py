@@ -179,7 +179,7 @@ def listened_to(engine: Engine) -> set[str]:
     assert engine._bridge is not None
     routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
     incoming = [route for route in routes if isinstance(route, IncomingRoute)]
-    return {route.remote_topic for route in incoming if route._output and route._output.subscriber_count}
+    return {route.remote_topic for route in incoming if route._outputs.subscriber_count}
 
 
 def settled(engine: Engine, topic: str, offered: int, within: float = 60.0) -> Ledger:

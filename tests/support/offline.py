@@ -118,11 +118,10 @@ class FakePeer:
         self.sent: list[ControlMessage] = []
         self.instance = "first"
         self.revisions = Revisions()
+        self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
         self.latched = Budget(1 << 30)
+        self.further_publishers = Budget(100)
         self.expansion = TokenBucket(1 << 30, 1 << 30, 0.0)
-
-    def is_at(self, node: str) -> bool:
-        return False
 
     def send(self, message: ControlMessage) -> None:
         self.sent.append(message)

@@ -12,6 +12,7 @@ from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, Received
 from rsb_bridge.wire.framing import CONTROL_LIMIT, MESSAGE_LIMIT, MORE, DataWriter
 from rsb_bridge.wire.messages import Accept, Describe, Hello, Propose, Ready, Refuse
+from rsb_bridge.wire.records import Source
 from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class Rogue:
         self._next_route += 2
         self.say(Propose(route=number, topic=topic, remote_topic=topic, from_client=True, transport=transport))  # type: ignore[arg-type]
         assert isinstance(self.wait_for(Accept, Refuse), Accept)
-        self.say(Describe(route=number, type=BLOB[0], type_hash=BLOB[1], qos=qos))
+        self.say(Describe(number, *BLOB, qos=qos, sources=(Source((f"rsb_rogue{topic}",)),)))
         assert isinstance(self.wait_for(Ready, Refuse), Ready)
         return number
 

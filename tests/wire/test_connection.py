@@ -81,7 +81,7 @@ def test_however_the_streams_are_cut_the_events_are_the_same(suite: Suite, data:
 def test_send_keeps_the_order_of_what_was_not_fetched_yet() -> None:
     client, server = ready_to_accept()
     client.receive_data(server.data_to_send())
-    events = server.receive_data(client.send(Ready(route=1)))
+    events = server.receive_data(client.send(Ready(route=1, sources=1)))
     assert [type(event) for event in events] == [Established, Received]
     assert client.data_to_send() == b""
 

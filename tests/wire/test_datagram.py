@@ -14,7 +14,7 @@ from rsb_bridge.wire.datagram import (
     Probe,
     addressee,
 )
-from rsb_bridge.wire.framing import ZSTD, ProtocolError
+from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, Suite
 
 KEY = bytes(range(32))
@@ -23,6 +23,8 @@ ROUTE = 7
 OVERHEAD = 38 + 16
 HEADER = struct.Struct(">BBHHI8sQIQ")
 SUITES = pytest.mark.parametrize("suite", list(Suite))
+
+FLAGS = [0, ZSTD, SOURCE_FLAGS, ZSTD | 1 << SOURCE_SHIFT]
 
 
 def ends(suite: Suite = Suite.AESGCM, key: bytes = KEY, **limits: Any) -> tuple[DatagramWriter, DatagramReader]:
@@ -70,7 +72,12 @@ def test_a_datagram_is_as_the_document_says() -> None:
 @given(
     data=st.data(),
     sent=st.lists(
-        st.tuples(st.binary(max_size=300), st.integers(0, 2**64 - 1), st.sampled_from([0, ZSTD])), max_size=6
+        st.tuples(
+            st.binary(max_size=300),
+            st.integers(0, 2**64 - 1),
+            st.sampled_from(FLAGS),
+        ),
+        max_size=6,
     ),
     room=st.integers(2, 120),  # so that disorder stays within the replay window
 )

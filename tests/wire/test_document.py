@@ -18,6 +18,7 @@ DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding
 STRUCTS = {
     "Hello": messages.Hello,
     "Welcome": messages.Welcome,
+    "Source": records.Source,
     "SentReport": records.SentReport,
     "ReceivedReport": records.ReceivedReport,
     "TopicEntry": records.TopicEntry,

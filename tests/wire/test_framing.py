@@ -11,6 +11,8 @@ from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import (
     DATA,
     MORE,
+    SOURCE_FLAGS,
+    SOURCE_SHIFT,
     ZSTD,
     DataReader,
     DataWriter,
@@ -21,12 +23,18 @@ from rsb_bridge.wire.framing import (
 )
 from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
 
+FLAGS = [0, ZSTD, SOURCE_FLAGS, ZSTD | 1 << SOURCE_SHIFT]
 KEY = bytes(range(32))
 ROUTE = 7
 SUITES = pytest.mark.parametrize("suite", list(Suite))
 
 messages = st.lists(
-    st.tuples(st.binary(max_size=300), st.integers(0, 2**64 - 1), st.sampled_from([0, ZSTD])), max_size=8
+    st.tuples(
+        st.binary(max_size=300),
+        st.integers(0, 2**64 - 1),
+        st.sampled_from(FLAGS),
+    ),
+    max_size=8,
 )
 
 

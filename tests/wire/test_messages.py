@@ -17,6 +17,7 @@ from rsb_bridge.wire.messages import (
     Describe,
     Hello,
     ListTopics,
+    Neighbours,
     Pause,
     Ping,
     Pong,
@@ -33,7 +34,7 @@ from rsb_bridge.wire.messages import (
     decode_welcome,
     encode,
 )
-from rsb_bridge.wire.records import ReceivedReport, SentReport, TopicEntry
+from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry
 
 PROPOSE = Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
 EXAMPLES = [
@@ -55,15 +56,26 @@ EXAMPLES = [
     ),
     Accept(route=1, topic="/robot1/scan"),
     Refuse(route=1, code="type_differs", reason="the type's hash differs"),
-    Describe(route=1, type="sensor_msgs/msg/LaserScan", type_hash="RIHS01_00", qos=Qos(deadline=0.5, lifespan=2.0)),
-    Ready(route=1, newest={bytes(16): 2**63 - 1}),
+    Describe(
+        route=1,
+        type="sensor_msgs/msg/LaserScan",
+        type_hash="RIHS01_00",
+        qos=Qos(deadline=0.5, lifespan=2.0),
+        sources=(Source(("rsb_a_1/scan",)), Source(("rsb_b_2/other", "rsb_a_1/scan"), live=False)),
+    ),
+    Neighbours(bridges=("rsb_a_1", "rsb_b_2")),
+    Ready(route=1, sources=2, newest={bytes(16): 2**63 - 1}),
     Publishers(route=1, present=(bytes(16), b"sixteen bytes...")),
     Close(route=1, reason="removed", removed=True),
     Pause(route=1, paused=True, revision=3),
     Ping(n=1, sent=2**62),
     Pong(n=1, sent=2, received=3, answered=4),
     Report(
-        sent=(SentReport(route=1, offered=9, delivered=7, dropped={"queue full": 2}, subscribed=True, problem="übel"),),
+        sent=(
+            SentReport(
+                route=1, offered=9, delivered=7, dropped={"queue full": 2}, subscribed=True, problem="übel", loop=True
+            ),
+        ),
         received=(ReceivedReport(route=2, received=3, newest=2**40, latency_p50=-0.001, jitter=0.0),),
     ),
     ListTopics(request=1),

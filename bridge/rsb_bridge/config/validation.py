@@ -15,6 +15,7 @@ from rsb_bridge.model.limits import CHANNEL, DOMAIN, NAME_BYTES, RATE, STALE_AFT
 from rsb_bridge.model.names import is_prefix, is_topic_name, server_topic, well_formed
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Problem, Session, Topic, is_mac
+from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
@@ -209,6 +210,10 @@ def _topic_name(name: str, location: str) -> Iterator[Problem]:
         yield Problem(
             location,
             f"{show(name)} is not an absolute topic name: /part/part, of letters, digits and _, no digit first{hint}",
+        )
+    elif name == ANNOUNCEMENT_TOPIC:
+        yield Problem(
+            location, f"{show(name)} is what bridges tell each other: it is never bridged; name another topic"
         )
     else:
         yield from _length(name, location)

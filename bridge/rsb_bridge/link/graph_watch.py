@@ -71,6 +71,7 @@ class GraphWatch:
     async def _look(self) -> float:
         """Have all routes look, a slice at a time; how long (s) that took of the loop."""
         now, cost = self._context.now, 0.0
+        self._context.announcements.look()
         for link in self._links():
             routes = tuple(link.routes.values())
             for first in range(0, len(routes), SLICE):

@@ -31,7 +31,7 @@ from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
-from rsb_bridge.wire.messages import ListTopics, Ping, Pong, Shutdown, TopicList
+from rsb_bridge.wire.messages import ListTopics, Neighbours, Ping, Pong, Shutdown, TopicList
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Propose, Welcome
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
+_FURTHER_PUBLISHERS = 256
 _NOT_YET = "not connected yet"
 
 
@@ -69,6 +70,8 @@ class Link(ABC):
         latched: likewise for late joiners.
         expansion: bytes by which its compressed messages may grow here.
         revisions: numbers the changes made on this side.
+        further_publishers: how many the peer may have here beyond one a topic.
+        bridges: the names of the bridge nodes in the peer's domain, its own first; empty: not known yet.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -94,6 +97,9 @@ class Link(ABC):
         self.latched = Budget(LATCHED_LIMIT)
         self.expansion = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, context.now())
         self.revisions = Revisions()
+        self.further_publishers = Budget(_FURTHER_PUBLISHERS)
+        self.bridges: tuple[str, ...] = ()
+        self._neighbours_told: tuple[str, ...] = ()
         self._since = context.wall()
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self._carriers)
@@ -158,10 +164,6 @@ class Link(ABC):
         """Why it isn't linked."""
         return "" if self.control else self.reason
 
-    def is_at(self, node: str) -> bool:
-        """Whether a ROS node of this domain, by its name, is the peer's own."""
-        return self.peer is not None and node.endswith(f"_{self.peer.instance}")
-
     @property
     def instance(self) -> str:
         """The peer's process, present or last; empty: there has been none."""
@@ -192,12 +194,21 @@ class Link(ABC):
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = f"linked with {control.stream.peer}, {encryption}, rsb-console {peer.version} there"
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
+        self.tell_neighbours()
         self.table.connected()
+
+    def tell_neighbours(self) -> None:
+        """Tell the peer which bridges are in this domain, if it does not know."""
+        bridges = self.context.announcements.bridges
+        if self.linked and bridges != self._neighbours_told:
+            self._neighbours_told = bridges
+            self.send(Neighbours(bridges=bridges))
 
     def lost(self, reason: str, code: EventCode) -> None:
         """The control connection is over."""
         self.keepalive.stop()
         self.control = self.keys = self.data_keys = self.path_probe = None
+        self.bridges = self._neighbours_told = ()
         self.reason = reason
         self._since = self.context.wall()
         self.table.disconnected(reason)
@@ -251,6 +262,10 @@ class Link(ABC):
                 self.keepalive.answered(message)
             case ListTopics() | TopicList():
                 self._topic_lists.handle(message)
+            case Neighbours():
+                if message.bridges != self.bridges:
+                    self.bridges = message.bridges
+                    self.context.announcements.changed()
             case Shutdown():
                 self.on_shutdown(message)
             case _:

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.snapshot import TopicInfo
+from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 
 if TYPE_CHECKING:
     from rsb_bridge.ros.api import RosInterface
 
-_OWN = ("/parameter_events", "/rosout")
+_OWN = ("/parameter_events", "/rosout", ANNOUNCEMENT_TOPIC)
 
 
 def topics_of(ros: RosInterface) -> list[TopicInfo]:

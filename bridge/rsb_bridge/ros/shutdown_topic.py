@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
 
 if TYPE_CHECKING:
     import asyncio
@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.api import OnFailure, RawMessage, RosInterface, Subscription
 
-_TYPE = "std_msgs/msg/String"
-_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-_WORD = "shutdown"
+_WORD = b"shutdown"
 
 
 def watch_shutdown_topic(
@@ -40,12 +38,12 @@ def watch_shutdown_topic(
     """
 
     def sink(batch: Sequence[RawMessage]) -> None:
-        if any(string_of(taken.payload) == _WORD for taken in batch):
+        if any(string_bytes(taken.payload) == _WORD for taken in batch):
             act()
 
     def subscribe(on_failure: OnFailure) -> Subscription:
-        type_hash = ros.installed_hash(_TYPE) or _HASH
-        return ros.subscribe(topic, _TYPE, type_hash, Qos(), sink, None, on_failure)
+        type_hash = ros.installed_hash(STRING) or STRING_HASH
+        return ros.subscribe(topic, STRING, type_hash, Qos(), sink, None, on_failure)
 
     def changed() -> None:
         if watch.failure:
@@ -53,12 +51,3 @@ def watch_shutdown_topic(
 
     watch = LastingSubscription(loop, subscribe, changed)
     return watch
-
-
-def string_of(payload: bytes) -> str | None:
-    """The ``data`` of a serialized ``std_msgs/String`` (CDR: OMG DDSI-RTPS 2.3, 10.5); None: it is none."""
-    try:
-        (length,) = struct.unpack_from("<I" if payload[1] & 1 else ">I", payload, 4)
-        return payload[8 : 8 + length - 1].decode()
-    except (struct.error, IndexError, UnicodeDecodeError):
-        return None

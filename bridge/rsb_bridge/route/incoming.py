@@ -13,13 +13,14 @@ from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.ros.api import Publisher, RosError
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import Event
+from rsb_bridge.route.outputs import Outputs, Subject
 from rsb_bridge.route.route import Peer, Route
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, SOURCE_SHIFT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -64,7 +65,8 @@ class IncomingRoute(Route):
 
     def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._output: Publisher | LatchedTopic | None = None
+        self._outputs = Outputs(context, peer, self._failed_later)
+        self._described_in = 0
         self._decompressor = zstandard.ZstdDecompressor()
         self._received = 0
         self._delivered = 0
@@ -96,20 +98,26 @@ class IncomingRoute(Route):
         if clash := self._type_clash(description):
             self._refuse_type(clash)
             return
-        if self._output is None or self._current() != (description.type, description.type_hash, description.qos):
-            self._close_output()
-            try:
-                self._output = self._make_output(description)
-            except (RosError, LatchedFullError) as error:
-                self._refuse_type(str(error))
-                return
-            self.type_name, self.type_hash, self.qos = description.type, description.type_hash, description.qos
+        type_and_qos = (description.type, description.type_hash, description.qos)
+        first = self._described_in != self.id
+        if (self.type_name, self.type_hash, self.qos) != type_and_qos:
+            first = True
+            self._outputs.close()
+        elif first:
+            self._outputs.close(len(description.sources))
+        subject = Subject(self.remote_topic, description.type, description.type_hash, _bounded(description.qos))
+        try:
+            self._outputs.make(subject, description.sources)
+        except (RosError, LatchedFullError) as error:
+            self._refuse_type(str(error))
+            return
+        self.type_name, self.type_hash, self.qos = type_and_qos
         newest: dict[bytes, int] = {}
-        if isinstance(self._output, LatchedTopic):
-            self._output.opened()
-            newest = self._output.newest()
-        self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
-        self.peer.send(Ready(route=self.id, before=self._counted_before(), newest=newest))
+        if first:
+            self._described_in = self.id
+            newest = self._outputs.opened()
+            self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
+        self.peer.send(Ready(route=self.id, sources=len(self._outputs), before=self._counted_before(), newest=newest))
         self.life.take(Event.READY)
         self.advance()
 
@@ -118,25 +126,6 @@ class IncomingRoute(Route):
         if self._before is None or self._before[0] != self.peer.instance:
             return None  # another one has openings of the same ids
         return self._before[1]
-
-    def _make_output(self, description: Describe) -> Publisher | LatchedTopic:
-        qos = _bounded(description.qos)
-
-        def advertise(depth: int) -> Publisher:
-            return self.context.ros.advertise(
-                self.remote_topic,
-                description.type,
-                description.type_hash,
-                msgspec.structs.replace(qos, depth=depth),
-                origin=self.peer.name,
-            )
-
-        if qos.durability == "transient_local":
-            return LatchedTopic(self.context.loop, advertise, self.peer.latched, qos.depth, self._failed_later)
-        return advertise(qos.depth)
-
-    def _current(self) -> tuple[object, ...]:
-        return (self.type_name, self.type_hash, self.qos)
 
     def _type_clash(self, description: Describe) -> str:
         installed = self.context.ros.installed_hash(description.type)
@@ -154,12 +143,12 @@ class IncomingRoute(Route):
 
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""
-        if self._output is None:
+        if not self._outputs:
             self._hint = type_hint(self.context.ros, self.remote_topic)
             return
         if self.accepted and not self.paused and self.channel is None:
             self.peer.open_channel(self)
-        before, self._subscribers = self._subscribers, self._output.subscriber_count
+        before, self._subscribers = self._subscribers, self._outputs.subscriber_count
         if self._subscribers and self._subscribers == before and self._subscriber_qos is not None:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
         self._clash = ""
@@ -171,23 +160,17 @@ class IncomingRoute(Route):
     def destroy(self) -> None:
         """End it for good, its publisher too."""
         super().destroy()
-        self._close_output()
-
-    def _close_output(self) -> None:
-        if self._output is not None:
-            self._output.close()
-            self._output = None
+        self._outputs.close()
 
     def publishers_present(self, publishers: Collection[bytes]) -> None:
         """The sending side tells which publishers of a latched topic are there."""
-        if isinstance(self._output, LatchedTopic):
-            self._output.present(publishers)
+        self._outputs.present(publishers)
 
     # --- messages
 
     def deliver(self, messages: Iterable[Message]) -> None:
         """Publish messages that arrived whole and authentic."""
-        if self._output is None:
+        if not self._outputs.sinks:
             return
         now = self.context.wall_ns()
         count = size = 0
@@ -195,7 +178,7 @@ class IncomingRoute(Route):
         for payload, stamp, flags in messages:  # noqa: B007 — the last one's stamp is the batch's latency sample
             self._received += 1
             try:
-                self._publish(self._output, payload, flags)
+                self._publish(payload, flags)
             except _NotPublishedError as error:
                 self._dropped[error.cause] += 1
                 if error.code is not None:
@@ -209,8 +192,12 @@ class IncomingRoute(Route):
                 self.latency.add((now - stamp) / 1e9 + offset)
             self.count(count, size)
 
-    def _publish(self, output: Publisher | LatchedTopic, payload: bytes, flags: int) -> None:
+    def _publish(self, payload: bytes, flags: int) -> None:
         """Publish one message, or raise _NotPublishedError."""
+        try:
+            output = self._outputs.sinks[flags >> SOURCE_SHIFT]
+        except IndexError:
+            raise _NotPublishedError("unknown source", None, "") from None
         try:
             header = _NO_HISTORY
             if flags & HISTORY:
@@ -230,8 +217,7 @@ class IncomingRoute(Route):
 
     def tick(self) -> None:
         super().tick()
-        if isinstance(self._output, LatchedTopic):
-            self._output.tick()
+        self._outputs.tick()
         counts = self.channel.counts() if self.channel is not None else None
         expired = counts.expired if counts else 0
         if self._received != self._received_before:
@@ -267,6 +253,7 @@ class IncomingRoute(Route):
         failed_before = self._failure()
         self._report = report
         self.problem = report.problem
+        self.set_loop(report.problem if report.loop else "")
         failure = self._failure()
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
@@ -313,7 +300,7 @@ class IncomingRoute(Route):
 
     def _failure(self) -> str:
         report = self._report
-        failed = report is not None and report.publishers and not report.subscribed and self._output is not None
+        failed = report is not None and report.publishers and not report.subscribed and len(self._outputs) > 0
         return self.problem if failed else ""
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
@@ -334,7 +321,7 @@ class IncomingRoute(Route):
             Stage("QoS compatible", not self._clash if known else None, self._clash),
             Stage(
                 "subscribed",
-                False if self._failure() else (report is not None and report.subscribed) or None,
+                False if self.loop or self._failure() else (report is not None and report.subscribed) or None,
                 self.problem,
             ),
             self.link_stage(),

@@ -34,6 +34,10 @@ class IntakeOwner(Protocol):
 
     meter: RateMeter
 
+    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """The messages to take now; of the others, some may come later, by `Intake.take`."""
+        ...
+
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages of a volatile topic, oldest first."""
         ...
@@ -201,6 +205,10 @@ class Intake:
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
+        self.take(self._owner.admit(batch))
+
+    def take(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages that have been admitted."""
         if self._histories is None:
             self._owner.offer(batch)
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, ClassVar
 
@@ -13,13 +12,14 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import AUTO_SECONDS, Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
+from rsb_bridge.route.resolving import UnresolvedError, resolve
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
+from rsb_bridge.route.sorter import Sorter
 from rsb_bridge.route.throttle import LatestLater, Throttle
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
@@ -45,14 +45,6 @@ _LARGEST_FIGURE = 1e9  # s
 _ZSTD_LEVEL = 3
 
 
-@dataclass(frozen=True, slots=True)
-class _Unresolved:
-    """What keeps the type or the QoS from being known: the stage that fails, and why."""
-
-    stage: str
-    why: str
-
-
 class OutgoingRoute(Route):
     """Takes a topic's messages here and sends them to the peer."""
 
@@ -71,21 +63,24 @@ class OutgoingRoute(Route):
         self._ledger = RouteLedger()
         self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
+        self._sorter = Sorter(context, peer, self.advance)
         self._publishers: list[Endpoint] = []
         self._publisher_qos: Qos | None = None
-        self._unresolved: _Unresolved | None = None
+        self._unresolved: UnresolvedError | None = None
         self._hint = ("", "")
 
     # --- setting up
 
     def peer_ready(self, ready: Ready) -> None:
         """The peer has a publisher for what was described, and says what it counted in the opening before this one."""
+        again = self.life.ready
         if not self.life.take(Event.READY):
             return
         if not self._ledger.settle(ready.before, self.peer.instance):
             self.doubt(_LIMITED)
+        self._sorter.table.answered(ready.sources)
         described = self._described
-        if described is not None:
+        if described is not None and not again:
             self._end_intake()
             self._intake = Intake(
                 self.context,
@@ -98,18 +93,26 @@ class OutgoingRoute(Route):
         self.advance()
 
     def advance(self) -> None:
-        """Resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
+        """See who publishes; resolve type and QoS, describe them, make the path, subscribe: whatever is next."""
+        self._advance()
+        if self._intake is not None and (released := self._sorter.release()):
+            self._intake.take(released)
+
+    def _advance(self) -> None:
         if not self.accepted or self.paused:
             self._unsubscribe()
             return
-        self._publishers = self.context.ros.publishers(self.topic)
+        self._publishers = self._sorter.look(self.topic, self.remote_topic)
         self._publisher_qos = match_publishers([e.qos for e in self._publishers]) if self._publishers else None
-        if any(self.peer.is_at(publisher.node) for publisher in self._publishers):
-            self.request_reopen(
-                EventCode.ROUTE_LOOP,
-                f"the other side publishes {self.topic} in this same domain, {self.context.domain_id}: all would come "
-                "back for ever; give the two sides different domains (domain_id), or use_name on the server",
-            )
+        if self._described is not None and self._described.sources != self._sorter.table.sources:
+            self._describe(msgspec.structs.replace(self._described, sources=self._sorter.table.sources))
+        if self._sorter.table.full:  # a new incarnation has room: some of its sources are there for nothing
+            self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "other bridges than before bring its messages")
+            return
+        self.set_loop(self._sorter.loop(self.topic))
+        if self.loop:
+            self._unsubscribe()
+            self.problem = self.loop
             return
         described = self._resolve()
         if described is None:
@@ -120,10 +123,8 @@ class OutgoingRoute(Route):
             return
         if described != self._described:
             self._unsubscribe()
-            self._described = described
-            self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
             self.life.take(Event.DESCRIBE)
-            self.peer.send(described)
+            self._describe(described)
         if not self.life.ready:
             return
         self._look_who_is_present()
@@ -132,37 +133,28 @@ class OutgoingRoute(Route):
         if self.channel is not None and self.channel.ready:
             self._subscribe()
 
+    def _describe(self, described: Describe) -> None:
+        self._described = described
+        self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
+        self._sorter.table.told()
+        self.peer.send(described)
+
     def _resolve(self) -> Describe | None:
-        """The type, its hash and the QoS to send with; None: not known yet, and `_unresolved` says why."""
+        """What is sent; None: not known yet, and `_unresolved` says why."""
         self._unresolved = None
         self.problem = ""
-        wanted = "" if self.proposal.type in ("", "auto") else expand_type_name(self.proposal.type)
-        offered = sorted({e.type_name for e in self._publishers})
-        if wanted and offered and offered != [wanted]:
-            return self._waits("type known", f"publishers send {', '.join(offered)}, not {wanted}: correct the type")
-        if len(offered) > 1:
-            return self._waits("type known", f"publishers disagree: {', '.join(offered)}: name the type")
-        name = wanted or (offered[0] if offered else self._hint[0])
-        if not name:
-            return self._waits("publisher seen", self._no_publisher())
-        hashes = sorted({e.type_hash for e in self._publishers if e.type_hash})
-        if len(hashes) > 1:
-            return self._waits("type known", f"publishers have different versions of {name}: {', '.join(hashes)}")
-        hint = self._hint[1] if self._hint[0] == name else ""
-        type_hash = hashes[0] if hashes else self.context.ros.installed_hash(name) or hint
-        if not type_hash:
-            return self._waits("type known", f"{name} is not installed here, and nobody publishes it yet")
-        qos = self.proposal.qos
-        if qos is None and self._publisher_qos is not None:
-            qos = msgspec.structs.replace(self._publisher_qos, depth=0)
-        if qos is None:
-            return self._waits("publisher seen", self._no_publisher())
-        return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos)
-
-    def _waits(self, stage: str, why: str) -> Describe | None:
-        self._unresolved = _Unresolved(stage, why)
-        self.problem = why
-        return None
+        try:
+            name, type_hash, qos = resolve(
+                self.proposal, self._publishers, self._publisher_qos, self._hint, self.context.ros
+            )
+            sources = self._sorter.table.to_describe()
+            if not sources:
+                raise UnresolvedError("publisher seen", self._sorter.unexplained())
+        except UnresolvedError as error:
+            self._unresolved = error
+            self.problem = str(error) or self._no_publisher()
+            return None
+        return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos, sources=sources)
 
     def _no_publisher(self) -> str:
         return f"no publisher of {self.topic} in domain {self.context.domain_id}"
@@ -212,13 +204,16 @@ class OutgoingRoute(Route):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
+        self._sorter.clear()
         self._ledger.opened(route_id, self.peer.instance)
 
     def close(self, reason: str) -> None:
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
         self._end_intake()
         self._described = None
+        self._lose("link lost", self._sorter.holds)
         self._ledger.drop("link lost", self._queue.clear())
+        self._sorter.clear()
         self._ledger.closed()
         self._report = None
         super().close(reason)
@@ -230,11 +225,29 @@ class OutgoingRoute(Route):
         if self._intake is not None:
             self._intake.tick()
 
+    def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
+        """The messages to take now: none that would go in a loop, and none of which that is not known yet."""
+        if self._sorter.carries(batch):
+            return batch
+        admitted, unseen = self._sorter.admit(batch)
+        if unseen:
+            self.advance()  # see whose they are
+            flags = self._sorter.table.flags
+            sent = [message for message in admitted if message.gid in flags]  # what is known of these may have changed
+            self._lose("would loop" if self.id else "link lost", len(admitted) - len(sent))
+            admitted = sent
+        self._lose("queue full", self._sorter.give_up())
+        return admitted
+
+    def _lose(self, cause: str, messages: int) -> None:
+        self._ledger.offered += messages
+        self._ledger.drop(cause, messages)
+
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
         self._ledger.offered += len(batch)
-        passes = self._throttle.passes
-        messages = [self._message(each.payload, each.stamp) for each in batch if passes(each.stamp)]
+        passes, flags = self._throttle.passes, self._sorter.table.flags
+        messages = [self._message(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
         self._ledger.throttled += len(batch) - len(messages)
         self._send(messages)
 
@@ -248,9 +261,13 @@ class OutgoingRoute(Route):
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
             messages, depth = [], 0
-            for header, (payload, stamp, *_), _ in group:
+            for header, (payload, stamp, gid, _), _ in group:
                 depth = header.depth
-                content, _, flags = self._message(payload, stamp)
+                flags = self._sorter.table.flags.get(gid)
+                if flags is None:  # it has turned out, while the message waited, that it would go in a loop
+                    self._ledger.drop("would loop", 1)
+                    continue
+                content, _, flags = self._message(payload, stamp, flags)
                 messages.append((header.pack() + content, stamp, flags | HISTORY))
             self._send(messages, publisher, depth)
 
@@ -288,12 +305,12 @@ class OutgoingRoute(Route):
         depth = max(depth, qos.depth or _AUTO_DEPTH)
         return QueueLimits(depth, AUTO_SECONDS if automatic else 0.0, size)
 
-    def _message(self, payload: bytes, stamp: int) -> Message:
+    def _message(self, payload: bytes, stamp: int, flags: int) -> Message:
         if self._compressor is not None:
             smaller = self._compressor.compress(payload)
             if len(smaller) < len(payload):
-                return smaller, stamp, ZSTD
-        return payload, stamp, 0
+                return smaller, stamp, flags | ZSTD
+        return payload, stamp, flags
 
     def _fits(self, size: int) -> bool:
         """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
@@ -349,6 +366,7 @@ class OutgoingRoute(Route):
             publisher_qos=self._publisher_qos,
             subscribed=self._subscribed,
             problem=sanitize_text(self._failure() or self.problem),
+            loop=bool(self.loop),
         )
 
     @property
@@ -365,10 +383,11 @@ class OutgoingRoute(Route):
         known = self.life.described
         publishers = len(self._publishers)
         failed = self._unresolved.stage if self._unresolved else ""
-        why = self._unresolved.why if self._unresolved else ""
-        clash, failure = self._qos_clash(), self._failure()
+        why = self.problem if self._unresolved else ""
+        seen = f"{publishers}{self._sorter.left_out()}" if publishers else self._no_publisher()
+        clash, failure = self._qos_clash(), self.loop or self._failure()
         return (
-            Stage("publisher seen", publishers > 0, f"{publishers}" if publishers else self._no_publisher()),
+            Stage("publisher seen", publishers > 0, seen),
             Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),
             Stage("QoS compatible", not clash if known else None, clash),
             Stage("subscribed", False if failure else self._subscribed or None, failure),

@@ -48,6 +48,8 @@ class Peer(Protocol):
     is_client: bool
     latched: Budget
     expansion: TokenBucket
+    bridges: tuple[str, ...]
+    further_publishers: Budget
     revisions: Revisions
 
     @property
@@ -78,10 +80,6 @@ class Peer(Protocol):
     @property
     def down_reason(self) -> str:
         """Why it isn't linked, in words."""
-        ...
-
-    def is_at(self, node: str) -> bool:
-        """Whether a ROS node of this domain, by its name, is the peer's own."""
         ...
 
     def send(self, message: ControlMessage) -> None:
@@ -116,6 +114,7 @@ class Route:
         life: what the two sides have agreed on so far.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
+        loop: why nothing is sent, which would close a loop of bridges, for an operator; empty: it would not.
     """
 
     outgoing: ClassVar[bool]
@@ -137,6 +136,7 @@ class Route:
         self.opened_at = 0.0
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
+        self.loop = ""
         self.retry_at = 0.0
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self._told = ""
@@ -239,6 +239,7 @@ class Route:
             self.release_port = None
         self.peer.closed(self.id)
         self.id = 0
+        self.loop = ""
         self.life.take(Event.CLOSE)
         self.closed_at = self.context.now()
 
@@ -262,6 +263,17 @@ class Route:
         self.close(reason)
         self.life.take(Event.REFUSE, reason)
         self.retry_at = self.context.now() + self._backoff.next()
+
+    def set_loop(self, reason: str) -> None:
+        """The route is refused for as long as it would close a loop; empty: it would not. It stays open."""
+        if reason and not self.loop:
+            self.last_error = reason
+            if reason != self._told:
+                self._told = reason
+                self.log(Level.ERROR, EventCode.ROUTE_LOOP, reason)
+        elif self.loop and not reason:
+            self.log(Level.INFO, EventCode.ROUTE_LOOP_GONE, "messages would no longer loop")
+        self.loop = reason
 
     def awaited_until(self, linked_at: float) -> float:
         """Until when (s) the other side will have asked for the route anew, if it still wants it."""
@@ -389,14 +401,14 @@ class Route:
     @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
-        return self.connected and not self.paused
+        return self.connected and not self.paused and not self.loop
 
     def _state(self, stages: tuple[Stage, ...]) -> tuple[State, str]:
         """Its state and, where that is not OK, why."""
         if not self.peer.linked:
             return State.DOWN, self.peer.down_reason
-        if self.refusal:
-            return State.DOWN, self.refusal
+        if refusal := self.refusal or self.loop:
+            return State.DOWN, refusal
         if self.paused:
             return State.PAUSED, "paused by an operator"
         if reason := self._trouble() or self._failure():

@@ -7,7 +7,15 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, UNFINISHED_LIMIT, ZSTD, Message, ProtocolError
+from rsb_bridge.wire.framing import (
+    HISTORY,
+    MESSAGE_LIMIT,
+    SOURCE_FLAGS,
+    UNFINISHED_LIMIT,
+    ZSTD,
+    Message,
+    ProtocolError,
+)
 from rsb_bridge.wire.sealing import Buffer, DatagramOpener, Sealer, SealError
 
 MAGIC = 0xB5
@@ -17,7 +25,7 @@ PROBE_ROUTE = 0
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
-_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY)
+_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY | SOURCE_FLAGS)
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta
 
 from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
 
 _PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
@@ -28,6 +29,9 @@ Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
 StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
+Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=_PRINTABLE)]
+Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_HOPS)]
+Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
 
 MOST_PUBLISHERS = 4096

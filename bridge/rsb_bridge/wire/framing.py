@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, TypeAlias
 
+from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.wire.budget import Budget
 
 if TYPE_CHECKING:
@@ -24,10 +25,13 @@ DATA = 1
 ZSTD = 1
 MORE = 2
 HISTORY = 4
+SOURCE_SHIFT = 4
+"""The number of the message's source stands in the flags from this bit on."""
+SOURCE_FLAGS = (MOST_SOURCES - 1) << SOURCE_SHIFT
 """A history header (`rsb_bridge.wire.history`) stands before the content."""
 
 Message: TypeAlias = tuple[bytes, int, int]
-"""(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`)."""
+"""(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`, and the source's number)."""
 
 LENGTH = struct.Struct(">I")
 HEADER = struct.Struct(">BBIQ")
@@ -35,7 +39,7 @@ HEADER = struct.Struct(">BBIQ")
 _HEADER_SIZE = HEADER.size
 _LENGTH_SIZE = LENGTH.size
 _unpack_header = HEADER.unpack
-_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY)
+_UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | SOURCE_FLAGS)
 
 
 class ProtocolError(Exception):

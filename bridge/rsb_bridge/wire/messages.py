@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias, TypeVar
+from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 from rsb_bridge.model.limits import RATE, STALE_AFTER
 from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annotations at run time
+    Bridges,
     Compression,
     Count,
     Features,
@@ -27,7 +30,7 @@ from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annot
     Transport,
 )
 from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.records import ReceivedReport, SentReport, TopicEntry, check_qos
+from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry, check_qos
 
 
 class _Message(msgspec.Struct, frozen=True, tag_field="message", tag=str.lower):
@@ -152,28 +155,32 @@ class Describe(_Message, frozen=True):
         type_hash: ``RIHS01_...``; may be empty.
         qos: to publish with; a depth of 0: as the messages themselves say (`rsb_bridge.wire.history`), or as the
             receiver likes.
+        sources: what to have publishers for, by number. Described again, there may be more of them, never fewer.
     """
 
     route: RouteId
     type: Name
     type_hash: Name
     qos: Qos
+    sources: Annotated[tuple[Source, ...], Meta(min_length=1, max_length=MOST_SOURCES)]
 
     def __post_init__(self) -> None:
         check_qos(self.qos)
 
 
 class Ready(_Message, frozen=True):
-    """The receiving side has a publisher, and the sending side may send.
+    """The receiving side has publishers, and the sending side may send. Answers each `Describe`.
 
     Attributes:
         route: route id.
+        sources: there are publishers for the first so many of them.
         before: counts of the last incarnation in which anything came from this process of the peer; its route id names
             that incarnation.
         newest: of a latched topic's publishers on the sending side, the number of the newest message published here.
     """
 
     route: RouteId
+    sources: Count
     before: ReceivedReport | None = None
     newest: NewestNumbers = {}
 
@@ -188,6 +195,16 @@ class Publishers(_Message, frozen=True):
 
     route: RouteId
     present: PublisherIds
+
+
+class Neighbours(_Message, frozen=True):
+    """Either side, before anything else and again when it changes: which bridges are in its domain.
+
+    Attributes:
+        bridges: the names of their nodes, its own first.
+    """
+
+    bridges: Bridges
 
 
 class Close(_Message, frozen=True):
@@ -291,6 +308,7 @@ ControlMessage: TypeAlias = (
     | Describe
     | Ready
     | Publishers
+    | Neighbours
     | Close
     | Pause
     | Ping

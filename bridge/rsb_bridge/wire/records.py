@@ -11,7 +11,20 @@ import msgspec
 from rsb_bridge.model.qos import Qos, qos_problem
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Causes, Count, Name, Reason, RouteId  # noqa: TC001
+from rsb_bridge.wire.fields import Causes, Count, Hops, Name, Reason, RouteId  # noqa: TC001
+
+
+class Source(msgspec.Struct, frozen=True, omit_defaults=True):
+    """The messages of a route that crossed the same bridges; the receiving side publishes them apart from others.
+
+    Attributes:
+        via: the bridges that they have crossed when they arrive, the first one first, the sending side last. Of each,
+            its node's name and the topic that it took them from: ``rsb_robot1_1a2b3c4d/scan``.
+        live: False: for now none of its messages will come.
+    """
+
+    via: Hops
+    live: bool = True
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -30,6 +43,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         publisher_qos: what they offer together; None: there are none.
         subscribed: messages are being taken.
         problem: what keeps messages from flowing on this side, for an operator; empty: nothing.
+        loop: the route is refused because it would close a loop of bridges, and `problem` names them.
     """
 
     route: RouteId
@@ -44,6 +58,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     publisher_qos: Qos | None = None
     subscribed: bool = False
     problem: Reason = ""
+    loop: bool = False
 
     def __post_init__(self) -> None:
         check_qos(self.publisher_qos)

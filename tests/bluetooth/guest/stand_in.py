@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.qos import Qos
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
+_GID = b"talker".ljust(16, b"\0")
+"""Of the one publisher that is not the bridge's own."""
 
 
 class Arrival(NamedTuple):
@@ -58,7 +60,7 @@ class StandIn:
         """As a node of this domain; lost where the engine does not subscribe, as with ROS."""
         sink = self._sinks.get(topic)
         if sink is not None:
-            sink((RawMessage(payload, time.time_ns()),))
+            sink((RawMessage(payload, time.time_ns(), _GID),))
 
     def publish_at(self, rate: float, topic: str, make: Callable[[int], bytes]) -> None:
         """Go on publishing from a thread, at that rate in Hz, until the domain is stopped."""
@@ -94,7 +96,7 @@ class StandIn:
         return {topic: [TYPE] for topic in self.offered}
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        return [Endpoint("/stand_in", TYPE, HASH, self.offered[topic])] if topic in self.offered else []
+        return [Endpoint("/stand_in", TYPE, HASH, self.offered[topic], _GID)] if topic in self.offered else []
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
@@ -132,9 +134,9 @@ class _Subscription:
 
 class _Publisher:
     subscriber_count = 1
-    gid = b""
 
     def __init__(self, arrived: list[Arrival]) -> None:
+        self.gid = secrets.token_bytes(16)
         self._arrived = arrived
 
     def publish(self, payload: bytes) -> None:

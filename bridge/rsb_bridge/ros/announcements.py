@@ -1,0 +1,375 @@
+"""What the bridges of a domain tell each other: what each publishes there, and by which bridges that came.
+
+Each keeps one latched message on a topic of its own (PROTOCOL.md, 4). What others say there may be anything: it is
+bounded in size, number and rate, and what does not read is left unheeded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import threading
+from collections import Counter, OrderedDict, defaultdict
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import msgspec
+from msgspec import Meta
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES, Via
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.std_string import STRING, STRING_HASH, serialize_string, string_bytes
+from rsb_bridge.wire.fields import Hops, Name  # noqa: TC001 - msgspec resolves the annotations at run time
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Hashable, Sequence
+
+    from rsb_bridge.ros.api import OnFailure, Publisher, RawMessage, RosInterface, Subscription
+
+LONGEST = 4 << 20
+"""Bytes of one announcement."""
+_A_SECOND = 4 << 20
+"""Bytes of others' announcements that are read: about 40 ms of the I/O thread's time."""
+_KEPT = 8 << 20
+"""Bytes of others' announcements that are kept, as they came; likewise of those that wait to be read."""
+_A_LINK = 1 << 20
+"""Bytes of this bridge's announcement about the publishers of one link."""
+_SOON = 0.02  # s: changes at once make one announcement
+_READ_EVERY = 0.05  # s
+_SAY_AGAIN = 1.0  # s
+_MOST_UNREAD = 2 * MOST_BRIDGES
+_NODE_NAME = re.compile(r"[A-Za-z0-9_/]{1,255}")
+_ORDINARY_REMEMBERED = 4096
+_SAID = Qos(durability="transient_local", depth=1)
+_HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
+"""A reader's depth counts the messages of all publishers: with 1, a bridge that starts would hear one other only."""
+
+
+class _Entry(msgspec.Struct, frozen=True):
+    topic: Name
+    gid: Annotated[str, Meta(pattern=r"\A([0-9a-f]{2}){1,24}\Z")]
+    via: Hops
+    live: bool = True
+
+
+class _Announcement(msgspec.Struct, frozen=True):
+    version: Literal[1]
+    publishers: list[_Entry]
+
+
+_decode = msgspec.json.Decoder(_Announcement).decode
+_encode = msgspec.json.Encoder().encode
+
+
+class Origin(NamedTuple):
+    """Where a publisher's messages come from.
+
+    Attributes:
+        via: the bridges that they crossed; empty: it is no bridge's.
+        live: False: nothing reaches it any more.
+    """
+
+    via: Via
+    live: bool = True
+
+
+_ORDINARY = Origin(())
+
+
+class _Heard(NamedTuple):
+    """A bridge's announcement."""
+
+    size: int
+    publishers: dict[bytes, Origin]
+
+
+class _Own(NamedTuple):
+    """A publisher of ours."""
+
+    topic: str
+    link: Hashable
+    endpoint: Endpoint
+    origin: Origin
+    entry: bytes
+
+
+class _Inbox:
+    """Announcements that are not read yet: the newest of each publisher. Where they are too many, the shortest."""
+
+    def __init__(self) -> None:
+        self._payloads: dict[bytes, bytes] = {}
+        self._size = 0
+
+    def put(self, gid: bytes, payload: bytes) -> None:
+        """Keep a new one."""
+        if len(payload) > LONGEST:
+            payload = b""  # which is no announcement
+        self._size += len(payload) - len(self._payloads.get(gid, b""))
+        self._payloads[gid] = payload
+        while self._size > _KEPT or len(self._payloads) > _MOST_UNREAD:
+            longest = max(self._payloads, key=lambda each: len(self._payloads[each]))
+            self._size -= len(self._payloads.pop(longest))
+
+    def put_back(self, gid: bytes, payload: bytes) -> None:
+        """Keep one that was taken and is not read yet."""
+        if gid not in self._payloads:
+            self.put(gid, payload)
+
+    def take(self) -> list[tuple[bytes, bytes]]:
+        """All of them, the shortest first."""
+        taken, self._payloads, self._size = self._payloads, {}, 0
+        return sorted(taken.items(), key=lambda item: len(item[1]))
+
+
+class Announcements:
+    """This bridge's announcement, and the others'. It belongs to the I/O thread.
+
+    Attributes:
+        bridges: the names of the domain's bridge nodes, our own first.
+    """
+
+    def __init__(self, ros: RosInterface, loop: asyncio.AbstractEventLoop, warn: Callable[[str], None]) -> None:
+        """Nothing is said or heard yet.
+
+        Args:
+            ros: the domain.
+            loop: of the I/O thread.
+            warn: told what an operator should know.
+        """
+        self.bridges: tuple[str, ...] = (ros.node_name,)
+        self._ros = ros
+        self._loop = loop
+        self._warn = warn
+        self._changed: Callable[[], None] = _nobody
+        self._publisher: Publisher | None = None
+        self._subscription: LastingSubscription | None = None
+        self._own: dict[bytes, _Own] = {}
+        self._own_by_topic: defaultdict[str, dict[bytes, _Own]] = defaultdict(dict)
+        self._own_size = 0
+        self._sizes: Counter[Hashable] = Counter()  # parts of `_own_size`, by link
+        self._said = b""
+        self._saying: asyncio.TimerHandle | None = None
+        self._lock = threading.Lock()
+        self._inbox = _Inbox()  # under the lock
+        self._reads = False  # whether `_read` will be called; under the lock
+        self._reading: asyncio.TimerHandle | None = None
+        self._readable = TokenBucket(LONGEST, _A_SECOND, loop.time())
+        self._announcers: dict[bytes, str] = {}  # nodes by their announcements' publishers
+        self._heard: dict[bytes, _Heard] = {}  # by their publishers
+        self._by_node: dict[str, list[_Heard]] = {}
+        self._ordinary: OrderedDict[str, None] = OrderedDict()
+        self._warnings = TokenBucket(3, 0.01, loop.time())
+
+    def start(self, changed: Callable[[], None]) -> None:
+        """Say that we are here, and listen.
+
+        Args:
+            changed: called when `bridges`, or what is known of publishers, has changed.
+        """
+        self._changed = changed
+        type_hash = self._ros.installed_hash(STRING) or STRING_HASH
+
+        def subscribe(on_failure: OnFailure) -> Subscription:
+            return self._ros.subscribe(
+                ANNOUNCEMENT_TOPIC, STRING, type_hash, _HEARD, self._arrived, ANNOUNCEMENT_TOPIC, on_failure
+            )
+
+        try:
+            self._publisher = self._ros.advertise(ANNOUNCEMENT_TOPIC, STRING, type_hash, _SAID, ANNOUNCEMENT_TOPIC)
+            self._subscription = LastingSubscription(self._loop, subscribe, self._subscription_changed)
+        except RosError as error:
+            self._unnoticed(str(error))
+        self._say()
+
+    def _subscription_changed(self) -> None:
+        if self._subscription is not None and self._subscription.failure:
+            self._unnoticed(self._subscription.failure)
+
+    def _unnoticed(self, reason: str) -> None:
+        self._warn(f"this bridge does not hear the other bridges in its domain, and does not see loops: {reason}")
+
+    def stop(self) -> None:
+        """Say and hear no more."""
+        for timer in (self._saying, self._reading):
+            if timer is not None:
+                timer.cancel()
+        for endpoint in (self._subscription, self._publisher):
+            if endpoint is not None:
+                endpoint.close()
+        self._subscription = self._publisher = None
+
+    def changed(self) -> None:
+        """Something that decides about loops has changed: let the routes look."""
+        self._changed()
+
+    # --- our own
+
+    def announce(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> None:
+        """Tell the others of a publisher of ours, or where its messages come from now.
+
+        Args:
+            topic: its topic.
+            link: whose messages it publishes.
+            endpoint: it, as others see it.
+            origin: where its messages come from.
+
+        Raises:
+            RosError: there are too many.
+        """
+        entry = _encode(_Entry(topic, endpoint.gid.hex(), origin.via, origin.live))
+        before = self._own.get(endpoint.gid)
+        more = len(entry) - (len(before.entry) if before else 0)
+        if self._sizes[link] + more > _A_LINK or self._own_size + more > LONGEST - 1024:
+            raise RosError(
+                "this bridge publishes more than it can announce to the other bridges in its domain: "
+                "bridge fewer topics over one link"
+            )
+        self._own_size += more
+        self._sizes[link] += more
+        self._own[endpoint.gid] = self._own_by_topic[topic][endpoint.gid] = _Own(topic, link, endpoint, origin, entry)
+        if before is None or before.entry != entry:
+            self._say_soon()
+
+    def withdraw(self, gid: bytes) -> None:
+        """A publisher of ours is closed."""
+        own = self._own.pop(gid, None)
+        if own is not None:
+            self._own_size -= len(own.entry)
+            self._sizes[own.link] -= len(own.entry)
+            if not self._sizes[own.link]:
+                del self._sizes[own.link]
+            del self._own_by_topic[own.topic][gid]
+            if not self._own_by_topic[own.topic]:
+                del self._own_by_topic[own.topic]
+            self._say_soon()
+
+    def own_publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
+        """What we publish on a topic ourselves, but for one link's messages."""
+        return [own.endpoint for own in self._own_by_topic.get(topic, {}).values() if own.link != besides]
+
+    def _say_soon(self) -> None:
+        if self._saying is None and self._publisher is not None:
+            # Not more in a second than the others read.
+            self._saying = self._loop.call_later(max(_SOON, self._own_size / _A_SECOND), self._say)
+
+    def _say(self) -> None:
+        self._saying = None
+        self._changed()  # for our own routes that take what we publish
+        content = b'{"version":1,"publishers":[%s]}' % b",".join([own.entry for own in self._own.values()])
+        if content == self._said or self._publisher is None:
+            return
+        try:
+            self._publisher.publish(serialize_string(content))
+        except RosError as error:
+            if self._warnings.take(1, self._loop.time()):
+                self._warn(f"the other bridges in this domain cannot be told what this one publishes: {error}")
+            self._saying = self._loop.call_later(_SAY_AGAIN, self._say)
+        else:
+            self._said = content
+
+    # --- the others'
+
+    def origin_of(self, publisher: Endpoint) -> Origin | None:
+        """Where a publisher's messages come from; None: it is a bridge's that has not said so, or nobody known yet."""
+        own = self._own.get(publisher.gid)
+        if own is not None:
+            return own.origin
+        node = publisher.node.lstrip("/")
+        if not node:
+            return None
+        if node not in self._by_node and node not in self._ordinary:
+            self.look()
+        if node in self._by_node:
+            found = (heard.publishers.get(publisher.gid) for heard in self._by_node[node])
+            return next((origin for origin in found if origin is not None), None)
+        if node not in self._ordinary:
+            while len(self._ordinary) >= _ORDINARY_REMEMBERED:
+                self._ordinary.popitem(last=False)
+            self._ordinary[node] = None
+        return _ORDINARY
+
+    def look(self) -> None:
+        """See which bridges are there; to be called when the graph has changed."""
+        if self._subscription is None:
+            return
+        if (present := self._present()) != self._announcers:
+            self._announcers = present
+            self._sort()
+
+    def _present(self) -> dict[bytes, str]:
+        """The nodes that announce something, by their publishers."""
+        try:
+            publishers = self._ros.publishers(ANNOUNCEMENT_TOPIC)
+        except RosError:
+            return self._announcers  # the ROS side has failed, and the engine is about to stop
+        return {each.gid: node for each in publishers if _NODE_NAME.fullmatch(node := each.node.lstrip("/"))}
+
+    def _sort(self) -> None:
+        self._by_node = {}
+        for gid, node in self._announcers.items():
+            heard = self._by_node.setdefault(node, [])
+            if gid in self._heard:
+                heard.append(self._heard[gid])
+        bridges = sorted({node for gid, node in self._announcers.items() if gid in self._heard})
+        self.bridges = (self._ros.node_name, *bridges[: MOST_BRIDGES - 1])
+        self._changed()
+
+    def _arrived(self, batch: Sequence[RawMessage]) -> None:
+        """On the ROS thread."""
+        with self._lock:
+            for message in batch:
+                self._inbox.put(message.gid, message.payload)
+            if self._reads:
+                return
+            self._reads = True
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the engine has stopped
+            self._loop.call_soon_threadsafe(self._read)
+
+    def _read(self) -> None:
+        """Read what has come, the shortest first; what would take too long waits."""
+        with self._lock:
+            unread = self._inbox.take()
+            self._reads = bool(unread)
+        if not unread or self._subscription is None:
+            return
+        now, before = self._loop.time(), self._heard.copy()
+        for gid, payload in unread:
+            if self._readable.take(len(payload), now):
+                self._hear(gid, payload)
+            else:
+                with self._lock:
+                    self._inbox.put_back(gid, payload)
+        if self._heard != before:
+            self._announcers = self._present()
+            self._sort()
+        self._reading = self._loop.call_later(_READ_EVERY, self._read)
+
+    def _hear(self, gid: bytes, payload: bytes) -> None:
+        try:
+            announcement = _decode(string_bytes(payload))
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            self._heard.pop(gid, None)
+            if self._warnings.take(1, self._loop.time()):
+                node = self._announcers.get(gid, "a node")
+                self._warn(
+                    f"{node} publishes something on {ANNOUNCEMENT_TOPIC} that is no announcement of a bridge: "
+                    "nothing but rsb-console should publish there"
+                )
+            return
+        publishers = {bytes.fromhex(each.gid): Origin(each.via, each.live) for each in announcement.publishers}
+        self._heard.pop(gid, None)
+        if not self._has_room(len(payload)):
+            for other in self._heard.keys() - self._announcers.keys():
+                del self._heard[other]
+        if self._has_room(len(payload)):
+            self._heard[gid] = _Heard(len(payload), publishers)
+
+    def _has_room(self, size: int) -> bool:
+        return len(self._heard) < MOST_BRIDGES and size + sum(heard.size for heard in self._heard.values()) <= _KEPT
+
+
+def _nobody() -> None:
+    """Nobody asks to be told."""
