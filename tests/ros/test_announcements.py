@@ -237,8 +237,8 @@ def test_an_announcement_that_changes_all_the_time_is_published_in_a_bounded_num
     for second in range(10):
         for each in endpoints:
             domain.announcements.announce(CHAT, "link", each, Origin(via, live=second % 2 == 0))
-        for _ in range(100):
-            domain.announcements.announce(CHAT, "link", endpoints[0], Origin(via, live=_ % 2 == 0))
+        for change in range(100):
+            domain.announcements.announce(CHAT, "link", endpoints[0], Origin((*via[1:], f"{change}/chat")))
             domain.wait(0.01)
     published = domain.ros.publisher.published
     assert len(published) > 10
