@@ -24,6 +24,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from tests.support.bridge import Bridge
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from rsb_bridge.engine import Engine
 
 
-INT32 = "std_msgs/msg/Int32"
+INT32, STRING = "std_msgs/msg/Int32", "std_msgs/msg/String"
 
 
 def down(engine: Engine, topic: str, *words: str) -> bool:
@@ -72,10 +73,12 @@ def test_types_that_do_not_agree(request: pytest.FixtureRequest, bridge: Bridge,
         Topic("/silent", "transmit"),
         Topic("/unknown", "transmit", type="no_such_msgs/msg/Thing"),
     )
-    eventually(lambda: down(client, "/mixed", "publishers disagree: std_msgs/msg/Int32, std_msgs/msg/String"))
-    eventually(lambda: down(client, "/wrong", "publishers send std_msgs/msg/Int32, not std_msgs/msg/String"))
-    eventually(lambda: down(client, "/silent", f"no publisher of /silent in domain {robot.id}"))
-    eventually(lambda: down(client, "/unknown", "no_such_msgs/msg/Thing is not installed here"))
+    eventually(lambda: down(client, "/mixed", INT32, STRING))
+    for topic, types in (("/wrong", (INT32, STRING)), ("/unknown", ("no_such_msgs",))):
+        eventually(lambda topic=topic: stage(client, topic, "type known") is False)
+        eventually(lambda topic=topic, types=types: down(client, topic, *types))
+    eventually(lambda: stage(client, "/silent", "publisher seen") is False)
+    eventually(lambda: down(client, "/silent", "/silent", str(robot.id)))
 
 
 class OtherVersions(RosNode):
@@ -288,3 +291,62 @@ def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     out.publish(Int32(data=7))
     assert heard(numbers, 1) == [serialize_message(Int32(data=7))]
     assert route(server, "/state").type_name == INT32
+
+
+@pytest.fixture
+def other(bridge: Bridge, robot: Domain) -> Iterator[RosNode]:
+    """A node of another program in the robot's domain; it ends before the bridge does."""
+    node = RosNode(robot.id, "other")
+    node.start()
+    yield node
+    node.stop()
+
+
+def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
+    other: RosNode, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    """As after kill -9: both sides name type and node at once, what flows goes on; it heals when the old one goes."""
+    strings, old = pc.listener("/state"), robot.publisher("/state")
+    server, client = bridge.both(Topic("/state", "transmit"))
+    carries([old], server, ["/state"])
+    new = other.advertise("/state", INT32, "", Qos(), "other")
+    for engine in (server, client):
+        warned = eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_TYPE_CHANGED))
+        assert INT32 in warned.text
+        assert f"/{other.node_name}" in warned.text
+    old.publish(text("still"))
+    heard(strings, 1)
+    for engine in (server, client):
+        eventually(lambda engine=engine: route(engine, "/state").state is State.OK and down(engine, "/state", INT32))
+    pc.clear()
+    robot.node.destroy_publisher(old)
+    numbers = pc.listener("/state", Int32)
+    eventually(lambda: new.subscriber_count and route(server, "/state").type_name == INT32)
+
+    def crosses() -> bool:
+        new.publish(serialize_message(Int32(data=7)))
+        return bool(numbers.payloads)
+
+    eventually(crosses)
+    assert route(client, "/state").reason == ""
+
+
+def test_a_type_that_the_session_does_not_name(other: RosNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """A publisher of another type comes instead: both sides say so at once, and it heals once the right one is back."""
+    strings, out = pc.listener("/state"), robot.publisher("/state")
+    server, client = bridge.both(Topic("/state", "transmit", type="String"))
+    carries([out], server, ["/state"])
+    out.publish(text("on"))
+    heard(strings, 1)
+    robot.node.destroy_publisher(out)
+    wrong = other.advertise("/state", INT32, "", Qos(), "other")
+    assert eventually(lambda: happened(client, EventCode.ROUTE_TYPE_CHANGED, INT32))
+    assert eventually(lambda: happened(server, EventCode.ROUTE_CLOSED, INT32))
+    for engine in (server, client):
+        eventually(lambda engine=engine: down(engine, "/state", INT32, STRING, f"/{other.node_name}"))
+        assert route(engine, "/state").state is not State.OK
+    wrong.close()
+    out = robot.publisher("/state")
+    carries([out], server, ["/state"])
+    out.publish(text("again"))
+    assert heard(strings, 2)[-1] == text("again")

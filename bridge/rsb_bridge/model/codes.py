@@ -76,6 +76,7 @@ class EventCode(StrEnum):
     ROUTE_SOURCES_CHANGED = "route.sources_changed"
     ROUTE_PORT_UNAVAILABLE = "route.port_unavailable"
     ROUTE_TYPE_CHANGED = "route.type_changed"
+    """The publishers have another type than before, or some of them have."""
     ROUTE_TYPE_DIFFERS = "route.type_differs"
     ROUTE_DEEPENED = "route.deepened"
     """With `qos: auto`, a busier topic than before gets a deeper subscription."""

@@ -225,7 +225,7 @@ class IncomingRoute(Route):
         elif expired - self._expired_before >= _INCOMPLETE_IN_A_ROW:
             self._say(
                 EventCode.ROUTE_INCOMPLETE,
-                "none of its messages comes whole: too large for UDP on this network: use protocol: tcp",
+                "no message arrives complete, because fragments are lost: use protocol: tcp, or smaller messages",
             )
 
     def _decompress(self, payload: bytes) -> bytes:
@@ -254,6 +254,7 @@ class IncomingRoute(Route):
         self._report = report
         self.problem = report.problem
         self.set_loop(report.problem if report.loop else "")
+        self.set_warning(report.problem if report.warning else "")
         failure = self._failure()
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")

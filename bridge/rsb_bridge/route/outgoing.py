@@ -16,7 +16,7 @@ from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.resolving import UnresolvedError, resolve
+from rsb_bridge.route.resolving import MessageType, UnresolvedError, resolve
 from rsb_bridge.route.route import Peer, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.route.sorter import Sorter
@@ -67,7 +67,7 @@ class OutgoingRoute(Route):
         self._publishers: list[Endpoint] = []
         self._publisher_qos: Qos | None = None
         self._unresolved: UnresolvedError | None = None
-        self._hint = ("", "")
+        self._hint = MessageType()
 
     # --- setting up
 
@@ -119,7 +119,9 @@ class OutgoingRoute(Route):
             return
         if self._described is not None and described.type_hash != self._described.type_hash:
             # A new opening, so that no message of the old type comes where the new one is published.
-            self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, f"its type has become {described.type}")
+            self.request_reopen(
+                EventCode.ROUTE_TYPE_CHANGED, f"its type has changed from {self._described.type} to {described.type}"
+            )
             return
         if described != self._described:
             self._unsubscribe()
@@ -142,10 +144,10 @@ class OutgoingRoute(Route):
     def _resolve(self) -> Describe | None:
         """What is sent; None: not known yet, and `_unresolved` says why."""
         self._unresolved = None
-        self.problem = ""
+        used = MessageType(self.type_name, self.type_hash)
         try:
-            name, type_hash, qos = resolve(
-                self.proposal, self._publishers, self._publisher_qos, self._hint, self.context.ros
+            name, type_hash, qos, warning = resolve(
+                self.proposal, self._publishers, self._publisher_qos, used, self._hint, self.context.ros
             )
             sources = self._sorter.table.to_describe()
             if not sources:
@@ -153,7 +155,13 @@ class OutgoingRoute(Route):
         except UnresolvedError as error:
             self._unresolved = error
             self.problem = str(error) or self._no_publisher()
+            self.set_warning("")
+            if error.clash and self._described is not None:
+                # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
+                self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(error))
             return None
+        self.problem = warning
+        self.set_warning(warning)
         return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos, sources=sources)
 
     def _no_publisher(self) -> str:
@@ -333,7 +341,7 @@ class OutgoingRoute(Route):
         if not self._ledger.reported(report, self.context.now()):
             self.doubt(_LIMITED)
         if (report.type, report.type_hash) != self._hint:
-            self._hint = (report.type, report.type_hash)
+            self._hint = MessageType(report.type, report.type_hash)
             self.advance()
         self.latency.p50, self.latency.p99 = _figure(report.latency_p50), _figure(report.latency_p99)
         self.latency.jitter = _figure(report.jitter)
@@ -367,6 +375,7 @@ class OutgoingRoute(Route):
             subscribed=self._subscribed,
             problem=sanitize_text(self._failure() or self.problem),
             loop=bool(self.loop),
+            warning=self.warning != "",
         )
 
     @property
@@ -406,7 +415,14 @@ class OutgoingRoute(Route):
     def _qos_clash(self) -> str:
         if self.qos is None:
             return ""
-        return next((clash for e in self._publishers if (clash := incompatible(e.qos, self.qos))), "")
+        return next(
+            (
+                clash
+                for e in self._publishers
+                if e.type_name == self.type_name and (clash := incompatible(e.qos, self.qos))
+            ),
+            "",
+        )
 
 
 def _figure(seconds: float | None) -> float | None:

@@ -1,19 +1,56 @@
-"""Finding out what a route sends: its type, the type's hash and the QoS."""
+"""Finding out what a route sends: its type, the type's hash and the QoS.
+
+The session may name the type, publishers have types, and the other side's graph may know one.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections import defaultdict
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, RosInterface
     from rsb_bridge.wire.messages import Propose
+
+
+_MOST_NODES = 3  # named of each type
+_MOST_TYPES = 4  # named in one sentence
+
+
+class MessageType(NamedTuple):
+    """A message type, and which version of it.
+
+    Attributes:
+        name: ``pkg/msg/Name``; empty: not known.
+        type_hash: ``RIHS01_...``; empty: not known.
+    """
+
+    name: str = ""
+    type_hash: str = ""
+
+
+class Resolved(NamedTuple):
+    """What a route sends.
+
+    Attributes:
+        type: ``pkg/msg/Name``.
+        type_hash: ``RIHS01_...``.
+        qos: to publish with.
+        warning: which publishers are left out, for an operator; empty: none.
+    """
+
+    type: str
+    type_hash: str
+    qos: Qos
+    warning: str
 
 
 class UnresolvedError(Exception):
@@ -21,55 +58,122 @@ class UnresolvedError(Exception):
 
     Attributes:
         stage: the one that fails.
+        clash: whether the publishers have no type that can be sent, so that nothing may be sent until they have.
     """
 
-    def __init__(self, stage: str, why: str) -> None:
+    def __init__(self, stage: str, why: str, *, clash: bool = False) -> None:
         super().__init__(why)
         self.stage = stage
+        self.clash = clash
 
 
 def resolve(
     proposal: Propose,
     publishers: Sequence[Endpoint],
     publisher_qos: Qos | None,
-    hint: tuple[str, str],
+    used: MessageType,
+    hint: MessageType,
     ros: RosInterface,
-) -> tuple[str, str, Qos]:
+) -> Resolved:
     """Find out what a route sends.
 
     Args:
         proposal: what an operator wants.
         publishers: on the topic.
         publisher_qos: what they offer together; None: there are none.
-        hint: the type that the topic has on the receiving side, and its hash; empty: not known.
+        used: the type that the route has sent so far.
+        hint: the type that the topic has on the receiving side.
         ros: knows the hashes of the types that are installed here.
-
-    Returns:
-        The type, its hash, and the QoS to publish with.
 
     Raises:
         UnresolvedError: it is not known yet.
     """
     wanted = "" if proposal.type in ("", "auto") else expand_type_name(proposal.type)
-    offered = sorted({each.type_name for each in publishers})
-    if wanted and offered and offered != [wanted]:
-        why = f"publishers send {', '.join(offered)}, not {wanted}: correct the type"
-        raise UnresolvedError("type known", why)
-    if len(offered) > 1:
-        raise UnresolvedError("type known", f"publishers disagree: {', '.join(offered)}: name the type")
-    name = wanted or (offered[0] if offered else hint[0])
+    name, type_hash = choose_type(publishers, wanted, used, hint, ros.installed_hash)
     if not name:
         raise UnresolvedError("publisher seen", "")
-    hashes = sorted({each.type_hash for each in publishers if each.type_hash})
-    if len(hashes) > 1:
-        why = f"publishers have different versions of {name}: {', '.join(hashes)}"
-        raise UnresolvedError("type known", why)
-    type_hash = hashes[0] if hashes else ros.installed_hash(name) or (hint[1] if hint[0] == name else "")
     if not type_hash:
         raise UnresolvedError("type known", f"{name} is not installed here, and nobody publishes it yet")
+    warning = left_out(publishers, wanted, name)
+    if warning:
+        publisher_qos = match_publishers([each.qos for each in publishers if each.type_name == name])
     qos = proposal.qos
     if qos is None and publisher_qos is not None:
         qos = msgspec.structs.replace(publisher_qos, depth=0)
     if qos is None:
         raise UnresolvedError("publisher seen", "")
-    return name, type_hash, qos
+    return Resolved(name, type_hash, qos, warning)
+
+
+def choose_type(
+    publishers: Sequence[Endpoint],
+    wanted: str,
+    used: MessageType,
+    hint: MessageType,
+    installed_hash: Callable[[str], str | None],
+) -> MessageType:
+    """Choose the type to send.
+
+    Where the publishers disagree, the type that is in use stays, so that a node with a wrong type stops no topic.
+
+    Args:
+        publishers: on the topic.
+        wanted: the type that the session names; empty: none.
+        used: the type that the route has sent so far.
+        hint: what the other side's graph has.
+        installed_hash: gives the hash of a type that is installed here.
+
+    Returns:
+        The type; without a name if nobody has one, without a hash if nobody knows that.
+
+    Raises:
+        UnresolvedError: the publishers have no type that can be sent.
+    """
+    types = _nodes_by(publishers, lambda publisher: publisher.type_name)
+    if wanted and types and wanted not in types:
+        raise _clash(f"publishers send {_named(types)}, not {wanted}: correct the type")
+    name = wanted or (used.name if used.name in types else next(iter(types), hint.name))
+    if not wanted and len(types) > 1 and name != used.name:
+        raise _clash(f"publishers disagree on the type: {_named(types)}: set the topic's type")
+    versions = _nodes_by((each for each in publishers if each.type_name == name), lambda each: each.type_hash)
+    if len(versions) > 1:  # DDS compares names only, and would mix their messages
+        raise _clash(f"publishers have different versions of {name}: {_named(versions)}: install one version")
+    if versions or not name:
+        return MessageType(name, next(iter(versions), ""))
+    hints = (MessageType(name, installed_hash(name) or ""), hint, used)
+    return next((each for each in hints if each.name == name and each.type_hash), MessageType(name))
+
+
+def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
+    """Which publishers are not bridged because their type is not the one that is sent; empty: none.
+
+    If the session names the type, publishers of other types are left out on purpose.
+    """
+    types = _nodes_by((each for each in publishers if each.type_name != sent), lambda each: each.type_name)
+    if wanted or not types:
+        return ""
+    return f"publishers disagree on the type: {_named(types)} is not bridged, only {sent}: set the topic's type"
+
+
+def _clash(why: str) -> UnresolvedError:
+    return UnresolvedError("type known", why, clash=True)
+
+
+def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -> dict[str, list[str]]:
+    """The publishers' nodes, by something that they have; those that do not have it are left out."""
+    nodes: defaultdict[str, set[str]] = defaultdict(set)
+    for publisher in publishers:
+        if key := kind(publisher):
+            nodes[key].add(publisher.node)
+    return {key: sorted(filter(None, nodes[key])) for key in sorted(nodes)}
+
+
+def _named(nodes: dict[str, list[str]]) -> str:
+    """Types or versions, each with its nodes."""
+    parts = [f"{key} (from {_few(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
+    return _few(parts, _MOST_TYPES)
+
+
+def _few(parts: Sequence[str], most: int) -> str:
+    more = len(parts) - most
+    return ", ".join(parts[:most]) + (f" and {more} more" if more > 0 else "")

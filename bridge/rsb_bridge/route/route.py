@@ -114,6 +114,7 @@ class Route:
         life: what the two sides have agreed on so far.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
+        warning: what an operator should know although messages flow; empty: nothing.
         loop: why nothing is sent, which would close a loop of bridges, for an operator; empty: it would not.
     """
 
@@ -137,6 +138,7 @@ class Route:
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
         self.loop = ""
+        self.warning = ""
         self.retry_at = 0.0
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self._told = ""
@@ -239,7 +241,7 @@ class Route:
             self.release_port = None
         self.peer.closed(self.id)
         self.id = 0
-        self.loop = ""
+        self.loop = self.warning = ""
         self.life.take(Event.CLOSE)
         self.closed_at = self.context.now()
 
@@ -274,6 +276,12 @@ class Route:
         elif self.loop and not reason:
             self.log(Level.INFO, EventCode.ROUTE_LOOP_GONE, "messages would no longer loop")
         self.loop = reason
+
+    def set_warning(self, warning: str) -> None:
+        """Say what an operator should know although messages flow; empty: nothing."""
+        if warning and warning != self.warning:
+            self.log(Level.WARNING, EventCode.ROUTE_TYPE_CHANGED, warning)
+        self.warning = warning
 
     def awaited_until(self, linked_at: float) -> float:
         """Until when (s) the other side will have asked for the route anew, if it still wants it."""
@@ -417,7 +425,7 @@ class Route:
         stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
         came = self.meter.last is not None and self.meter.last >= self.opened_at
         if flowing and came and not stale:
-            return State.OK, ""
+            return State.OK, self.warning
         waiting = [stage for stage in stages if not stage.done]
         first = next((stage for stage in waiting if stage.done is False), next(iter(waiting), None))
         reason = self.problem or (first.detail or first.name if first else "")

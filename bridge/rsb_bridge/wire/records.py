@@ -44,6 +44,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         subscribed: messages are being taken.
         problem: what keeps messages from flowing on this side, for an operator; empty: nothing.
         loop: the route is refused because it would close a loop of bridges, and `problem` names them.
+        warning: messages flow, but not those of all publishers, and `problem` says which.
     """
 
     route: RouteId
@@ -59,6 +60,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     subscribed: bool = False
     problem: Reason = ""
     loop: bool = False
+    warning: bool = False
 
     def __post_init__(self) -> None:
         check_qos(self.publisher_qos)

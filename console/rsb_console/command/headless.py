@@ -201,11 +201,10 @@ def _rate_text(route: RouteSnapshot) -> str:
 
 
 def _how(route: RouteSnapshot) -> str:
-    """The rate, or the reason why there is none; a pause needs no reason."""
-    if route.state is State.OK:
-        return f"{route.rate:.1f} Hz"
+    """The rate and what is wrong all the same, or the reason why there is no rate; a pause needs no reason."""
+    how = f"{route.rate:.1f} Hz" if route.state is State.OK else route.state.upper()
     reason = "" if route.state is State.PAUSED else route.reason
-    return route.state.upper() + (f": {reason}" if reason else "")
+    return how + (f": {reason}" if reason else "")
 
 
 def _json_line(content: dict[str, object]) -> str:

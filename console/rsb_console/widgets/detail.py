@@ -104,8 +104,8 @@ def _heading(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
         ("" if route.age is None or route.age < 1 else f" last message {formats.age(route.age)} ago", "dim"),
     )
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
-    if route.state is not State.OK and route.reason != failed:
-        yield from _wrapped(route.reason, width, look)
+    if route.reason and route.reason != failed:  # one that is OK may have a warning
+        yield from _wrapped(route.reason, width, State.STALE.value if route.state is State.OK else look)
     asked_for = "type not known yet" if route.spec.type == AUTO else f"{route.spec.type} (as configured)"
     yield ((f" {route.type_name or asked_for}", "strong" if route.type_name else "dim"),)
     way = f"{OUT} to" if route.outgoing else f"{IN} from"

@@ -1,0 +1,72 @@
+"""Which type is sent, where session, publishers and the other side's graph say different things."""
+
+from __future__ import annotations
+
+import pytest
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.route.resolving import MessageType, UnresolvedError, choose_type, left_out
+
+A, B = "std_msgs/msg/String", "std_msgs/msg/Int32"
+UNUSED = MessageType()
+
+
+def publisher(type_name: str, version: str = "", node: str = "") -> Endpoint:
+    return Endpoint(node, type_name, version, Qos())
+
+
+def chosen(
+    *publishers: Endpoint,
+    wanted: str = "",
+    used: MessageType = UNUSED,
+    hint: MessageType = UNUSED,
+    installed: str | None = None,
+) -> MessageType:
+    return choose_type(publishers, wanted, used, hint, lambda _: installed)
+
+
+def test_what_the_publishers_have_counts_first() -> None:
+    assert chosen(publisher(A, "1"), publisher(A), hint=MessageType(B, "2"), installed="3") == (A, "1")
+    assert chosen(hint=MessageType(B, "2")) == (B, "2")
+    assert chosen(hint=MessageType(B, "2"), installed="3") == (B, "3")
+    assert chosen(wanted=A, hint=MessageType(B, "2")) == (A, "")
+    assert chosen() == UNUSED
+
+
+def test_a_version_that_was_used_is_known_when_its_publisher_has_gone() -> None:
+    assert chosen(wanted=A, used=MessageType(A, "1")) == (A, "1")
+    assert chosen(wanted=A, used=MessageType(B, "1")) == (A, "")
+
+
+def test_a_type_that_the_session_names_is_sent_whoever_publishes_others() -> None:
+    publishers = (publisher(B, "2"), publisher(A, "1"))
+    assert chosen(*publishers, wanted=A) == (A, "1")
+    assert not left_out(publishers, A, A)
+    with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\).*{A}"):
+        chosen(publisher(B, "2", "/b"), wanted=A, used=MessageType(A, "1"))
+
+
+def test_publishers_that_disagree_leave_the_type_that_is_in_use() -> None:
+    publishers = (publisher(A, "1", "/a"), publisher(B, "2", "/b"))
+    with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\), {A} \(from /a\)"):
+        chosen(*publishers)
+    assert chosen(*publishers, used=MessageType(B, "2")) == (B, "2")
+    assert f"{A} (from /a)" in left_out(publishers, "", B)
+    assert not left_out(publishers[:1], "", A)
+
+
+def test_versions_of_one_type_are_not_mixed() -> None:
+    """DDS takes them for the same type, so none is sent."""
+    publishers = (publisher(A, "1", "/new"), publisher(A, "2", "/old"))
+    with pytest.raises(UnresolvedError, match=r"1 \(from /new\), 2 \(from /old\)"):
+        chosen(*publishers, used=MessageType(A, "1"))
+
+
+def test_a_sentence_names_a_few_nodes_and_types() -> None:
+    crowd = [publisher(f"{kind}_msgs/msg/X", "", f"/node{number}") for kind in "abcdef" for number in range(9)]
+    with pytest.raises(UnresolvedError) as failure:
+        chosen(*crowd)
+    assert len(str(failure.value)) < 400
+    assert "and 6 more" in str(failure.value)
+    assert "and 2 more" in str(failure.value)
