@@ -15,7 +15,7 @@ from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.route import Peer, Route, route_key
+from rsb_bridge.route.route import Owner, Route, route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import Accept, Close, Describe, Pause, Propose, Publishers, Ready, Refuse, Report
@@ -36,7 +36,7 @@ RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Publish
 """The control messages that are about routes."""
 
 
-class RouteOwner(Peer, Protocol):
+class RouteOwner(Owner, Protocol):
     """What the table asks of its link."""
 
     @property

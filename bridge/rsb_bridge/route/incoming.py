@@ -19,7 +19,7 @@ from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.outputs import Outputs, Subject
-from rsb_bridge.route.route import Peer, Route
+from rsb_bridge.route.route import Owner, Route
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, SOURCE_SHIFT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
@@ -63,7 +63,7 @@ class IncomingRoute(Route):
     outgoing: ClassVar[bool] = False
     channel: ReceivingChannel | None
 
-    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._outputs = Outputs(context, peer, self._failed_later)
         self._described_in = 0

@@ -17,7 +17,7 @@ from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.resolving import MessageType, UnresolvedError, resolve
-from rsb_bridge.route.route import Peer, Route
+from rsb_bridge.route.route import Owner, Route
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.route.sorter import Sorter
 from rsb_bridge.route.throttle import LatestLater, Throttle
@@ -51,7 +51,7 @@ class OutgoingRoute(Route):
     outgoing: ClassVar[bool] = True
     channel: SendingChannel | None
 
-    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._intake: Intake | None = None
         self._queue = SendQueue()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Publisher
-    from rsb_bridge.route.route import Peer
+    from rsb_bridge.route.peer import Peer
     from rsb_bridge.wire.records import Source
 
 

@@ -17,9 +17,10 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.lifecycle import Event, Lifecycle
-from rsb_bridge.route.pause import PauseState, Revisions
+from rsb_bridge.route.pause import PauseState
+from rsb_bridge.route.peer import Peer
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
-from rsb_bridge.wire.messages import Close, ControlMessage, Propose
+from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
-    from rsb_bridge.model.token_bucket import TokenBucket
-    from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
@@ -41,61 +40,11 @@ crash or a cut) takes its channels with it, and they may be seen to end first.""
 LINK_STAGE = "link up"
 
 
-class Peer(Protocol):
-    """What a route asks of its link."""
-
-    name: str
-    is_client: bool
-    latched: Budget
-    expansion: TokenBucket
-    bridges: tuple[str, ...]
-    further_publishers: Budget
-    revisions: Revisions
-
-    @property
-    def connections(self) -> int:
-        """How many connections there have been: tells one from the next."""
-        ...
-
-    @property
-    def linked(self) -> bool:
-        """Whether the peer is connected and authenticated."""
-        ...
-
-    @property
-    def instance(self) -> str:
-        """The peer's process, present or last: random, new with each start; empty: there has been none."""
-        ...
-
-    @property
-    def clock_offset(self) -> float | None:
-        """s, the peer's clock minus ours."""
-        ...
-
-    @property
-    def clock_uncertainty(self) -> float | None:
-        """Seconds by which `clock_offset` may be wrong."""
-        ...
-
-    @property
-    def down_reason(self) -> str:
-        """Why it isn't linked, in words."""
-        ...
-
-    def send(self, message: ControlMessage) -> None:
-        """Send a control message; without a connection, nothing happens."""
-        ...
+class Owner(Peer, Protocol):
+    """The link that a route belongs to."""
 
     def open_channel(self, route: Route) -> None:
-        """Set `route.channel` going; on a server a stream's path comes from the client instead."""
-        ...
-
-    def shared_port(self) -> int:
-        """The port or channel of the link itself."""
-        ...
-
-    def closed(self, route_id: int) -> None:
-        """An opening is over: what is said of it from now on is about nothing."""
+        """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
         ...
 
 
@@ -120,7 +69,7 @@ class Route:
 
     outgoing: ClassVar[bool]
 
-    def __init__(self, context: Context, peer: Peer, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         self.context = context
         self.peer = peer
         self.spec = spec

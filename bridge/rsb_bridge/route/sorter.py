@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.ros.api import Endpoint, RawMessage
-    from rsb_bridge.route.route import Peer
+    from rsb_bridge.route.peer import Peer
 
 _MOST_HELD = 10_000  # messages
 _MOST_HELD_BYTES = 8 << 20

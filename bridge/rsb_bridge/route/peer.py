@@ -1,0 +1,65 @@
+"""The other side of a link, as far as a route and its parts know it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.token_bucket import TokenBucket
+    from rsb_bridge.route.pause import Revisions
+    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.messages import ControlMessage
+
+
+class Peer(Protocol):
+    """What a route asks of its link."""
+
+    name: str
+    is_client: bool
+    latched: Budget
+    expansion: TokenBucket
+    bridges: tuple[str, ...]
+    further_publishers: Budget
+    revisions: Revisions
+
+    @property
+    def connections(self) -> int:
+        """How many connections there have been: tells one from the next."""
+        ...
+
+    @property
+    def linked(self) -> bool:
+        """Whether the peer is connected and authenticated."""
+        ...
+
+    @property
+    def instance(self) -> str:
+        """The peer's process, present or last: random, new with each start; empty: there has been none."""
+        ...
+
+    @property
+    def clock_offset(self) -> float | None:
+        """s, the peer's clock minus ours."""
+        ...
+
+    @property
+    def clock_uncertainty(self) -> float | None:
+        """Seconds by which `clock_offset` may be wrong."""
+        ...
+
+    @property
+    def down_reason(self) -> str:
+        """Why it isn't linked, for an operator."""
+        ...
+
+    def send(self, message: ControlMessage) -> None:
+        """Send a control message; without a connection, nothing happens."""
+        ...
+
+    def shared_port(self) -> int:
+        """The port or channel of the link itself."""
+        ...
+
+    def closed(self, route_id: int) -> None:
+        """A route's opening is over: messages about it that still come are late."""
+        ...
