@@ -10,7 +10,8 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
-from rsb_bridge.ros.rcl import Participant, _endpoint
+from rsb_bridge.ros.conversions import endpoint_of
+from rsb_bridge.ros.rcl import Participant
 from rsb_bridge.wire.messages import Describe, Report, TopicList, decode, encode
 from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry
 
@@ -62,16 +63,16 @@ def test_a_qos_is_clamped_to_what_every_message_takes(announced: Qos, clamped: Q
 
 @pytest.mark.parametrize("nanoseconds", [1, 500_000, 2**63 - 2])
 def test_an_endpoint_comes_clamped(nanoseconds: int) -> None:
-    found = _endpoint(endpoint_info(deadline=Duration(nanoseconds=nanoseconds), lifespan=Duration(nanoseconds=1)))
+    found = endpoint_of(endpoint_info(deadline=Duration(nanoseconds=nanoseconds), lifespan=Duration(nanoseconds=1)))
     assert found.qos == clamp_qos(found.qos)
     assert found.qos.lifespan == 0.001
 
 
 def test_a_type_that_no_ros_program_would_name_so() -> None:
     assert (
-        _endpoint(endpoint_info(topic_type="evil\x1b[2J/msg/X")).type_name == "evil\N{REPLACEMENT CHARACTER}[2J/msg/X"
+        endpoint_of(endpoint_info(topic_type="evil\x1b[2J/msg/X")).type_name == "evil\N{REPLACEMENT CHARACTER}[2J/msg/X"
     )
-    assert len(_endpoint(endpoint_info(topic_type="x" * 1000)).type_name) == 255
+    assert len(endpoint_of(endpoint_info(topic_type="x" * 1000)).type_name) == 255
 
 
 def test_topics_that_ros_cannot_subscribe_to_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:

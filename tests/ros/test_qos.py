@@ -8,7 +8,7 @@ import pytest
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 
 from rsb_bridge.model.qos import PROFILES, Durability, Qos, Reliability, incompatible, match_publishers
-from rsb_bridge.ros.rcl import _profile
+from rsb_bridge.ros.conversions import rcl_profile
 
 RELIABILITIES: tuple[Reliability, ...] = ("reliable", "best_effort")
 DURABILITIES: tuple[Durability, ...] = ("volatile", "transient_local")
@@ -21,7 +21,7 @@ POLICIES = [
 @pytest.mark.parametrize("offered", POLICIES)
 def test_incompatible_agrees_with_the_middleware(offered: Qos) -> None:
     for requested in POLICIES:
-        verdict, why = qos_check_compatible(_profile(offered), _profile(requested))
+        verdict, why = qos_check_compatible(rcl_profile(offered), rcl_profile(requested))
         assert bool(incompatible(offered, requested)) == (verdict == QoSCompatibility.ERROR), (requested, why)
 
 
@@ -54,4 +54,4 @@ def test_match_publishers(offered: list[Qos], matched: Qos) -> None:
 
 @pytest.mark.parametrize("absurd", [Qos(depth=0), Qos(depth=2**70), Qos(deadline=1e300), Qos(lifespan=float("nan"))])
 def test_no_figure_of_a_peer_upsets_ros(absurd: Qos) -> None:
-    assert 1 <= _profile(absurd).depth < 2**31
+    assert 1 <= rcl_profile(absurd).depth < 2**31

@@ -14,17 +14,14 @@ import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.context import Context
-from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from rsb_bridge.model.limits import DOMAIN, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
-from rsb_bridge.model.qos import Qos, clamp_qos
-from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.anytype import message_class
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
-from rsb_bridge.ros.typesupport import HASH_PREFIX
+from rsb_bridge.ros.conversions import endpoint_of, rcl_profile, safe_type_name
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -32,10 +29,7 @@ if TYPE_CHECKING:
 _ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
 """ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
 
-_INFINITE = 2**63 - 1  # ns: RMW_DURATION_INFINITE
 _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
-_UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # of an endpoint that was discovered before its node
-_MOST = 2**31 - 1  # messages: DDS counts a history's depth in 32 bits
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
 _PUBLISHERS_REMEMBERED = 1024
 _DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
@@ -152,7 +146,7 @@ class Participant:
         """Every topic that ROS can subscribe to, our own node's too, with its type names."""
         found = self._ask(_rclpy.rclpy_get_topic_names_and_types)
         return {
-            name: [_type_name(each) for each in types]
+            name: [safe_type_name(each) for each in types]
             for name, types in found
             if len(name) <= TOPIC_LENGTH and is_topic_name(name)
         }
@@ -213,7 +207,7 @@ class Participant:
     def _create(self, kind: Any, topic: str, type_name: str, type_hash: str, qos: Qos) -> Any:
         message = message_class(type_name, type_hash)
         try:
-            return kind(self._node, message, topic, _profile(qos).get_c_qos_profile())
+            return kind(self._node, message, topic, rcl_profile(qos).get_c_qos_profile())
         except ValueError as error:
             _reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
             raise RosError(
@@ -230,7 +224,7 @@ class Participant:
             raise RosError(f"the ROS graph cannot be read: {_reason(error)}") from error
 
     def _others(self, infos: list[dict[str, Any]]) -> list[Endpoint]:
-        return [end for info in infos if (end := _endpoint(info)).node != self._name]
+        return [end for info in infos if (end := endpoint_of(info)).node != self._name]
 
 
 class Reader:
@@ -353,55 +347,6 @@ class Writer:
         """Free it. May be called twice."""
         self._closed = True
         self._handle.destroy_when_not_in_use()
-
-
-def _profile(qos: Qos) -> QoSProfile:
-    return QoSProfile(
-        reliability=ReliabilityPolicy[qos.reliability.upper()],
-        durability=DurabilityPolicy[qos.durability.upper()],
-        history=HistoryPolicy[qos.history.upper()],
-        depth=min(max(qos.depth, 1), _MOST),
-        deadline=_duration(qos.deadline),
-        lifespan=_duration(qos.lifespan),
-    )
-
-
-def _duration(seconds: float) -> Duration:
-    """A peer's figure may be anything; ROS takes what fits in 63 bits."""
-    return Duration(nanoseconds=int(min(_INFINITE, max(0, seconds * 1e9))))
-
-
-def _endpoint(info: dict[str, Any]) -> Endpoint:
-    """An endpoint of the graph. Any DDS program may have put it there, so nothing in it is believed."""
-    type_hash, profile = info["topic_type_hash"], info["qos_profile"]
-    known = info["node_name"] != _UNKNOWN_NODE
-    return Endpoint(
-        node=f"{info['node_namespace'].rstrip('/')}/{info['node_name']}" if known else "",
-        type_name=_type_name(info["topic_type"]),
-        type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash["version"] == 1 else "",
-        qos=clamp_qos(
-            Qos(
-                reliability="reliable" if profile["reliability"] == ReliabilityPolicy.RELIABLE else "best_effort",
-                durability="transient_local"
-                if profile["durability"] == DurabilityPolicy.TRANSIENT_LOCAL
-                else "volatile",
-                history="keep_all" if profile["history"] == HistoryPolicy.KEEP_ALL else "keep_last",
-                depth=0,
-                deadline=_seconds(profile["deadline"]),
-                lifespan=_seconds(profile["lifespan"]),
-            )
-        ),
-        gid=bytes(info["endpoint_gid"]),
-    )
-
-
-def _type_name(name: str) -> str:
-    return sanitize_text(name, TEXT_LENGTH)
-
-
-def _seconds(duration: Duration) -> float:
-    nanoseconds: int = duration.nanoseconds
-    return 0.0 if nanoseconds >= _INFINITE else nanoseconds / 1e9
 
 
 def _reason(error: Exception) -> str:
