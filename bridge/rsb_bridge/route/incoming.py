@@ -66,7 +66,6 @@ class IncomingRoute(Route):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._outputs = Outputs(context, peer, self._failed_later)
-        self._described_in = 0
         self._decompressor = zstandard.ZstdDecompressor()
         self._received = 0
         self._delivered = 0
@@ -93,13 +92,13 @@ class IncomingRoute(Route):
 
     def described(self, description: Describe) -> None:
         """The sender says what it will send: have a publisher for it, or say why not."""
+        first = not self.life.described
         if not self.life.take(Event.DESCRIBE):
             return
         if clash := self._type_clash(description):
             self._refuse_type(clash)
             return
         type_and_qos = (description.type, description.type_hash, description.qos)
-        first = self._described_in != self.id
         if (self.type_name, self.type_hash, self.qos) != type_and_qos:
             first = True
             self._outputs.close()
@@ -114,7 +113,6 @@ class IncomingRoute(Route):
         self.type_name, self.type_hash, self.qos = type_and_qos
         newest: dict[bytes, int] = {}
         if first:
-            self._described_in = self.id
             newest = self._outputs.opened()
             self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"← {self.transport.name} connected ({description.type})")
         self.peer.send(Ready(route=self.id, sources=len(self._outputs), before=self._counted_before(), newest=newest))
