@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tests.soak.stage import Stage
 
 _GIVE_UP = 90.0
+_SLOW = 5.0
+"""s after which it is told why not every topic flows."""
 _FIRST_FLOW = 120.0
 _CLOSE_BEHIND = 0.2
 """How often the next fault comes without waiting for the recovery from this one."""
@@ -30,7 +32,7 @@ class Recovery:
     Attributes:
         fault: the last one before it.
         seconds: from its end until the last topic flowed; None: it never did.
-        slowest: the topic, or what did not flow and why.
+        slowest: the last topic, and why it was slow; or what did not flow and why.
     """
 
     fault: Fault
@@ -119,10 +121,11 @@ def play(
 
 def _recover(stage: Stage, fault: Fault) -> Recovery:
     ended = stage.expect()
-    if not stage.live_until(lambda: stage.flows, _GIVE_UP):
+    late = "" if stage.live_until(lambda: stage.flows, _SLOW) else f"; {_SLOW:g} s after the fault: {stage.missing()}"
+    if late and not stage.live_until(lambda: stage.flows, _GIVE_UP - _SLOW):
         return Recovery(fault, None, stage.missing())
     last = max(stage.ears, key=lambda ear: ear.flowed_at or 0.0)
-    return Recovery(fault, (last.flowed_at or ended) - ended, last.name)
+    return Recovery(fault, (last.flowed_at or ended) - ended, last.name + late)
 
 
 def _gather(stage: Stage, outcome: Outcome) -> None:

@@ -55,10 +55,10 @@ def test_figures() -> None:
     """What grows is found, and what only warms up is not."""
     life = Life("pc", 1)
     for second in range(1200):
-        life.samples.append(Sample(second, 70_000 + min(second, 150) * 50 + second * 5, 20, 15))
+        life.samples.append(Sample(second, 70_000 + min(second, 150) * 50 + second * 10, 20, 15))
     for count in (20, 24, 21, 23, 22, 26, 28, 27, 29):
         life.calm.append(Sample(0, 0, count, 15))
-    assert life.slope == pytest.approx(300)
+    assert life.slope == pytest.approx(600)
     assert leaks(life)
     assert life.growth("descriptors") == 3
     assert life.growth("threads") == 0
