@@ -137,7 +137,8 @@ class Bridge:
 
     def _bridges_changed(self) -> None:
         for link in self.links():
-            link.tell_neighbours()
+            if link.linked:
+                link.neighbourhood.tell()
         self.graph_watch.changed()
 
     def _watch_shutdown(self) -> LastingSubscription | None:

@@ -15,6 +15,7 @@ from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.topic_lists import TopicLists
@@ -71,7 +72,7 @@ class Link(ABC):
         expansion: bytes by which its compressed messages may grow here.
         revisions: numbers the changes made on this side.
         further_publishers: how many the peer may have here beyond one a topic.
-        bridges: the names of the bridge nodes in the peer's domain, its own first; empty: not known yet.
+        neighbourhood: the bridges in the ROS domains of both sides.
     """
 
     def __init__(self, context: Context, name: str, *, is_client: bool, fingerprint: str, encrypted: bool) -> None:
@@ -98,8 +99,7 @@ class Link(ABC):
         self.expansion = TokenBucket(EXPANSION_AT_ONCE, EXPANSION_A_SECOND, context.now())
         self.revisions = Revisions()
         self.further_publishers = Budget(_FURTHER_PUBLISHERS)
-        self.bridges: tuple[str, ...] = ()
-        self._neighbours_told: tuple[str, ...] = ()
+        self.neighbourhood = Neighbourhood(context, self.send)
         self._since = context.wall()
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self._carriers)
@@ -170,6 +170,11 @@ class Link(ABC):
         return self.peer.instance if self.peer is not None else ""
 
     @property
+    def bridges(self) -> tuple[str, ...]:
+        """The names of the bridge nodes in the peer's domain, its own first; empty: not known yet."""
+        return self.neighbourhood.bridges
+
+    @property
     def clock_offset(self) -> float | None:
         """s, the peer's clock minus ours."""
         return self.keepalive.clock.offset
@@ -194,21 +199,14 @@ class Link(ABC):
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = f"linked with {control.stream.peer}, {encryption}, rsb-console {peer.version} there"
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
-        self.tell_neighbours()
+        self.neighbourhood.tell()
         self.table.connected()
-
-    def tell_neighbours(self) -> None:
-        """Tell the peer which bridges are in this domain, if it does not know."""
-        bridges = self.context.announcements.bridges
-        if self.linked and bridges != self._neighbours_told:
-            self._neighbours_told = bridges
-            self.send(Neighbours(bridges=bridges))
 
     def lost(self, reason: str, code: EventCode) -> None:
         """The control connection is over."""
         self.keepalive.stop()
         self.control = self.keys = self.data_keys = self.path_probe = None
-        self.bridges = self._neighbours_told = ()
+        self.neighbourhood.disconnected()
         self.reason = reason
         self._since = self.context.wall()
         self.table.disconnected(reason)
@@ -263,9 +261,7 @@ class Link(ABC):
             case ListTopics() | TopicList():
                 self._topic_lists.handle(message)
             case Neighbours():
-                if message.bridges != self.bridges:
-                    self.bridges = message.bridges
-                    self.context.announcements.changed()
+                self.neighbourhood.heard(message)
             case Shutdown():
                 self.on_shutdown(message)
             case _:

@@ -180,7 +180,7 @@ class IncomingRoute(Route):
             except _NotPublishedError as error:
                 self._dropped[error.cause] += 1
                 if error.code is not None:
-                    self._say(error.code, str(error))
+                    self.notices.message_error(error.code, str(error))
             else:
                 count += 1
                 size += len(payload)
@@ -211,7 +211,7 @@ class IncomingRoute(Route):
             raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
 
     def _failed_later(self, error: Exception) -> None:
-        self._say(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+        self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
 
     def tick(self) -> None:
         super().tick()
@@ -221,7 +221,7 @@ class IncomingRoute(Route):
         if self._received != self._received_before:
             self._received_before, self._expired_before = self._received, expired
         elif expired - self._expired_before >= _INCOMPLETE_IN_A_ROW:
-            self._say(
+            self.notices.message_error(
                 EventCode.ROUTE_INCOMPLETE,
                 "no message arrives complete, because fragments are lost: use protocol: tcp, or smaller messages",
             )
@@ -239,11 +239,6 @@ class IncomingRoute(Route):
             )
         return self._decompressor.decompress(payload)
 
-    def _say(self, code: EventCode, text: str) -> None:
-        if text != self.last_error:
-            self.last_error = text
-            self.log(Level.ERROR, code, text)
-
     # --- the ledger
 
     def reported(self, report: SentReport) -> None:
@@ -251,14 +246,14 @@ class IncomingRoute(Route):
         failed_before = self._failure()
         self._report = report
         self.problem = report.problem
-        self.set_loop(report.problem if report.loop else "")
-        self.set_warning(report.problem if report.warning else "")
+        self.notices.set_loop(report.problem if report.loop else "")
+        self.notices.set_warning(report.problem if report.warning else "")
         failure = self._failure()
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
         ledger = reported_ledger(report)
         if ledger is None:
-            self.doubt("the last that could be are shown")
+            self.notices.doubt(self.peer.instance, "the last that could be are shown")
         else:
             self._sender_ledger = ledger
 
@@ -320,13 +315,13 @@ class IncomingRoute(Route):
             Stage("QoS compatible", not self._clash if known else None, self._clash),
             Stage(
                 "subscribed",
-                False if self.loop or self._failure() else (report is not None and report.subscribed) or None,
+                False if self.notices.loop or self._failure() else (report is not None and report.subscribed) or None,
                 self.problem,
             ),
             self.link_stage(),
             self.accepted_stage(),
             Stage("sent", (report is not None and report.offered > 0) or None),
-            Stage("received", self._received > 0 or None, "" if self._received else self.last_error),
+            Stage("received", self._received > 0 or None, "" if self._received else self.notices.last_error),
             Stage("published", self._delivered > 0 or None),
             Stage(
                 "subscriber seen",

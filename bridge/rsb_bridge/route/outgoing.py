@@ -6,24 +6,23 @@ from itertools import groupby
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
-import zstandard
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.qos import AUTO_SECONDS, Qos, incompatible, match_publishers
+from rsb_bridge.model.qos import Qos, incompatible, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
+from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.resolving import MessageType, UnresolvedError, resolve
 from rsb_bridge.route.route import Owner, Route
-from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.route.sorter import Sorter
 from rsb_bridge.route.throttle import LatestLater, Throttle
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
-from rsb_bridge.wire.framing import HISTORY, ZSTD, Message
+from rsb_bridge.wire.framing import HISTORY, Message
 from rsb_bridge.wire.history import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -36,13 +35,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.histories import Sample
 
-_AUTO_DEPTH = 10
-_QUEUE_BYTES = 32 * 1024 * 1024
-_SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
-_BATCH = 16
 _LIMITED = "they are limited to what was sent"
 _LARGEST_FIGURE = 1e9  # s
-_ZSTD_LEVEL = 3
 
 
 class OutgoingRoute(Route):
@@ -54,13 +48,11 @@ class OutgoingRoute(Route):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._intake: Intake | None = None
-        self._queue = SendQueue()
         self._throttle = Throttle(proposal.max_rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
-        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
-        self._largest = self.transport.largest_message
         self._ledger = RouteLedger()
+        self._outbox = Outbox(self.transport, proposal, self._ledger, self.notices.message_error)
         self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
@@ -77,7 +69,7 @@ class OutgoingRoute(Route):
         if not self.life.take(Event.READY):
             return
         if not self._ledger.settle(ready.before, self.peer.instance):
-            self.doubt(_LIMITED)
+            self.notices.doubt(self.peer.instance, _LIMITED)
         self._sorter.table.answered(ready.sources)
         described = self._described
         if described is not None and not again:
@@ -109,10 +101,10 @@ class OutgoingRoute(Route):
         if self._sorter.table.full:  # a new incarnation has room: some of its sources are there for nothing
             self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "other bridges than before bring its messages")
             return
-        self.set_loop(self._sorter.loop(self.topic))
-        if self.loop:
+        self.notices.set_loop(self._sorter.loop(self.topic))
+        if self.notices.loop:
             self._unsubscribe()
-            self.problem = self.loop
+            self.problem = self.notices.loop
             return
         described = self._resolve()
         if described is None:
@@ -155,13 +147,13 @@ class OutgoingRoute(Route):
         except UnresolvedError as error:
             self._unresolved = error
             self.problem = str(error) or self._no_publisher()
-            self.set_warning("")
+            self.notices.set_warning("")
             if error.clash and self._described is not None:
                 # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
                 self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(error))
             return None
         self.problem = warning
-        self.set_warning(warning)
+        self.notices.set_warning(warning)
         return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos, sources=sources)
 
     def _no_publisher(self) -> str:
@@ -203,7 +195,7 @@ class OutgoingRoute(Route):
     def log_intake(self, level: Level, code: EventCode, text: str) -> None:
         """Add an event about the subscription."""
         if level is Level.ERROR:
-            self.last_error = text
+            self.notices.last_error = text
         self.log(level, code, text)
 
     def _failure(self) -> str:
@@ -220,7 +212,7 @@ class OutgoingRoute(Route):
         self._end_intake()
         self._described = None
         self._lose("link lost", self._sorter.holds)
-        self._ledger.drop("link lost", self._queue.clear())
+        self._ledger.drop("link lost", self._outbox.clear())
         self._sorter.clear()
         self._ledger.closed()
         self._report = None
@@ -254,8 +246,8 @@ class OutgoingRoute(Route):
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
         self._ledger.offered += len(batch)
-        passes, flags = self._throttle.passes, self._sorter.table.flags
-        messages = [self._message(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
+        passes, pack, flags = self._throttle.passes, self._outbox.pack, self._sorter.table.flags
+        messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
         self._ledger.throttled += len(batch) - len(messages)
         self._send(messages)
 
@@ -275,7 +267,7 @@ class OutgoingRoute(Route):
                 if flags is None:  # it has turned out, while the message waited, that it would go in a loop
                     self._ledger.drop("would loop", 1)
                     continue
-                content, _, flags = self._message(payload, stamp, flags)
+                content, _, flags = self._outbox.pack(payload, stamp, flags)
                 messages.append((header.pack() + content, stamp, flags | HISTORY))
             self._send(messages, publisher, depth)
 
@@ -286,52 +278,14 @@ class OutgoingRoute(Route):
             return
         if messages:
             self.count(len(messages), sum([len(message[0]) for message in messages]))
-            self._enqueue(messages, publisher, depth)
+            limits = self._outbox.limits(self.qos, depth, congested=self.channel is not None and self.channel.congested)
+            self._outbox.add(messages, self.context.now(), publisher, limits)
             self.flush()
 
     def flush(self) -> None:
-        """Send from the queue while the path takes it."""
-        queue, channel = self._queue, self.channel
-        while queue and channel is not None and not channel.congested:
-            batch = queue.take(_BATCH, channel.batch_bytes)
-            self._ledger.sent(len(batch))
-            channel.send(batch)
-
-    def _enqueue(self, messages: Sequence[Message], publisher: bytes, depth: int) -> None:
-        now = self.context.now()
-        self._queue.add([message for message in messages if self._fits(len(message[0]))], now, publisher)
-        self._ledger.drop("queue full", self._queue.trim(self._queue_limits(depth), now, publisher))
-
-    def _queue_limits(self, depth: int) -> QueueLimits:
-        """What may wait now. As long as the channel takes messages, the queue only passes them on."""
-        qos = self.qos
-        best_effort = qos is not None and qos.reliability == "best_effort"
-        size = _SLOW_QUEUE_BYTES if self.transport.slow and best_effort else _QUEUE_BYTES + self._largest
-        if qos is None or qos.history == "keep_all" or self.channel is None or not self.channel.congested:
-            return QueueLimits(0, 0.0, size)
-        automatic = self.proposal.qos is None and not best_effort
-        depth = max(depth, qos.depth or _AUTO_DEPTH)
-        return QueueLimits(depth, AUTO_SECONDS if automatic else 0.0, size)
-
-    def _message(self, payload: bytes, stamp: int, flags: int) -> Message:
-        if self._compressor is not None:
-            smaller = self._compressor.compress(payload)
-            if len(smaller) < len(payload):
-                return smaller, stamp, flags | ZSTD
-        return payload, stamp, flags
-
-    def _fits(self, size: int) -> bool:
-        """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
-        if size <= self._largest:
-            return True
-        self._ledger.drop("too large", 1)
-        text = (
-            f"a message of {size:,} bytes is more than {self.transport.name} carries here ({self._largest:,}): use tcp"
-        )
-        if text != self.last_error:
-            self.last_error = text
-            self.log(Level.ERROR, EventCode.ROUTE_TOO_LARGE, text)
-        return False
+        """Send what waits while the path takes it."""
+        if self.channel is not None:
+            self._outbox.flush(self.channel)
 
     # --- the ledger
 
@@ -339,7 +293,7 @@ class OutgoingRoute(Route):
         """The peer said what arrived in the present opening."""
         self._report = report
         if not self._ledger.reported(report, self.context.now()):
-            self.doubt(_LIMITED)
+            self.notices.doubt(self.peer.instance, _LIMITED)
         if (report.type, report.type_hash) != self._hint:
             self._hint = MessageType(report.type, report.type_hash)
             self.advance()
@@ -374,8 +328,8 @@ class OutgoingRoute(Route):
             publisher_qos=self._publisher_qos,
             subscribed=self._subscribed,
             problem=sanitize_text(self._failure() or self.problem),
-            loop=bool(self.loop),
-            warning=self.warning != "",
+            loop=bool(self.notices.loop),
+            warning=self.notices.warning != "",
         )
 
     @property
@@ -394,7 +348,7 @@ class OutgoingRoute(Route):
         failed = self._unresolved.stage if self._unresolved else ""
         why = self.problem if self._unresolved else ""
         seen = f"{publishers}{self._sorter.left_out()}" if publishers else self._no_publisher()
-        clash, failure = self._qos_clash(), self.loop or self._failure()
+        clash, failure = self._qos_clash(), self.notices.loop or self._failure()
         return (
             Stage("publisher seen", publishers > 0, seen),
             Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),

@@ -18,9 +18,13 @@ class Peer(Protocol):
     is_client: bool
     latched: Budget
     expansion: TokenBucket
-    bridges: tuple[str, ...]
     further_publishers: Budget
     revisions: Revisions
+
+    @property
+    def bridges(self) -> tuple[str, ...]:
+        """The names of the bridge nodes in the peer's domain, its own first; empty: not known yet."""
+        ...
 
     @property
     def connections(self) -> int:

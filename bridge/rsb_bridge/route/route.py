@@ -17,6 +17,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.lifecycle import Event, Lifecycle
+from rsb_bridge.route.notices import Notices
 from rsb_bridge.route.pause import PauseState
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
@@ -86,19 +87,15 @@ class Route:
         self.opened_at = 0.0
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
-        self.loop = ""
-        self.warning = ""
         self.retry_at = 0.0
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
-        self._told = ""
-        self._doubted = ""
+        self.notices = Notices(self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
         self.channel: DataChannel | None = None
         self.type_name = ""
         self.type_hash = ""
         self.qos: Qos | None = None
         self.problem = ""
-        self.last_error = ""
         self.meter = RateMeter(context.now())
         self.latency = LatencyMeter()
         session = context.session
@@ -190,7 +187,7 @@ class Route:
             self.release_port = None
         self.peer.closed(self.id)
         self.id = 0
-        self.loop = self.warning = ""
+        self.notices.closed()
         self.life.take(Event.CLOSE)
         self.closed_at = self.context.now()
 
@@ -200,37 +197,14 @@ class Route:
 
     def refuse(self, code: EventCode, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
-        self._report_error(code, reason)
+        self.notices.error(code, reason)
         self._end(reason)
-
-    def _report_error(self, code: EventCode, reason: str) -> None:
-        self.last_error = reason
-        if reason != self._told:  # until messages flow, the next tries need not say the same
-            self._told = reason
-            self.log(Level.ERROR, code, reason)
 
     def _end(self, reason: str) -> None:
         """End the present opening for a reason that is shown; it is opened again later if it was proposed here."""
         self.close(reason)
         self.life.take(Event.REFUSE, reason)
         self.retry_at = self.context.now() + self._backoff.next()
-
-    def set_loop(self, reason: str) -> None:
-        """The route is refused for as long as it would close a loop; empty: it would not. It stays open."""
-        if reason and not self.loop:
-            self.last_error = reason
-            if reason != self._told:
-                self._told = reason
-                self.log(Level.ERROR, EventCode.ROUTE_LOOP, reason)
-        elif self.loop and not reason:
-            self.log(Level.INFO, EventCode.ROUTE_LOOP_GONE, "messages would no longer loop")
-        self.loop = reason
-
-    def set_warning(self, warning: str) -> None:
-        """Say what an operator should know although messages flow; empty: nothing."""
-        if warning and warning != self.warning:
-            self.log(Level.WARNING, EventCode.ROUTE_TYPE_CHANGED, warning)
-        self.warning = warning
 
     def awaited_until(self, linked_at: float) -> float:
         """Until when (s) the other side will have asked for the route anew, if it still wants it."""
@@ -246,14 +220,14 @@ class Route:
 
             def report() -> None:
                 if self.peer.linked and self.peer.connections == connection:
-                    self._report_error(EventCode.ROUTE_CHANNEL_LOST, text)
+                    self.notices.error(EventCode.ROUTE_CHANNEL_LOST, text)
 
             self.context.loop.call_later(_LINK_OUTLIVES, report)
 
     def request_reopen(self, code: EventCode, reason: str) -> None:
         """Close the route on both sides; its proposer opens it again."""
         if self.id:
-            self._report_error(code, reason)
+            self.notices.error(code, reason)
             self._end_on_both_sides(reason)
 
     def _end_on_both_sides(self, reason: str) -> None:
@@ -296,13 +270,6 @@ class Route:
             self.log(Level.INFO, code, "paused" if paused else "resumed")
         self.advance()
 
-    def doubt(self, remedy: str) -> None:
-        """Say, once for each of the peer's processes, that its counts cannot be right, and what is done about it."""
-        if self._doubted != self.peer.instance:
-            self._doubted = self.peer.instance
-            text = f"the other side reports counts that cannot be right; {remedy}"
-            self.log(Level.WARNING, EventCode.ROUTE_IMPLAUSIBLE_REPORT, text)
-
     # --- time
 
     def tick(self) -> None:
@@ -324,7 +291,7 @@ class Route:
 
     def count(self, messages: int, size: int) -> None:
         """Note that messages passed."""
-        self._told = ""
+        self.notices.flowing()
         now = self.context.now()
         self.meter.add(messages, size, now)
         quiet = self.stale.seen(now)
@@ -358,13 +325,13 @@ class Route:
     @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
-        return self.connected and not self.paused and not self.loop
+        return self.connected and not self.paused and not self.notices.loop
 
     def _state(self, stages: tuple[Stage, ...]) -> tuple[State, str]:
         """Its state and, where that is not OK, why."""
         if not self.peer.linked:
             return State.DOWN, self.peer.down_reason
-        if refusal := self.refusal or self.loop:
+        if refusal := self.refusal or self.notices.loop:
             return State.DOWN, refusal
         if self.paused:
             return State.PAUSED, "paused by an operator"
@@ -374,7 +341,7 @@ class Route:
         stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
         came = self.meter.last is not None and self.meter.last >= self.opened_at
         if flowing and came and not stale:
-            return State.OK, self.warning
+            return State.OK, self.notices.warning
         waiting = [stage for stage in stages if not stage.done]
         first = next((stage for stage in waiting if stage.done is False), next(iter(waiting), None))
         reason = self.problem or (first.detail or first.name if first else "")
@@ -414,7 +381,7 @@ class Route:
             jitter=self.latency.jitter,
             age=None if self.meter.last is None else now - self.meter.last,
             history=tuple(self.meter.history),
-            last_error=self.last_error,
+            last_error=self.notices.last_error,
         )
 
     def log(self, level: Level, code: EventCode, text: str) -> None:

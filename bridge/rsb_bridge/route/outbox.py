@@ -1,0 +1,99 @@
+"""A sending half's messages on their way to its channel: compressed, limited and queued."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import zstandard
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import AUTO_SECONDS
+from rsb_bridge.route.send_queue import QueueLimits, SendQueue
+from rsb_bridge.wire.framing import ZSTD, Message
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.route.ledger import RouteLedger
+    from rsb_bridge.transport.transport import Transport
+    from rsb_bridge.wire.messages import Propose
+
+_AUTO_DEPTH = 10
+_QUEUE_BYTES = 32 * 1024 * 1024
+_SLOW_QUEUE_BYTES = 64 * 1024  # best effort on a slow transport: a second or two, later it would be stale
+_BATCH = 16
+_ZSTD_LEVEL = 3
+
+
+class Outbox:
+    """Every message passes through it; those that are dropped in it are in the ledger.
+
+    Args:
+        transport: what carries the route.
+        proposal: what the two sides have agreed on.
+        ledger: the route's.
+        failed: told of a message that the transport does not carry.
+    """
+
+    def __init__(
+        self, transport: Transport, proposal: Propose, ledger: RouteLedger, failed: Callable[[EventCode, str], None]
+    ) -> None:
+        self._transport = transport
+        self._automatic = proposal.qos is None
+        self._ledger = ledger
+        self._failed = failed
+        self._largest = transport.largest_message
+        self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
+        self._queue = SendQueue()
+
+    def pack(self, payload: bytes, stamp: int, flags: int) -> Message:
+        """A message as it is sent: compressed, where that is agreed and makes it smaller."""
+        if self._compressor is not None:
+            smaller = self._compressor.compress(payload)
+            if len(smaller) < len(payload):
+                return smaller, stamp, flags | ZSTD
+        return payload, stamp, flags
+
+    def add(self, messages: Sequence[Message], now: float, publisher: bytes, limits: QueueLimits) -> None:
+        """Have messages of one publisher wait, at `now` (s), within the limits."""
+        self._queue.add([message for message in messages if self._fits(len(message[0]))], now, publisher)
+        self._ledger.drop("queue full", self._queue.trim(limits, now, publisher))
+
+    def flush(self, channel: SendingChannel) -> None:
+        """Send while the channel takes messages."""
+        queue = self._queue
+        while queue and not channel.congested:
+            batch = queue.take(_BATCH, channel.batch_bytes)
+            self._ledger.sent(len(batch))
+            channel.send(batch)
+
+    def clear(self) -> int:
+        """Remove all messages; returns how many they were."""
+        return self._queue.clear()
+
+    def limits(self, qos: Qos | None, depth: int, *, congested: bool) -> QueueLimits:
+        """What may wait now. As long as the channel takes messages, the queue only passes them on.
+
+        Args:
+            qos: of the route; None: not known yet.
+            depth: messages that the publisher keeps, of a latched topic; else 0.
+            congested: whether the channel takes no messages now.
+        """
+        best_effort = qos is not None and qos.reliability == "best_effort"
+        size = _SLOW_QUEUE_BYTES if self._transport.slow and best_effort else _QUEUE_BYTES + self._largest
+        if qos is None or qos.history == "keep_all" or not congested:
+            return QueueLimits(0, 0.0, size)
+        automatic = self._automatic and not best_effort
+        return QueueLimits(max(depth, qos.depth or _AUTO_DEPTH), AUTO_SECONDS if automatic else 0.0, size)
+
+    def _fits(self, size: int) -> bool:
+        """Whether the transport carries a message of so many bytes; one that it does not is dropped."""
+        if size <= self._largest:
+            return True
+        self._ledger.drop("too large", 1)
+        name = self._transport.name
+        text = f"a message of {size:,} bytes is more than {name} carries here ({self._largest:,}): use tcp"
+        self._failed(EventCode.ROUTE_TOO_LARGE, text)
+        return False
