@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import balance, linked, route, settled
 from tests.support.domain import Domain, text
+from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
@@ -52,6 +53,39 @@ def restart(bridge: Bridge, engine: Engine) -> Engine:
     session = engine.session
     engine.stop()
     return bridge.start(session)
+
+
+def test_two_bridges_in_a_row(bridge: Bridge, robot: Domain, pc: Domain, third: Domain) -> None:
+    """The first one is restarted: the far end forgets what the old process brought, and keeps what the new one does."""
+    out = robot.publisher("/map", qos=latched(1))
+    publish(out, "map", range(1))
+
+    def connect(name: str, here: Domain, there: Domain) -> Engine:
+        changes: dict[str, Any] = {"name": name, "server_port": free_port()}
+        server = bridge.start(bridge.server_session(domain_id=there.id, **changes))
+        client = bridge.start(bridge.client_session(Topic("/map", "transmit"), domain_id=here.id, **changes))
+        eventually(lambda: linked(client, name) and linked(server, name))
+        return client
+
+    first = connect("robot1", robot, pc)
+    connect("robot2", pc, third)
+    steady = third.listener("/map", qos=JOINS_LATE)
+    eventually(lambda: len(steady.payloads) == 1)
+    first = restart(bridge, first)
+    eventually(lambda: linked(first, "robot1"))
+    newest = publish(out, "map", range(1, 2))
+
+    def late() -> list[bytes]:
+        listener = third.listener("/map", qos=JOINS_LATE)
+        with contextlib.suppress(AssertionError):
+            holds(lambda: len(listener.payloads) < 2, 1.0)
+        heard = [bytes(payload) for payload in listener.payloads]
+        third.node.destroy_subscription(listener.subscription)
+        return heard
+
+    eventually(lambda: late() == newest, what="the far end has the newest message only")
+    # Histories of publishers that are not there are dropped after 10 s.
+    holds(lambda: late() == newest, 12.0)
 
 
 @pytest.mark.parametrize("count", [25, 60])

@@ -9,6 +9,7 @@ import pytest
 from tests.support.offline import FakePeer, NoRos
 
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.sources import hop
@@ -246,3 +247,61 @@ def test_too_many_messages_that_are_held_are_lost_and_counted(world: World) -> N
     world.route.close("link lost")
     ledger = world.route.ledger()
     assert ledger.offered == sum(ledger.dropped.values()) == 12_012
+
+
+def test_held_messages_do_not_outlive_a_pause(world: World) -> None:
+    """A goal that is an hour old is sent to nobody."""
+    world.graph.nodes[SECOND] = ""
+    world.comes(SECOND, b"old goal")
+    world.route.pause(paused=True)
+    world.wait(3600.0)
+    world.route.pause(paused=False)
+    world.wait(10.0)
+    ledger = world.route.ledger()
+    assert (world.sent, ledger.offered, ledger.dropped) == ([], 1, {"paused": 1})
+
+
+def test_who_is_waited_for_is_no_failure_on_the_other_side(world: World) -> None:
+    """It takes seconds at most, and heals by itself."""
+    world.graph.nodes = {SECOND: ""}
+    world.route.close("closed")
+    world.route.open(3)
+    world.route.on_accepted()
+    assert "announce" in world.route.snapshot().reason
+    report = world.route.news()
+    assert report is not None
+    assert report.problem == ""
+
+
+def test_a_loop_that_comes_again_is_said_again(world: World) -> None:
+    for _ in range(2):
+        world.route.notices.set_loop("messages would loop")
+        world.route.notices.set_loop("")
+    codes = [event.code for event in world.context.events.after(0)]
+    assert codes.count(EventCode.ROUTE_LOOP) == codes.count(EventCode.ROUTE_LOOP_GONE) == 2
+
+
+def test_a_removed_route_says_nothing_of_its_channel(world: World) -> None:
+    world.route.channel_lost("reset")
+    world.route.destroy()
+    world.wait(10.0)
+    assert EventCode.ROUTE_CHANNEL_LOST not in [event.code for event in world.context.events.after(0)]
+
+
+def test_a_publisher_too_far_does_not_reopen_the_route_for_ever(world: World) -> None:
+    """Anybody in the domain can announce so many hops."""
+    announcements = world.context.announcements
+    world.graph.nodes = {}
+    world.route.close("closed")
+    hops = tuple(hop(f"rsb_{number}_1", SCAN) for number in range(16))
+    far = Endpoint(f"/{world.graph.node_name}", TYPE, TYPE_HASH, Qos(), SECOND)
+    announcements.announce(SCAN, "another link", far, Origin(hops))
+    openings = 0
+    for _ in range(300):
+        if not world.route.id and world.loop.time() >= world.route.retry_at:
+            openings += 1
+            world.route.open(2 * openings + 1)
+            world.route.on_accepted()
+        world.route.advance()
+        world.wait(1.0)
+    assert openings == 1

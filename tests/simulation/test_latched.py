@@ -76,3 +76,24 @@ def test_a_burst_that_is_throttled(seed: int, play: Play) -> None:
     ((heard, newest),) = came
     assert newest == flow.sent
     assert heard <= 4
+
+
+def test_the_last_publisher_has_gone(play: Play) -> None:
+    """Who joins late on the far side then gets nothing, as on the near side."""
+    world, flow = latched_world(1, "tcp", None, numbers=False)
+    late: list[list[int]] = []
+
+    async def vanish() -> None:
+        await asyncio.sleep(30.0)
+        flow.publish()
+        await asyncio.sleep(5.0)
+        late.append(list(flow.newest.values()))
+        flow.vanish()
+        await asyncio.sleep(60.0)
+        flow.newest.clear()
+        flow.listen()
+        await asyncio.sleep(5.0)
+        late.append(list(flow.newest.values()))
+
+    play(world, 120.0, vanish())
+    assert late == [[flow.sent], []]

@@ -380,8 +380,8 @@ class RouteTable:
         sent: list[SentReport] = []
         received: list[ReceivedReport] = []
         for route in self.routes.values():
-            if not route.id:
-                continue
+            if not route.accepted:
+                continue  # the other side may not know it yet
             if isinstance(route, OutgoingRoute):
                 if (sending := route.news()) is not None:
                     sent.append(sending)

@@ -78,7 +78,8 @@ class Ledger:
     """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + in_flight``.
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
-    ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``expands too much``.
+    ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``expands too much``, ``would loop``,
+    ``paused``.
     """
 
     offered: int = 0

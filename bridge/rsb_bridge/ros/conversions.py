@@ -40,7 +40,7 @@ def endpoint_of(info: dict[str, Any]) -> Endpoint:
     type_hash, profile = info["topic_type_hash"], info["qos_profile"]
     known = info["node_name"] != _UNKNOWN_NODE
     return Endpoint(
-        node=f"{info['node_namespace'].rstrip('/')}/{info['node_name']}" if known else "",
+        node=sanitize_text(f"{info['node_namespace'].rstrip('/')}/{info['node_name']}") if known else "",
         type_name=safe_type_name(info["topic_type"]),
         type_hash=f"{HASH_PREFIX}{type_hash['value'].hex()}" if type_hash["version"] == 1 else "",
         qos=clamp_qos(

@@ -103,7 +103,7 @@ class IncomingRoute(Route):
             first = True
             self._outputs.close()
         elif first:
-            self._outputs.close(len(description.sources))
+            self._outputs.renumber(description.sources)
         subject = Subject(self.remote_topic, description.type, description.type_hash, _bounded(description.qos))
         try:
             self._outputs.make(subject, description.sources)
@@ -268,7 +268,7 @@ class IncomingRoute(Route):
         some time for lost.
         """
         report = self._received_report()
-        if report == self._told_report and not self._sender_ledger.in_flight:
+        if report == self._told_report and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         self._told_report = report
         return report
@@ -321,7 +321,7 @@ class IncomingRoute(Route):
             self.link_stage(),
             self.accepted_stage(),
             Stage("sent", (report is not None and report.offered > 0) or None),
-            Stage("received", self._received > 0 or None, "" if self._received else self.notices.last_error),
+            Stage("received", self._received > 0 or None, "" if self._received else self.notices.undelivered),
             Stage("published", self._delivered > 0 or None),
             Stage(
                 "subscriber seen",

@@ -18,12 +18,14 @@ class Notices:
         loop: why the open route carries nothing: it would close a loop of bridges; empty: it would not.
         warning: what an operator should know although messages flow; empty: nothing.
         last_error: the last error, or empty.
+        undelivered: why the last message was not carried; empty: it was, or none has come in this opening.
     """
 
     def __init__(self, log: Callable[[Level, EventCode, str], None]) -> None:
         self.loop = ""
         self.warning = ""
         self.last_error = ""
+        self.undelivered = ""
         self._log = log
         self._told = ""
         self._doubted = ""
@@ -37,10 +39,11 @@ class Notices:
 
     def flowing(self) -> None:
         """Messages flow: what fails from now on is said again."""
-        self._told = ""
+        self._told = self.undelivered = ""
 
     def message_error(self, code: EventCode, reason: str) -> None:
         """A message cannot be carried, while others can."""
+        self.undelivered = reason
         if reason != self.last_error:
             self.last_error = reason
             self._log(Level.ERROR, code, reason)
@@ -50,6 +53,7 @@ class Notices:
         if reason and not self.loop:
             self.error(EventCode.ROUTE_LOOP, reason)
         elif self.loop and not reason:
+            self._told = ""
             self._log(Level.INFO, EventCode.ROUTE_LOOP_GONE, "messages would no longer loop")
         self.loop = reason
 
@@ -68,4 +72,4 @@ class Notices:
 
     def closed(self) -> None:
         """The opening has ended, and with it what holds only while it lasts."""
-        self.loop = self.warning = ""
+        self.loop = self.warning = self.undelivered = ""

@@ -49,7 +49,7 @@ class OutgoingRoute(Route):
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._intake: Intake | None = None
         self._throttle = Throttle(proposal.max_rate)
-        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched)
+        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: self.paused)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._ledger = RouteLedger()
         self._outbox = Outbox(self.transport, proposal, self._ledger, self.notices.message_error)
@@ -93,12 +93,14 @@ class OutgoingRoute(Route):
     def _advance(self) -> None:
         if not self.accepted or self.paused:
             self._unsubscribe()
+            self._lose("paused", self._sorter.forget())  # nobody wants them when it is resumed
             return
+        self._latest_later.resume()
         self._publishers = self._sorter.look(self.topic, self.remote_topic)
         self._publisher_qos = match_publishers([e.qos for e in self._publishers]) if self._publishers else None
         if self._described is not None and self._described.sources != self._sorter.table.sources:
             self._describe(msgspec.structs.replace(self._described, sources=self._sorter.table.sources))
-        if self._sorter.table.full:  # a new incarnation has room: some of its sources are there for nothing
+        if self._described is not None and self._sources_outdated():
             self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "other bridges than before bring its messages")
             return
         self.notices.set_loop(self._sorter.loop(self.topic))
@@ -108,6 +110,8 @@ class OutgoingRoute(Route):
             return
         described = self._resolve()
         if described is None:
+            if self.life.ready:
+                self._look_who_is_present()
             return
         if self._described is not None and described.type_hash != self._described.type_hash:
             # A new opening, so that no message of the old type comes where the new one is published.
@@ -127,10 +131,20 @@ class OutgoingRoute(Route):
         if self.channel is not None and self.channel.ready:
             self._subscribe()
 
+    def _sources_outdated(self) -> bool:
+        """Whether a new opening has to number the sources anew.
+
+        Some are there for nothing while others find no number; or a latched topic's publisher has come to belong to
+        another source, and the peer keeps its messages with the one before.
+        """
+        table = self._sorter.table
+        return table.full or (table.moved and self.qos is not None and self.qos.durability == "transient_local")
+
     def _describe(self, described: Describe) -> None:
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
         self._sorter.table.told()
+        self._present = None  # the peer may have new outputs
         self.peer.send(described)
 
     def _resolve(self) -> Describe | None:
@@ -327,9 +341,9 @@ class OutgoingRoute(Route):
             publishers=len(self._publishers),
             publisher_qos=self._publisher_qos,
             subscribed=self._subscribed,
-            problem=sanitize_text(self._failure() or self.problem),
+            problem=sanitize_text(self._failure() or ("" if self._sorter.table.unexplained else self.problem)),
             loop=bool(self.notices.loop),
-            warning=self.notices.warning != "",
+            warning=self.notices.warning != "" and not (self._failure() or self.notices.loop),
         )
 
     @property

@@ -69,6 +69,7 @@ class _Output:
         self._subject = subject
         self._origin = origin
         self._gids: set[bytes] = set()
+        self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
         self.sink: Publisher | LatchedTopic
         depth = subject.qos.depth
         if subject.qos.durability == "transient_local":
@@ -150,6 +151,19 @@ class Outputs:
                 if number == 0:
                     raise
                 return
+
+    def renumber(self, sources: Sequence[Source]) -> None:
+        """A new opening numbers sources anew: outputs go on with the one whose messages they keep, or are closed."""
+        count = 0
+        for source in sources:
+            rest = range(count, len(self._outputs))
+            at = next((each for each in rest if self._outputs[each].came_by == source.via[:-1]), None)
+            if at is None:
+                break
+            self._outputs.insert(count, self._outputs.pop(at))
+            self.sinks.insert(count, self.sinks.pop(at))
+            count += 1
+        self.close(count)
 
     def _add(self, subject: Subject, origin: Origin) -> None:
         further = len(self._outputs) > 0

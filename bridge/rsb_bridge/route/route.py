@@ -24,6 +24,7 @@ from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Iterable
 
     from rsb_bridge.channel.channel import DataChannel
@@ -103,6 +104,7 @@ class Route:
         self.stale = StaleWatch(after, session.stale_warnings, context.now())
         self.never_stale = spec.stale_after is None
         self.release_port: Callable[[], None] | None = None
+        self._loss: asyncio.TimerHandle | None = None  # reports that the channel was lost
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
@@ -194,6 +196,8 @@ class Route:
     def destroy(self) -> None:
         """End it for good: endpoints too."""
         self.close("removed")
+        if self._loss is not None:
+            self._loss.cancel()
 
     def refuse(self, code: EventCode, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
@@ -222,7 +226,7 @@ class Route:
                 if self.peer.linked and self.peer.connections == connection:
                     self.notices.error(EventCode.ROUTE_CHANNEL_LOST, text)
 
-            self.context.loop.call_later(_LINK_OUTLIVES, report)
+            self._loss = self.context.loop.call_later(_LINK_OUTLIVES, report)
 
     def request_reopen(self, code: EventCode, reason: str) -> None:
         """Close the route on both sides; its proposer opens it again."""

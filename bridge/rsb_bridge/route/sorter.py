@@ -108,6 +108,13 @@ class Sorter:
         self._held_bytes = 0
         return self.admit(held)[0]
 
+    def forget(self) -> int:
+        """Lose the held messages; how many they are."""
+        held = len(self._held)
+        self._held.clear()
+        self._held_bytes = 0
+        return held
+
     def _hold(self, message: RawMessage) -> None:
         self._held.append(message)
         self._held_bytes += len(message.payload)
@@ -125,9 +132,8 @@ class Sorter:
             )
         if self.table.closes_loop:
             return (
-                f"messages would loop: everything on {topic} in domain {domain} comes, through "
-                f"{_named(self.table.culprits())}, from the domain that this route leads to; remove one of the routes "
-                "that form the loop"
+                f"messages would loop: all of {topic} in domain {domain} comes from where this route leads, through "
+                f"{_named(self.table.culprits())}; remove this route or one of theirs"
             )
         return ""
 

@@ -60,6 +60,7 @@ class SourceTable:
         self.too_far: tuple[Publication, ...] = ()
         self.unexplained: tuple[Publication, ...] = ()
         self.flags: dict[bytes, int] = {}
+        self.moved = False  # a known publisher's messages have come to belong to another source
         self._hop = ""
         self._one_place = False
         self._numbers: dict[bytes, int] = {}
@@ -121,12 +122,13 @@ class SourceTable:
         gone = [gid for gid in self._numbers if gid not in numbers]
         for gid in gone[: max(0, len(gone) - _GONE_REMEMBERED)]:
             del self._numbers[gid]
+        self.moved = self.moved or any(0 <= number != self._numbers.get(gid, number) for gid, number in numbers.items())
         self._numbers |= numbers
         self._sort_out()
 
     def to_describe(self) -> tuple[Source, ...]:
         """The sources; where there are none, and none is waited for, one for whoever will publish first."""
-        if not (self.sources or self.unexplained):
+        if not (self.sources or self.unexplained or self.too_far):
             self.sources = (Source(via=(self._hop,), live=False),)
         return self.sources
 

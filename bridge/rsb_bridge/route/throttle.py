@@ -31,12 +31,12 @@ class Throttle:
             return True
         due = self._due.get(publisher, 0)
         late = stamp - due
-        if -interval <= late < 0:  # farther ahead it is only if the clock was set back
+        if -2 * interval <= late < 0:  # farther ahead it is only if the clock was set back; a little, out of order
             return False
         if len(self._due) >= _MOST_PUBLISHERS:
             self._due.clear()
         # Due times keep their own beat, so that a 50 Hz topic throttled to 20 Hz gives 20, not 16.7.
-        self._due[publisher] = (due if late < interval else stamp) + interval
+        self._due[publisher] = (due if 0 <= late < interval else stamp) + interval
         return True
 
     def due(self, publisher: bytes) -> int:
@@ -51,7 +51,11 @@ class LatestLater:
     """
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, throttle: Throttle, send: Callable[[Sequence[Sample]], None]
+        self,
+        loop: asyncio.AbstractEventLoop,
+        throttle: Throttle,
+        send: Callable[[Sequence[Sample]], None],
+        paused: Callable[[], bool],
     ) -> None:
         """Begin.
 
@@ -59,10 +63,12 @@ class LatestLater:
             loop: the I/O loop.
             throttle: decides.
             send: gets the messages that pass later.
+            paused: whether nothing may pass now; then `resume` lets what is due pass.
         """
         self._loop = loop
         self._throttle = throttle
         self._send = send
+        self._paused = paused
         self._waiting: dict[bytes, tuple[int, Sample]] = {}
         self._timers: dict[bytes, asyncio.TimerHandle] = {}
 
@@ -88,6 +94,11 @@ class LatestLater:
                 left_out += 1
         return admitted, left_out
 
+    def resume(self) -> None:
+        """Let pass what has become due meanwhile."""
+        for publisher in self._waiting.keys() - self._timers.keys():
+            self._pass(publisher)
+
     def clear(self) -> int:
         """Let nothing pass any more; how many waited."""
         return sum(self._forget(publisher) for publisher in tuple(self._waiting))
@@ -95,11 +106,15 @@ class LatestLater:
     def _forget(self, publisher: bytes) -> int:
         if self._waiting.pop(publisher, None) is None:
             return 0
-        self._timers.pop(publisher).cancel()
+        timer = self._timers.pop(publisher, None)
+        if timer is not None:
+            timer.cancel()
         return 1
 
     def _pass(self, publisher: bytes) -> None:
+        self._timers.pop(publisher, None)
+        if self._paused():
+            return
         due, sample = self._waiting.pop(publisher)
-        del self._timers[publisher]
         self._throttle.passes(due, publisher)
         self._send([sample])
