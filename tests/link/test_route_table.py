@@ -119,12 +119,19 @@ def make_pair(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callab
 def settle(pair: Pair, loop: VirtualLoop) -> None:
     """Let all that is under way arrive, and half a minute pass."""
     for _ in range(30):
-        while any(side.inbox for side in pair):
-            for side in pair:
-                side.hear()
-        loop.jump(1.0)
-        for side in pair:
-            side.table.tick()
+        let_time_pass(pair, loop, 1.0)
+    hear_all(pair)
+
+
+def let_time_pass(pair: Pair, loop: VirtualLoop, seconds: float) -> None:
+    """Let all that is under way arrive, then time pass and the tables tick."""
+    hear_all(pair)
+    loop.jump(seconds)
+    for side in pair:
+        side.table.tick()
+
+
+def hear_all(pair: Pair) -> None:
     while any(side.inbox for side in pair):
         for side in pair:
             side.hear()
@@ -197,12 +204,5 @@ def test_ids_of_closed_incarnations_are_remembered_within_bounds(
 
 
 def settle_shortly(pair: Pair, loop: VirtualLoop) -> None:
-    while any(side.inbox for side in pair):
-        for side in pair:
-            side.hear()
-    loop.jump(10.0)
-    for side in pair:
-        side.table.tick()
-    while any(side.inbox for side in pair):
-        for side in pair:
-            side.hear()
+    let_time_pass(pair, loop, 10.0)
+    hear_all(pair)

@@ -76,7 +76,7 @@ def _depth(topic: Topic, location: str) -> Iterator[Problem]:
     qos = topic.parsed_qos()
     if qos is None or qos.history == "keep_all":
         return
-    most = LATCHED_DEPTH if qos.durability == "transient_local" else KEPT_DEPTH
+    most = LATCHED_DEPTH if qos.latched else KEPT_DEPTH
     if qos.depth > most:
-        kept = "for late joiners" if qos.durability == "transient_local" else "in its publisher"
+        kept = "for late joiners" if qos.latched else "in its publisher"
         yield Problem(location, f"depth {qos.depth}: the receiving side keeps {most} messages {kept}")

@@ -38,6 +38,11 @@ class Qos(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults
     deadline: float = 0.0
     lifespan: float = 0.0
 
+    @property
+    def latched(self) -> bool:
+        """Whether subscriptions that join late get what was published before."""
+        return self.durability == "transient_local"
+
 
 PROFILES: dict[str, Qos] = {
     "default": Qos(),

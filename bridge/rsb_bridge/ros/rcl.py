@@ -165,7 +165,7 @@ class Participant:
         Raises:
             RosError: the type, the name or the QoS will not do.
         """
-        latched = qos.durability == "transient_local"
+        latched = qos.latched
         earlier = None if latched else frozenset(each.gid for each in self.publishers(topic))
         handle = self._create(_rclpy.Subscription, topic, type_name, type_hash, qos)
         return Reader(handle, self._buffer, earlier)

@@ -335,7 +335,7 @@ class IncomingRoute(Route):
 
 def _bounded(qos: Qos) -> Qos:
     """What a publisher here keeps for late joiners and slow readers, whatever the peer asks for."""
-    if qos.durability != "transient_local":
+    if not qos.latched:
         return msgspec.structs.replace(qos, depth=min(qos.depth or _AUTO_DEPTH, KEPT_DEPTH))
     depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
     return msgspec.structs.replace(qos, history="keep_last", depth=depth)

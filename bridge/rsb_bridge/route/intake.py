@@ -103,7 +103,7 @@ class Intake:
         self._expected_rate = expected_rate
         self._subscription: LastingSubscription | None = None
         self._histories: Histories | None = None
-        if subject.qos.durability == "transient_local":
+        if subject.qos.latched:
             self._histories = Histories(
                 context.loop, self._probe, self._emit, depth=0 if automatic else _kept(subject.qos), known=known
             )
@@ -169,7 +169,7 @@ class Intake:
 
     def _qos(self) -> Qos:
         qos, meter = self._subject.qos, self._owner.meter
-        if qos.durability == "transient_local":
+        if qos.latched:
             return msgspec.structs.replace(qos, history="keep_all")  # each publisher keeps what it keeps
         if not self._automatic:
             return qos

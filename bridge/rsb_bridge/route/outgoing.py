@@ -138,7 +138,7 @@ class OutgoingRoute(Route):
         another source, and the peer keeps its messages with the one before.
         """
         table = self._sorter.table
-        return table.full or (table.moved and self.qos is not None and self.qos.durability == "transient_local")
+        return table.full or (table.moved and self.qos is not None and self.qos.latched)
 
     def _describe(self, described: Describe) -> None:
         self._described = described
@@ -197,7 +197,7 @@ class OutgoingRoute(Route):
 
     def _look_who_is_present(self) -> None:
         """Have the histories of publishers that are gone dropped, here and by the peer."""
-        if self._intake is None or self.qos is None or self.qos.durability != "transient_local":
+        if self._intake is None or self.qos is None or not self.qos.latched:
             return
         gids = {endpoint.gid for endpoint in self._publishers}
         self._intake.look(gids)
@@ -225,7 +225,7 @@ class OutgoingRoute(Route):
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
         self._end_intake()
         self._described = None
-        self._lose("link lost", self._sorter.holds)
+        self._lose("link lost", self._sorter.forget())
         self._ledger.drop("link lost", self._outbox.clear())
         self._sorter.clear()
         self._ledger.closed()
@@ -240,7 +240,7 @@ class OutgoingRoute(Route):
             self._intake.tick()
 
     def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
-        """The messages to take now: none that would go in a loop, and none of which that is not known yet."""
+        """The messages to take now; those that would loop are lost, those whose source is not known yet are held."""
         if self._sorter.carries(batch):
             return batch
         admitted, unseen = self._sorter.admit(batch)

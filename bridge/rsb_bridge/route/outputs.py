@@ -72,7 +72,7 @@ class _Output:
         self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
         self.sink: Publisher | LatchedTopic
         depth = subject.qos.depth
-        if subject.qos.durability == "transient_local":
+        if subject.qos.latched:
             self.sink = LatchedTopic(context.loop, self._advertise, peer.latched, depth, failed)
         else:
             self.sink = self._advertise(depth)

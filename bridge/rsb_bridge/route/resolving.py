@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.qos import match_publishers
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
@@ -170,10 +171,5 @@ def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -
 
 def _named(nodes: dict[str, list[str]]) -> str:
     """Types or versions, each with its nodes."""
-    parts = [f"{key} (from {_few(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
-    return _few(parts, _MOST_TYPES)
-
-
-def _few(parts: Sequence[str], most: int) -> str:
-    more = len(parts) - most
-    return ", ".join(parts[:most]) + (f" and {more} more" if more > 0 else "")
+    parts = [f"{key} (from {join_first(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
+    return join_first(parts, _MOST_TYPES)

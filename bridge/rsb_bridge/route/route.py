@@ -319,7 +319,7 @@ class Route:
     @property
     def is_latched(self) -> bool:
         """A latched topic is not stale when silent, unless its session entry says after how long it is."""
-        return self.never_stale and self.qos is not None and self.qos.durability == "transient_local"
+        return self.never_stale and self.qos is not None and self.qos.latched
 
     @property
     def connected(self) -> bool:

@@ -1,4 +1,4 @@
-"""Sorts a route's messages by source, and keeps those back of which it is not known yet where they come from."""
+"""Sorts a route's messages by source, and holds messages whose source is not known yet."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.sources import hop, place
+from rsb_bridge.model.text import join_first
 from rsb_bridge.route.sources import LEFT_OUT, Publication, SourceTable
 
 if TYPE_CHECKING:
@@ -67,9 +68,7 @@ class Sorter:
 
     def _wait(self) -> None:
         """Call `due` when the next publisher has been waited for long enough; before that, news make routes look."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._cancel_timer()
         if self.table.unexplained:
             delay = self.table.explained_by - self._context.now()
             self._timer = self._context.loop.call_later(delay, self._due)
@@ -83,7 +82,7 @@ class Sorter:
         return True
 
     def admit(self, batch: Sequence[RawMessage]) -> tuple[list[RawMessage], bool]:
-        """Sort messages; those of which it is not known yet where they come from are held, until `release`.
+        """Sort messages; those whose source is not known yet are held until `release`.
 
         Returns:
             Those that may be sent now, and whether there is a publisher among the others that `look` has not seen.
@@ -104,12 +103,11 @@ class Sorter:
         if not self._held:
             return []
         held = tuple(self._held)
-        self._held.clear()
-        self._held_bytes = 0
+        self.forget()
         return self.admit(held)[0]
 
     def forget(self) -> int:
-        """Lose the held messages; how many they are."""
+        """Drop the held messages; returns how many they were."""
         held = len(self._held)
         self._held.clear()
         self._held_bytes = 0
@@ -133,7 +131,7 @@ class Sorter:
         if self.table.closes_loop:
             return (
                 f"messages would loop: all of {topic} in domain {domain} comes from where this route leads, through "
-                f"{_named(self.table.culprits())}; remove this route or one of theirs"
+                f"{join_first(self.table.culprits(), _MOST_NAMED)}; remove this route or one of theirs"
             )
         return ""
 
@@ -163,18 +161,16 @@ class Sorter:
 
     def clear(self) -> None:
         """A new opening begins: nothing is kept, nothing numbered."""
+        self._cancel_timer()
+        self.table = SourceTable()
+        self._overflowed = 0
+        self.forget()
+
+    def _cancel_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self.table = SourceTable()
-        self._overflowed = self._held_bytes = 0
-        self._held.clear()
 
 
 def _nodes(publications: Iterable[Publication]) -> str:
-    return _named(sorted({each.node for each in publications if each.node}))
-
-
-def _named(nodes: Sequence[str]) -> str:
-    more = len(nodes) - _MOST_NAMED
-    return ", ".join(nodes[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return join_first(sorted({each.node for each in publications if each.node}), _MOST_NAMED)

@@ -31,7 +31,8 @@ class Throttle:
             return True
         due = self._due.get(publisher, 0)
         late = stamp - due
-        if -2 * interval <= late < 0:  # farther ahead it is only if the clock was set back; a little, out of order
+        # A stamp a little older than the last one is out of order; one much older comes from a clock that was set back.
+        if -2 * interval <= late < 0:
             return False
         if len(self._due) >= _MOST_PUBLISHERS:
             self._due.clear()
