@@ -33,8 +33,13 @@ class EngineApi(Protocol):
         """Whether a client's link was shut down on purpose, so that it does not come back by itself."""
         ...
 
+    @property
+    def unreachable(self) -> str:
+        """Why the state of an attached engine is not known at present; empty: it is, as it always is in-process."""
+        ...
+
     def start(self) -> None:
-        """Join the ROS domain, and bind or begin to connect.
+        """Join the ROS domain, and bind or begin to connect; or attach to an engine that has done so.
 
         Raises:
             EngineError: it cannot, or `stop` was called; nothing is left running.
@@ -44,7 +49,8 @@ class EngineApi(Protocol):
     def stop(self, timeout: float = 5.0) -> None:
         """Tell the peers, close everything, end the threads: within `timeout` s, whatever the peers do.
 
-        It also ends a `start` that another thread has not finished yet.
+        It also ends a `start` that another thread has not finished yet. An attached engine goes on; only this console
+        is gone.
         """
         ...
 

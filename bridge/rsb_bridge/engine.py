@@ -97,6 +97,10 @@ class Engine(EngineApi):
     def waits_for_operator(self) -> bool:
         return self._bridge is not None and any(link.shut_down for link in self._bridge.links())
 
+    @property
+    def unreachable(self) -> str:
+        return ""
+
     def start(self) -> None:
         with self._starting:
             self._check_not_stopped()

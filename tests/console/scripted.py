@@ -149,6 +149,7 @@ class ScriptedEngine:
         self.happened = list(EVENTS)
         self.commands: list[tuple[object, ...]] = []
         self.running = False
+        self.unreachable = ""
 
     def start(self) -> None:
         self.running = True

@@ -24,6 +24,11 @@ class EventCode(StrEnum):
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
     """A subscription of the engine's own failed; it is opened again."""
 
+    ATTACH_LOST = "attach.lost"
+    """An attached console has lost its bridge; it tries again."""
+    ATTACH_AGAIN = "attach.again"
+    """An attached console has its bridge again, or another one in its place."""
+
     LOG_LINES_LOST = "log.lines_lost"
     """Standard output did not take some lines of the log; the text says how many, and why."""
 

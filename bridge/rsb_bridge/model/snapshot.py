@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rsb_bridge.model.qos import Qos
-    from rsb_bridge.model.session import Topic
+from rsb_bridge.model.qos import Qos  # noqa: TC001 -- these types must be known where a snapshot is decoded
+from rsb_bridge.model.session import Topic  # noqa: TC001
 
 
 class State(StrEnum):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Event, Level
@@ -28,9 +29,13 @@ class EventLog:
 
     def add(self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "") -> None:
         """Append an event."""
+        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, link, topic))
+
+    def append(self, event: Event) -> None:
+        """Append an event of any engine's; it gets the next number of this log."""
         with self._news:
             self.last = next(self._numbers)
-            self._events.append(Event(self.last, self._clock.time_ns() / 1e9, level, code, text, link, topic))
+            self._events.append(replace(event, number=self.last))
             self._news.notify_all()
 
     def after(self, number: int) -> list[Event]:

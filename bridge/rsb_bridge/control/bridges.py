@@ -1,0 +1,186 @@
+"""The bridges that run on this machine: finding them, and joining them with one's own."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge import __version__
+from rsb_bridge.control import folders, protocol
+from rsb_bridge.control.folders import ControlError, Listener, NotServedError, TakenError
+from rsb_bridge.control.protocol import BridgeInfo, Hello, ProtocolError, Refused, Welcome
+from rsb_bridge.control.server import ControlServer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.session import Session
+
+_ASKED_FOR = 2.0
+_READ_SIZE = 64 << 10
+
+
+@dataclass(frozen=True, slots=True)
+class RunningBridge:
+    """A bridge that runs on this machine.
+
+    Attributes:
+        path: of its control socket.
+        pid: its process.
+        info: what it says of itself; None: it does not answer, or not to this version.
+        problem: why there is no `info`; else empty.
+    """
+
+    path: Path
+    pid: int
+    info: BridgeInfo | None
+    problem: str = ""
+
+    @property
+    def name(self) -> str:
+        """What an operator calls it: the socket's name, which no other bridge of the same user has."""
+        return self.path.name.removesuffix(folders.SUFFIX)
+
+    def __str__(self) -> str:
+        if self.info is None:
+            return f"{self.name}: pid {self.pid}, {self.path} ({self.problem})"
+        file = f", {self.info.file}" if self.info.file else ""
+        return f"{self.name}: {self.info.role}, {self.info.address}, pid {self.pid}{file}"
+
+
+class AlreadyRunningError(ControlError):
+    """The session runs on this machine already.
+
+    Attributes:
+        bridge: that runs it.
+    """
+
+    def __init__(self, bridge: RunningBridge) -> None:
+        doubt = f" ({bridge.problem})" if bridge.problem else ""
+        super().__init__(f"{bridge.name} already runs here: pid {bridge.pid}, socket {bridge.path}{doubt}")
+        self.bridge = bridge
+
+
+def ask(path: Path) -> RunningBridge:
+    """Ask who serves a control socket.
+
+    Raises:
+        ControlError: nobody does, or it may not be used.
+    """
+    with folders.connect(path, _ASKED_FOR) as connection:
+        pid, _, _ = folders.peer_of(connection)
+        try:
+            connection.sendall(protocol.encode(Hello(protocol.VERSION, __version__, read_only=True)))
+            frames = protocol.frames_to_console()
+            while data := connection.recv(_READ_SIZE):
+                for message in frames.feed(data):
+                    if isinstance(message, Welcome):
+                        return RunningBridge(path, pid, message.bridge)
+                    if isinstance(message, Refused):
+                        return RunningBridge(path, pid, None, message.reason)
+        except (OSError, ProtocolError) as error:
+            problem = "it does not answer" if isinstance(error, TimeoutError) else str(error)
+            return RunningBridge(path, pid, None, problem)
+    return RunningBridge(path, pid, None, "it closed the connection")
+
+
+def running_bridges(environ: Mapping[str, str] = os.environ) -> list[RunningBridge]:
+    """All bridges that this user can attach to, or that at least exist."""
+    found = []
+    for path in folders.find_sockets(environ):
+        try:
+            found.append(ask(path))
+        except ControlError:  # a dead process's, or another user's
+            continue
+    return found
+
+
+def serve(
+    engine: EngineApi,
+    session: Session,
+    *,
+    file: Path | None,
+    control: Path | None,
+    on_stop: Callable[[], None],
+    has_console: bool = False,
+    environ: Mapping[str, str] = os.environ,
+) -> ControlServer:
+    """Serve an engine, before it is started: from now on nobody on this machine starts the same session again.
+
+    Args:
+        engine: not started yet.
+        session: that it runs.
+        file: the session file.
+        control: the socket; None: one in the user's folder, named after the session.
+        on_stop: ends the process; called on another thread.
+        has_console: the process has a console of its own.
+        environ: says where the user's folder is.
+
+    Raises:
+        AlreadyRunningError: another process runs the session.
+        ControlError: there can be no socket.
+    """
+    info = BridgeInfo(
+        name=session.name,
+        role=session.role,
+        address=engine.snapshot().address,
+        pid=os.getpid(),
+        started=time.time(),
+        instance=uuid.uuid4().hex,
+        program=__version__,
+        file=None if file is None else str(file.absolute()),
+        base=str((file.parent if file is not None else Path()).absolute()),
+        has_console=has_console,
+    )
+    listener = _claim(info, environ) if control is None else _claim_path(control)
+    server = ControlServer(engine, listener, info, on_stop)
+    server.start()
+    return server
+
+
+def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:
+    """Listen on the first free socket of the session's name, if no other process runs the session."""
+    for bridge in running_bridges(environ):
+        if bridge.info is not None and _is_same(bridge.info, info):
+            raise AlreadyRunningError(bridge)
+    folder = folders.serving_folder(environ)
+    for number in itertools.count(1):
+        path = folder / f"{folders.stem_of(info.name, number)}{folders.SUFFIX}"
+        try:
+            return Listener(path, make_folder=True)
+        except TakenError:
+            holder = _holder(path)
+            if holder is not None and (holder.info is None or _is_same(holder.info, info)):
+                raise AlreadyRunningError(holder) from None
+    raise AssertionError("endless")
+
+
+def _claim_path(path: Path) -> Listener:
+    try:
+        return Listener(path, make_folder=False)
+    except TakenError:
+        bridge = _holder(path)
+        if bridge is None:
+            return Listener(path, make_folder=False)
+        raise AlreadyRunningError(bridge) from None
+
+
+def _holder(path: Path) -> RunningBridge | None:
+    """Who serves a socket that was taken; None: it has ended meanwhile."""
+    try:
+        return ask(path)
+    except NotServedError:
+        return None
+
+
+def _is_same(one: BridgeInfo, other: BridgeInfo) -> bool:
+    """Whether two bridges are of one session: from the same file, or with the same peer under the same name."""
+    if (one.name, one.role) != (other.name, other.role):
+        return False
+    return one.address == other.address or (one.file is not None and one.file == other.file)

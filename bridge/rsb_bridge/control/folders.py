@@ -1,0 +1,249 @@
+"""Where the control sockets of this machine are, and who may use them."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import socket
+import stat
+import struct
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+SUFFIX = ".sock"
+SERVICES = Path("/run/rsb-console")
+"""The folder of bridges that systemd runs, `RuntimeDirectory=` of their unit."""
+_NAME_LENGTH = 64
+_BACKLOG = 16
+_LOCKED_WITHIN = 5.0
+_PEER = struct.Struct("iII")  # pid, uid, gid: struct ucred of unix(7)
+
+
+class ControlError(EngineError):
+    """A control socket cannot be used; the message says why."""
+
+
+class NotServedError(ControlError):
+    """No process listens on a control socket."""
+
+
+class TakenError(ControlError):
+    """A living process listens on the socket already.
+
+    Attributes:
+        path: of the socket.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: another process serves this socket")
+        self.path = path
+
+
+def serving_folder(environ: Mapping[str, str]) -> Path:
+    """The folder that this process puts its socket in.
+
+    systemd's own for a service (``$RUNTIME_DIRECTORY``), else the user's (``$XDG_RUNTIME_DIR/rsb-console``), else
+    ``/tmp/rsb-console-UID``.
+    """
+    if service := environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]:
+        return Path(service)
+    return _user_folder(environ)
+
+
+def searched_folders(environ: Mapping[str, str]) -> list[Path]:
+    """The folders in which this user's bridges may have put their sockets."""
+    return list(dict.fromkeys((serving_folder(environ), _user_folder(environ), _fallback_folder(), SERVICES)))
+
+
+def _user_folder(environ: Mapping[str, str]) -> Path:
+    runtime = environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "rsb-console" if runtime else _fallback_folder()
+
+
+def _fallback_folder() -> Path:
+    return Path(f"/tmp/rsb-console-{os.geteuid()}")  # noqa: S108 -- its owner and mode are checked
+
+
+def stem_of(name: str, number: int = 1) -> str:
+    """A socket's name without suffix, of a session's name; the number tells sessions of one name apart."""
+    safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_NAME_LENGTH].lstrip(".") or "_"
+    return safe if number == 1 else f"{safe}-{number}"
+
+
+def find_sockets(environ: Mapping[str, str]) -> list[Path]:
+    """All sockets in the folders that can be read, living or not."""
+    found = []
+    for folder in searched_folders(environ):
+        with contextlib.suppress(OSError):
+            found += sorted(path for path in folder.iterdir() if path.suffix == SUFFIX)
+    return found
+
+
+class Listener:
+    """A socket that listens, mode 0600, and the file that leads to it.
+
+    Args:
+        path: of the file. Its folder is made, mode 0700, if it is a default one.
+
+    Raises:
+        TakenError: a living process listens there.
+        ControlError: the folder is unsafe, or no socket can be made there.
+    """
+
+    def __init__(self, path: Path, *, make_folder: bool) -> None:
+        self.path = path
+        with _folder(path.parent, make=make_folder) as folder, _reported(path):
+            _lock(folder)  # nobody else probes, replaces or makes a socket here meanwhile
+            if _is_socket(folder, path):
+                if _listens(folder, path.name):
+                    raise TakenError(path)
+                os.unlink(path.name, dir_fd=folder)
+            self.socket = socket.socket(socket.AF_UNIX)
+            try:
+                self.socket.bind(_address(folder, path.name))
+                os.chmod(path.name, 0o600, dir_fd=folder)
+                self.socket.listen(_BACKLOG)  # until here nobody can connect
+            except BaseException:
+                self.socket.close()
+                raise
+            self._inode = os.stat(path.name, dir_fd=folder).st_ino
+        self.socket.setblocking(False)
+
+    def close(self) -> None:
+        """Stop listening, and remove the file unless another has taken its place."""
+        with contextlib.suppress(OSError, ControlError), _folder(self.path.parent, make=False) as folder:
+            _lock(folder)
+            if os.stat(self.path.name, dir_fd=folder).st_ino == self._inode:
+                os.unlink(self.path.name, dir_fd=folder)
+        self.socket.close()
+
+
+def connect(path: Path, timeout: float) -> socket.socket:
+    """Connect to a control socket, whose server must be this user's or root's.
+
+    Args:
+        path: of the socket.
+        timeout: s; remains the socket's own.
+
+    Raises:
+        ControlError: nothing listens there, or it may not be used.
+    """
+    with _folder(path.parent, make=False) as folder, _reported(path):
+        connection = socket.socket(socket.AF_UNIX)
+        try:
+            connection.settimeout(timeout)
+            connection.connect(_address(folder, path.name))
+        except BaseException:
+            connection.close()
+            raise
+    if not is_trusted(connection):
+        connection.close()
+        raise ControlError(f"{path}: another user's process serves this socket")
+    return connection
+
+
+def is_trusted(connection: socket.socket) -> bool:
+    """Whether the other side of a Unix socket is this user, or root, or this user is root."""
+    _, uid, _ = peer_of(connection)
+    return os.geteuid() == 0 or uid in (0, os.geteuid())
+
+
+def peer_of(connection: socket.socket) -> tuple[int, int, int]:
+    """The pid, uid and gid of a Unix socket's other side, as the kernel noted them when it connected."""
+    pid, uid, gid = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
+    return pid, uid, gid
+
+
+@contextlib.contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    """Say in words what the kernel refuses."""
+    try:
+        yield
+    except TimeoutError:
+        raise ControlError(f"{path}: its process does not answer") from None
+    except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ECONNREFUSED):
+            raise NotServedError(f"{path}: no bridge serves this socket") from None
+        raise ControlError(f"{path}: {error.strerror or error}") from None
+
+
+@contextlib.contextmanager
+def _folder(path: Path, *, make: bool) -> Iterator[int]:
+    """Open a folder, and make sure that no other user can put a socket of their own there.
+
+    Args:
+        path: of the folder.
+        make: it is one of the default folders: make it, mode 0700, where it is missing; it must be this user's.
+    """
+    try:
+        if make:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileExistsError):
+                path.mkdir(mode=0o700)
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | (os.O_NOFOLLOW if make else 0))
+    except FileNotFoundError:
+        raise NotServedError(f"{path}: no bridge serves a socket here") from None
+    except OSError as error:
+        raise ControlError(f"{path}: {error.strerror}") from None
+    try:
+        if problem := _folder_problem(os.fstat(handle), strict=make):
+            raise ControlError(f"{path}: {problem}")
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def _lock(folder: int) -> None:
+    deadline = time.monotonic() + _LOCKED_WITHIN
+    while True:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                raise ControlError("another process keeps the folder of the control socket locked") from None
+            time.sleep(0.01)
+        else:
+            return
+
+
+def _folder_problem(status: os.stat_result, *, strict: bool) -> str:
+    others = stat.S_IMODE(status.st_mode) & 0o022
+    if status.st_uid not in (0, os.geteuid()) and os.geteuid() != 0:
+        return "this folder is another user's; remove it, or set XDG_RUNTIME_DIR"
+    if strict and status.st_uid != os.geteuid():
+        return f"this folder is another user's (uid {status.st_uid}); remove it, or set XDG_RUNTIME_DIR"
+    if others and not status.st_mode & stat.S_ISVTX:
+        return f"others may write to this folder (mode {stat.S_IMODE(status.st_mode):04o}); chmod 700 it"
+    return ""
+
+
+def _is_socket(folder: int, path: Path) -> bool:
+    """Whether there is a socket of that name; whatever else is there is nobody's to remove."""
+    try:
+        mode = os.stat(path.name, dir_fd=folder, follow_symlinks=False).st_mode
+    except FileNotFoundError:
+        return False
+    if not stat.S_ISSOCK(mode):
+        raise ControlError(f"{path}: exists, and is not a socket; name another path with --control")
+    return True
+
+
+def _listens(folder: int, name: str) -> bool:
+    """Whether a living process listens on a socket, however busy it is."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)
+        return probe.connect_ex(_address(folder, name)) not in (errno.ECONNREFUSED, errno.ENOENT)
+
+
+def _address(folder: int, name: str) -> str:
+    """A path for the kernel: of 107 bytes at most, and through the folder that was checked."""
+    return f"/proc/self/fd/{folder}/{name}"

@@ -1,0 +1,385 @@
+"""What crosses a control socket: frames, messages, and their limits. Sans-IO.
+
+A frame is four bytes of length, big-endian, and a message in MessagePack. The types below and those of the model are
+the definition: msgspec reads and writes them by their type hints.
+
+`Hello`, `Welcome` and `Refused` keep their fields in every version, so that two versions can tell each other apart.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+
+import msgspec
+
+from rsb_bridge.model.session import Session, Topic  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+VERSION = 1
+"""Both sides must have the same."""
+
+TO_BRIDGE_LIMIT = 64 << 10
+"""Bytes of a frame to a bridge: the largest is one topic."""
+TO_CONSOLE_LIMIT = 16 << 20
+"""Bytes of a frame to a console: the largest is the topics of a graph."""
+ROUTES_IN_STATE = 50
+"""Routes in one `State`; a snapshot of more comes in several."""
+EVENTS_AT_ONCE = 500
+"""Events in one `Events`."""
+REQUESTS_WAITING = 32
+"""Requests of one console that a bridge answers at the same time."""
+CONSOLES = 32
+"""Connections to one bridge."""
+
+_LENGTH_BYTES = 4
+
+M = TypeVar("M")
+
+
+class ProtocolError(Exception):
+    """The other side does not speak this protocol; the message says how it shows."""
+
+
+class _Message(msgspec.Struct, frozen=True, tag_field="is", omit_defaults=True):
+    """A message, named by its tag."""
+
+
+# --- the beginning
+
+
+class Hello(_Message, frozen=True, tag="hello"):
+    """The first message of a console.
+
+    Attributes:
+        version: of this protocol.
+        program: the version of rsb-console.
+        read_only: the bridge is to refuse what would change anything.
+    """
+
+    version: int
+    program: str
+    read_only: bool = False
+
+
+class BridgeInfo(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Who serves a control socket.
+
+    Attributes:
+        name: of its session.
+        role: ``client`` or ``server``.
+        address: that it binds or calls.
+        pid: its process.
+        started: s since the epoch.
+        instance: differs from one engine to the next, whatever their names.
+        program: its version of rsb-console.
+        file: its session file, absolute; None: its session is in no file.
+        base: the folder that its key files are relative to, absolute.
+        has_console: whether it runs in a console of its own.
+    """
+
+    name: str
+    role: str
+    address: str
+    pid: int
+    started: float
+    instance: str
+    program: str
+    file: str | None = None
+    base: str = "/"
+    has_console: bool = False
+
+
+class Welcome(_Message, frozen=True, tag="welcome"):
+    """The answer to `Hello`.
+
+    Attributes:
+        bridge: who answers.
+        read_only: commands are refused here.
+    """
+
+    bridge: BridgeInfo
+    read_only: bool = False
+
+
+class Refused(_Message, frozen=True, tag="refused"):
+    """The other answer to `Hello`; the connection closes.
+
+    Attributes:
+        reason: in words.
+    """
+
+    reason: str
+
+
+# --- from a console
+
+
+class AddTopic(_Message, frozen=True, tag="add"):
+    """As the methods of `rsb_bridge.api.EngineApi`, likewise those below."""
+
+    topic: Topic
+    link: str = ""
+
+
+class EditTopic(_Message, frozen=True, tag="edit"):
+    """See `AddTopic`."""
+
+    key: str
+    topic: Topic
+
+
+class RemoveTopic(_Message, frozen=True, tag="remove"):
+    """See `AddTopic`."""
+
+    key: str
+
+
+class Pause(_Message, frozen=True, tag="pause"):
+    """See `AddTopic`."""
+
+    key: str
+    paused: bool
+
+
+class Retry(_Message, frozen=True, tag="retry"):
+    """See `AddTopic`."""
+
+    link: str = ""
+
+
+class ShutDown(_Message, frozen=True, tag="shut_down"):
+    """See `AddTopic`."""
+
+
+class Restart(_Message, frozen=True, tag="restart"):
+    """See `AddTopic`. Its steps come as `Step`."""
+
+
+class Topics(_Message, frozen=True, tag="topics"):
+    """See `AddTopic`."""
+
+    link: str | None = None
+
+
+class Stop(_Message, frozen=True, tag="stop"):
+    """End the bridge's process, as SIGTERM does."""
+
+
+Command: TypeAlias = AddTopic | EditTopic | RemoveTopic | Pause | Retry | ShutDown | Restart | Topics | Stop
+
+
+class Request(_Message, frozen=True, tag="request"):
+    """A command; answered by a `Reply` or `Failed` of the same id.
+
+    Attributes:
+        id: of the console's choosing.
+        command: what to do.
+    """
+
+    id: int
+    command: Command
+
+
+class Look(_Message, frozen=True, tag="look"):
+    """Asks for the state as soon as it differs from the one sent last; answered once."""
+
+
+class Follow(_Message, frozen=True, tag="follow"):
+    """Asks for the events from now on.
+
+    Attributes:
+        after: number of the last one that is known already.
+    """
+
+    after: int
+
+
+ToBridge: TypeAlias = Hello | Request | Look | Follow
+
+
+# --- from a bridge
+
+
+class State(_Message, frozen=True, tag="state"):
+    """How the engine's state differs from the one before.
+
+    Attributes:
+        routes: those that are new or have changed.
+        more: another one follows that belongs to this state; only the last has what is below.
+        keys: of all routes, in order; None: as before.
+        time: as in `rsb_bridge.model.snapshot.Snapshot`, likewise those below.
+        domain_id: likewise.
+        address: likewise.
+        running: likewise.
+        links: likewise.
+        session: as in `rsb_bridge.api.EngineApi`; None: as before.
+        waits_for_operator: as in `rsb_bridge.api.EngineApi`.
+    """
+
+    routes: tuple[msgspec.Raw, ...] = ()
+    more: bool = False
+    keys: tuple[str, ...] | None = None
+    time: float = 0.0
+    domain_id: int = 0
+    address: str = ""
+    running: bool = True
+    links: tuple[LinkSnapshot, ...] = ()
+    session: Session | None = None
+    waits_for_operator: bool = False
+
+
+class Events(_Message, frozen=True, tag="events"):
+    """Events in order.
+
+    Attributes:
+        events: numbered as by the engine.
+    """
+
+    events: tuple[Event, ...]
+
+
+class Step(_Message, frozen=True, tag="step"):
+    """A step of a restart.
+
+    Attributes:
+        id: of the request.
+        text: in words.
+    """
+
+    id: int
+    text: str
+
+
+class Reply(_Message, frozen=True, tag="reply"):
+    """A command is done.
+
+    Attributes:
+        id: of the request.
+        value: a route's key, or topics, or nothing.
+    """
+
+    id: int
+    value: str | tuple[TopicInfo, ...] | None = None
+
+
+class Failed(_Message, frozen=True, tag="failed"):
+    """A command is not done.
+
+    Attributes:
+        id: of the request.
+        reason: in words.
+    """
+
+    id: int
+    reason: str
+
+
+class Goodbye(_Message, frozen=True, tag="goodbye"):
+    """The bridge ends, or has had enough of this console; the connection closes.
+
+    Attributes:
+        reason: in words.
+    """
+
+    reason: str
+
+
+ToConsole: TypeAlias = Welcome | Refused | State | Events | Step | Reply | Failed | Goodbye
+
+CHANGING = (AddTopic, EditTopic, RemoveTopic, Pause, Retry, ShutDown, Restart, Stop)
+"""The commands that are refused to those who only watch."""
+
+_encoder = msgspec.msgpack.Encoder()
+_to_bridge: msgspec.msgpack.Decoder[ToBridge] = msgspec.msgpack.Decoder(ToBridge)
+_to_console: msgspec.msgpack.Decoder[ToConsole] = msgspec.msgpack.Decoder(ToConsole)
+_route = msgspec.msgpack.Decoder(RouteSnapshot)
+
+
+def encode(message: ToBridge | ToConsole) -> bytes:
+    """A message as a frame."""
+    body = _encoder.encode(message)
+    return len(body).to_bytes(_LENGTH_BYTES, "big") + body
+
+
+def encode_route(route: RouteSnapshot) -> msgspec.Raw:
+    """A route as it stands in a `State`."""
+    return msgspec.Raw(_encoder.encode(route))
+
+
+def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
+    """The inverse of `encode_route`.
+
+    Raises:
+        ProtocolError: it is none.
+    """
+    return _decoded(_route, raw)
+
+
+class Frames(Generic[M]):
+    """Cuts a stream of bytes into messages.
+
+    Args:
+        limit: bytes of a frame at most.
+        decoder: of the messages that are expected.
+    """
+
+    def __init__(self, limit: int, decoder: msgspec.msgpack.Decoder[M]) -> None:
+        self._limit = limit
+        self._decoder = decoder
+        self._held = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[M]:
+        """The messages that are complete with these bytes.
+
+        Raises:
+            ProtocolError: a message is too large or invalid.
+        """
+        held = self._held
+        held += data
+        while len(held) >= _LENGTH_BYTES:
+            length = int.from_bytes(held[:_LENGTH_BYTES], "big")
+            if length > self._limit:
+                raise ProtocolError(f"a message of {length:,} bytes; at most {self._limit:,} are allowed")
+            end = _LENGTH_BYTES + length
+            if len(held) < end:
+                return
+            body = bytes(held[_LENGTH_BYTES:end])
+            del held[:end]
+            yield _decoded(self._decoder, body)
+
+
+def frames_to_bridge() -> Frames[ToBridge]:
+    """What a bridge reads."""
+    return Frames(TO_BRIDGE_LIMIT, _to_bridge)
+
+
+def frames_to_console() -> Frames[ToConsole]:
+    """What a console reads."""
+    return Frames(TO_CONSOLE_LIMIT, _to_console)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> M:
+    try:
+        return decoder.decode(body)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise ProtocolError(f"an invalid message: {error}") from None
+
+
+def version_problem(bridge: tuple[int, str], console: tuple[int, str]) -> str:
+    """Say which side is older; empty: they understand each other.
+
+    Args:
+        bridge: its version of this protocol, and of rsb-console.
+        console: likewise.
+    """
+    if bridge[0] == console[0]:
+        return ""
+    versions = (
+        f"the bridge speaks version {bridge[0]} (rsb-console {bridge[1]}), this console {console[0]} ({console[1]})"
+    )
+    if bridge[0] < console[0]:
+        return f"{versions}: the bridge is older; restart it with the newer rsb-console"
+    return f"{versions}: this console is older; update it"

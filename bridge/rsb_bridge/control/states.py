@@ -1,0 +1,142 @@
+"""An engine's state as differences: what a bridge sends, and what a console makes of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.control.protocol import ROUTES_IN_STATE, ProtocolError, State, decode_route, encode_route
+from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import msgspec
+
+    from rsb_bridge.control.protocol import BridgeInfo
+    from rsb_bridge.model.session import Session
+
+
+class EncodedRoutes:
+    """The routes of the newest snapshot, each encoded once, for however many consoles."""
+
+    def __init__(self) -> None:
+        self._encoded: dict[str, tuple[RouteSnapshot, msgspec.Raw]] = {}
+
+    def of(self, route: RouteSnapshot) -> msgspec.Raw:
+        """A route, encoded."""
+        known = self._encoded.get(route.key)
+        if known is not None and known[0] is route:
+            return known[1]
+        raw = encode_route(route)
+        self._encoded[route.key] = (route, raw)
+        return raw
+
+    def keep_only(self, snapshot: Snapshot) -> None:
+        """Forget the routes that are gone."""
+        if len(self._encoded) > len(snapshot.routes):
+            self._encoded = {key: self._encoded[key] for key in _keys(snapshot) if key in self._encoded}
+
+
+class Sender:
+    """What one console has been told.
+
+    Attributes:
+        sent: the snapshot that it was told last; None: none yet.
+    """
+
+    def __init__(self) -> None:
+        self.sent: Snapshot | None = None
+        self._routes: dict[str, RouteSnapshot] = {}
+        self._keys: tuple[str, ...] | None = None
+        self._session: Session | None = None
+
+    def differences(
+        self, snapshot: Snapshot, session: Session, *, waits_for_operator: bool, encoded: EncodedRoutes
+    ) -> Iterator[State]:
+        """What to tell it now, in messages of a size that is soon made. All of them have to be sent.
+
+        Args:
+            snapshot: newer than `sent`.
+            session: as it is now.
+            waits_for_operator: likewise.
+            encoded: shared by all consoles.
+        """
+        # An object that is the same has not changed: snapshots are immutable.
+        changed = [route for route in snapshot.routes if self._routes.get(route.key) is not route]
+        while len(changed) > ROUTES_IN_STATE:
+            yield State(routes=tuple(map(encoded.of, changed[:ROUTES_IN_STATE])), more=True)
+            del changed[:ROUTES_IN_STATE]
+        keys = _keys(snapshot)
+        yield State(
+            routes=tuple(map(encoded.of, changed)),
+            keys=None if keys == self._keys else keys,
+            time=snapshot.time,
+            domain_id=snapshot.domain_id,
+            address=snapshot.address,
+            running=snapshot.running,
+            links=snapshot.links,
+            session=None if session == self._session else session,
+            waits_for_operator=waits_for_operator,
+        )
+        self.sent, self._keys, self._session = snapshot, keys, session
+        self._routes = {route.key: route for route in snapshot.routes}
+
+
+class Receiver:
+    """What a console has been told by one bridge.
+
+    Args:
+        bridge: who tells.
+
+    Attributes:
+        snapshot: the newest; None: none is complete yet.
+        session: likewise.
+        waits_for_operator: as in the newest state.
+    """
+
+    def __init__(self, bridge: BridgeInfo) -> None:
+        self.snapshot: Snapshot | None = None
+        self.session: Session | None = None
+        self.waits_for_operator = False
+        self._bridge = bridge
+        self._routes: dict[str, RouteSnapshot] = {}
+        self._keys: tuple[str, ...] = ()
+
+    def take(self, state: State) -> bool:
+        """Take a message; whether it completes a state.
+
+        Raises:
+            ProtocolError: it contradicts itself or the ones before.
+        """
+        for raw in state.routes:
+            route = decode_route(raw)
+            self._routes[route.key] = route
+        if state.more:
+            return False
+        if state.keys is not None:
+            self._keys = state.keys
+            self._routes = {key: self._routes[key] for key in state.keys if key in self._routes}
+        if state.session is not None:
+            self.session = state.session
+        try:
+            routes = tuple([self._routes[key] for key in self._keys])
+        except KeyError as error:
+            raise ProtocolError(f"a state without the route {error}") from None
+        if self.session is None:
+            raise ProtocolError("a state without a session")
+        self.waits_for_operator = state.waits_for_operator
+        self.snapshot = Snapshot(
+            time=state.time,
+            name=self._bridge.name,
+            role=self._bridge.role,
+            address=state.address,
+            domain_id=state.domain_id,
+            running=state.running,
+            links=state.links,
+            routes=routes,
+        )
+        return True
+
+
+def _keys(snapshot: Snapshot) -> tuple[str, ...]:
+    return tuple([route.key for route in snapshot.routes])

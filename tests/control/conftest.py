@@ -1,0 +1,65 @@
+"""A served engine that plays a script, and consoles that attach to it."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.console.scripted import ScriptedEngine
+
+from rsb_bridge.control import bridges
+from rsb_bridge.control.client import RemoteEngine
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from rsb_bridge.control.server import ControlServer
+
+
+class Machine:
+    """One user's folder of control sockets.
+
+    Attributes:
+        environ: says where it is.
+        stopped: how often a console has asked for the end of a process.
+        served: all servers so far.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.environ = {"XDG_RUNTIME_DIR": str(folder)}
+        self.folder = folder / "rsb-console"
+        self.stopped = 0
+        self.served: list[ControlServer] = []
+        self._resources = contextlib.ExitStack()
+
+    def serve(self, engine: Any = None, **changes: Any) -> ControlServer:
+        """Serve an engine; a scripted one if none is given."""
+        engine = ScriptedEngine() if engine is None else engine
+        given = {"file": None, "control": None, "on_stop": self._stop, "environ": self.environ}
+        server = bridges.serve(engine, engine.session, **(given | changes))
+        self.served.append(server)
+        self._resources.callback(server.close)
+        return server
+
+    def attach(self, name: str = "robot1", *, read_only: bool = False) -> RemoteEngine:
+        """Attach to a socket by its name."""
+        remote = RemoteEngine(self.folder / f"{name}.sock", read_only=read_only)
+        remote.start()
+        self._resources.callback(remote.stop)
+        return remote
+
+    def _stop(self) -> None:
+        self.stopped += 1
+
+    def close(self) -> None:
+        """Detach, and stop serving."""
+        self._resources.close()
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[Machine]:
+    made = Machine(tmp_path)
+    yield made
+    made.close()

@@ -1,0 +1,291 @@
+"""An attached console sees what the engine sees, does what it may, and knows when the engine is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.console.scripted import EVENTS, ScriptedEngine, route
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control import bridges, folders, protocol, server
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Event, Level, State
+
+if TYPE_CHECKING:
+    from tests.control.conftest import Machine
+
+
+def test_it_sees_what_the_engine_sees(machine: Machine) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach()
+    assert remote.session == engine.session
+    assert replace(remote.snapshot(), last_event=0) == replace(engine.now, last_event=0)
+    assert eventually(remote.events) == list(EVENTS)
+    engine.now = replace(engine.now, routes=(route("/new"), *engine.now.routes[3:]))
+    eventually(lambda: remote.snapshot().routes == engine.now.routes)
+    engine.session = msgspec.structs.replace(engine.session, topics=(Topic("/new", "receive"),))
+    engine.now = replace(engine.now, time=engine.now.time + 1)
+    eventually(lambda: (remote.snapshot(), remote.session == engine.session)[1])
+
+
+def test_events_are_followed(machine: Machine) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach()
+    eventually(remote.events)
+    for number in range(5, 2000):
+        engine.happened.append(Event(number, 0.0, Level.INFO, EventCode.LINK_UP, f"event {number}"))
+    eventually(lambda: len(remote.events()) == 1999)
+    assert [event.number for event in remote.events()] == list(range(1, 2000))
+    assert remote.events()[-1].text == "event 1999"
+    assert [event.number for event in remote.wait_for_events(1997, 1.0)] == [1998, 1999]
+
+
+def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach()
+    topic = Topic("/scan", "transmit", qos={"depth": 3}, max_rate=2.5)
+    assert remote.add_topic(topic, "robot1").result(10) == "/scan"
+    assert remote.edit_topic("k", topic).result(10) == "k"
+    remote.remove_topic("k").result(10)
+    remote.pause("k", True).result(10)
+    remote.retry("robot1").result(10)
+    remote.shut_down().result(10)
+    steps: list[str] = []
+    remote.restart(steps.append).result(10)
+    assert remote.topics(None).result(10) == engine.topics().result()
+    assert steps == ["telling the peer", "sockets closed", "linked again"]
+    assert engine.commands[:-1] == [
+        ("add", topic, "robot1"),
+        ("edit", "k", topic),
+        ("remove", "k"),
+        ("pause", "k", True),
+        ("retry", "robot1"),
+        ("shut down",),
+        ("restart",),
+        ("topics", None),
+    ]
+    remote.stop_bridge().result(10)
+    assert machine.stopped == 1
+
+
+class Refusing(ScriptedEngine):
+    """Refuses to add topics."""
+
+    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
+        refused: Future[str] = Future()
+        refused.set_exception(EngineError(f"no such topic: {topic.topic}"))
+        return refused
+
+
+def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
+    machine.serve(Refusing())
+    with pytest.raises(EngineError, match="no such topic: /x"):
+        machine.attach().add_topic(Topic("/x", "transmit")).result(10)
+
+
+def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    remote = machine.attach(read_only=True)
+    topic = Topic("/scan", "transmit")
+    changes: list[Future[Any]] = [
+        remote.add_topic(topic),
+        remote.edit_topic("k", topic),
+        remote.remove_topic("k"),
+        remote.pause("k", True),
+        remote.retry(),
+        remote.shut_down(),
+        remote.restart(),
+        remote.stop_bridge(),
+    ]
+    for change in changes:
+        with pytest.raises(EngineError, match="read-only"):
+            change.result(10)
+    assert remote.topics().result(10)
+    assert engine.commands == [("topics", None)]
+    assert machine.stopped == 0
+
+
+class Slow(ScriptedEngine):
+    """Finishes no command before it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting: list[Future[None]] = []
+
+    def retry(self, link: str = "") -> Future[None]:
+        self.waiting.append(Future())
+        return self.waiting[-1]
+
+
+def test_requests_that_wait_are_limited(machine: Machine) -> None:
+    engine = Slow()
+    machine.serve(engine)
+    remote = machine.attach()
+    requests = [remote.retry() for _ in range(protocol.REQUESTS_WAITING + 1)]
+    with pytest.raises(EngineError, match="wait for an answer already"):
+        requests[-1].result(10)
+    for each in engine.waiting:
+        each.set_result(None)
+    for request in requests[:-1]:
+        request.result(10)
+
+
+def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine) -> None:
+    engine = Slow()
+    machine.serve(engine)
+    remote = machine.attach()
+    request = remote.retry()
+    eventually(lambda: engine.waiting)
+    remote.stop()
+    with pytest.raises(EngineError, match="detached"):
+        request.result(10)
+    eventually(lambda: consoles(machine) == 0)
+    assert not engine.waiting[0].cancelled()
+
+
+def consoles(machine: Machine) -> int:
+    """How many are attached."""
+    return len(machine.served[-1]._consoles)
+
+
+def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Machine) -> None:
+    first = machine.serve()
+    remote = machine.attach()
+    eventually(remote.events)
+    first.close("the bridge was stopped")
+    lost = eventually(lambda: next((e for e in remote.events() if e.code == EventCode.ATTACH_LOST), None))
+    assert "the bridge was stopped" in lost.text
+    assert "the bridge was stopped" in remote.unreachable
+    now = remote.snapshot()
+    assert not now.running
+    assert {each.state for each in now.routes} | {each.state for each in now.links} == {State.DOWN}
+    with pytest.raises(EngineError, match="not attached"):
+        remote.retry().result(10)
+    again = ScriptedEngine(routes=(route("/again"),))
+    machine.serve(again)
+    eventually(lambda: not remote.unreachable)
+    assert [each.topic for each in remote.snapshot().routes] == ["/again"]
+    eventually(lambda: remote.events()[-1].text == EVENTS[-1].text)
+    numbers = [event.number for event in remote.events()]
+    assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on, whoever serves"
+
+
+def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
+    machine.serve()
+    remotes = [machine.attach() for _ in range(protocol.CONSOLES)]
+    with pytest.raises(EngineError, match="32 consoles are attached already"):
+        machine.attach()
+    remotes[0].stop()
+    eventually(lambda: consoles(machine) < protocol.CONSOLES)
+    machine.attach()
+
+
+def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine.serve()
+    sent = protocol.Hello(protocol.VERSION + 1, "9.0.0")
+    with folders.connect(machine.folder / "robot1.sock", 5.0) as connection:
+        connection.sendall(protocol.encode(sent))
+        (answer,) = protocol.frames_to_console().feed(connection.recv(1000))
+    assert isinstance(answer, protocol.Refused)
+    assert "the bridge is older" in answer.reason
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [b"GET / HTTP/1.1\r\n\r\n", protocol.encode(protocol.Look()), b"\xff" * 100_000, b"\x00\x00\x00\x01\xc1"],
+    ids=["http", "no hello", "too large", "no message"],
+)
+def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
+    machine.serve()
+    with (
+        folders.connect(machine.folder / "robot1.sock", 5.0) as connection,
+        contextlib.suppress(ConnectionError),  # it is cut off before it has said all
+    ):
+        connection.sendall(sent)
+        assert connection.recv(1000) == b""
+    machine.attach()
+
+
+def test_who_says_nothing_is_cut_off(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_HELLO_WITHIN", 0.0)
+    machine.serve()
+    with folders.connect(machine.folder / "robot1.sock", 60.0) as connection:
+        assert connection.recv(1000) == b""
+
+
+class Stalled:
+    """A console that asks for everything and reads nothing."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.connection = folders.connect(machine.folder / "robot1.sock", 60.0)
+        self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        for message in (protocol.Hello(protocol.VERSION, "0.1.0"), protocol.Look(), protocol.Follow(0)):
+            self.connection.sendall(protocol.encode(message))
+
+
+class Busy(ScriptedEngine):
+    """Every snapshot is a new one, and large."""
+
+    def __init__(self) -> None:
+        super().__init__(routes=tuple(route(f"/t{number}") for number in range(1000)))
+        self.looks = 0
+
+    def snapshot(self) -> Any:
+        self.looks += 1
+        self.now = replace(self.now, time=self.now.time + 1, routes=tuple(replace(r) for r in self.now.routes))
+        return self.now
+
+
+def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) -> None:
+    engine = Busy()
+    machine.serve(engine)
+    stalled = Stalled(machine)
+    (console,) = eventually(lambda: [each for each in machine.served[-1]._consoles if each._buffered])
+    held = console._buffered
+    remote = machine.attach()
+    seen = remote.snapshot().time
+    eventually(lambda: remote.snapshot().time > seen)
+    for number in range(5, 1000):
+        engine.happened.append(Event(number, 0.0, Level.INFO, EventCode.LINK_UP, "x" * 200))
+    eventually(lambda: len(remote.events()) == 999)
+    assert console._buffered == held, "nothing more waits for it"
+    stalled.connection.close()
+
+
+def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_STALLED_FOR", 0.5)
+    machine.serve(Busy())
+    stalled = Stalled(machine)
+    eventually(lambda: consoles(machine) == 1)
+    eventually(lambda: consoles(machine) == 0)
+    stalled.connection.close()
+
+
+def test_nothing_is_left_behind(machine: Machine) -> None:
+    served = machine.serve()
+    remotes = [machine.attach() for _ in range(5)]
+    for remote in remotes:
+        remote.stop()
+    served.close()
+    assert list(machine.folder.iterdir()) == []
+    assert [each.name for each in threading.enumerate() if each.name.startswith("rsb-")] == []
+
+
+def test_a_bridge_that_is_not_there_is_said_in_words(machine: Machine) -> None:
+    with pytest.raises(EngineError, match="no bridge serves"):
+        RemoteEngine(machine.folder / "nobody.sock").start()
+    assert bridges.running_bridges(machine.environ) == []

@@ -1,0 +1,207 @@
+"""Where control sockets are: nobody else's, never a living process's, and found again by their session."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.console.scripted import SESSION, ScriptedEngine
+
+from rsb_bridge.control import bridges, folders
+from rsb_bridge.control.bridges import AlreadyRunningError
+from rsb_bridge.control.folders import ControlError, Listener, TakenError
+
+if TYPE_CHECKING:
+    from tests.control.conftest import Machine
+
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
+NOBODY = 65534
+LISTENS = """
+import socket, sys
+listener = socket.socket(socket.AF_UNIX)
+listener.bind(sys.argv[1])
+listener.listen()
+print("ready", flush=True)
+sys.stdin.read()
+"""
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_only_its_user_may_use_a_socket(machine: Machine) -> None:
+    machine.serve()
+    assert mode(machine.folder) == 0o700
+    assert mode(machine.folder / "robot1.sock") == 0o600
+
+
+@as_root
+def test_another_user_is_refused_even_where_the_files_let_them_in(tmp_path: Path) -> None:
+    """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
+    script = (
+        "import os, socket, sys; os.setuid(65534); c = socket.socket(socket.AF_UNIX); c.connect(sys.argv[1]);"
+        "print(c.recv(1000))"
+    )
+    server_script = f"""
+import os, sys
+sys.path[:0] = {sys.path!r}
+os.setuid(1234)
+from pathlib import Path
+from tests.console.scripted import SESSION, ScriptedEngine
+from rsb_bridge.control import bridges
+server = bridges.serve(ScriptedEngine(), SESSION, file=None, control=Path(sys.argv[1]), on_stop=lambda: None)
+os.chmod(sys.argv[1], 0o666)
+print("ready", flush=True)
+sys.stdin.read()
+server.close()
+"""
+    folder = Path("/tmp") / f"rsb-console-test-{os.getpid()}"
+    folder.mkdir(mode=0o755)
+    os.chown(folder, 1234, 1234)
+    path = folder / "robot1.sock"
+    try:
+        with subprocess.Popen(
+            [sys.executable, "-c", server_script, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        ) as server:
+            assert server.stdout
+            assert server.stdin
+            assert server.stdout.readline() == b"ready\n"
+            run = subprocess.run(
+                [sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60, check=True
+            )
+            assert "another user" in run.stdout
+            assert bridges.ask(path).info is not None, "root may"
+            server.stdin.close()
+    finally:
+        folder.rmdir()
+
+
+@as_root
+def test_a_console_does_not_trust_another_users_process(monkeypatch: pytest.MonkeyPatch, machine: Machine) -> None:
+    machine.serve()
+    monkeypatch.setattr(folders, "peer_of", lambda _: (1, NOBODY, NOBODY))
+    monkeypatch.setattr(os, "geteuid", lambda: 1234)
+    monkeypatch.setattr(folders, "_folder_problem", lambda *_, **__: "")
+    with pytest.raises(ControlError, match="another user's"):
+        bridges.ask(machine.folder / "robot1.sock")
+
+
+@as_root
+def test_a_folder_of_another_users_is_refused(machine: Machine) -> None:
+    machine.folder.mkdir()
+    os.chown(machine.folder, NOBODY, NOBODY)
+    with pytest.raises(ControlError, match="another user's"):
+        machine.serve()
+
+
+def test_a_folder_that_others_may_write_to_is_refused(machine: Machine) -> None:
+    machine.folder.mkdir()
+    machine.folder.chmod(0o777)
+    with pytest.raises(ControlError, match="chmod 700"):
+        machine.serve()
+
+
+def test_a_folder_behind_a_symbolic_link_is_refused(machine: Machine, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    machine.folder.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ControlError):
+        machine.serve()
+
+
+def test_a_dead_processs_socket_is_replaced(machine: Machine) -> None:
+    machine.folder.mkdir(mode=0o700)
+    path = machine.folder / "robot1.sock"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    assert bridges.running_bridges(machine.environ) == []
+    machine.serve()
+    assert bridges.ask(path).pid == os.getpid()
+
+
+def test_a_living_processs_is_never_replaced(machine: Machine) -> None:
+    """Not even one that does not answer: it may be busy, or stopped."""
+    machine.folder.mkdir(mode=0o700)
+    path = machine.folder / "robot1.sock"
+    command = [sys.executable, "-c", LISTENS, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as living:
+        assert living.stdout
+        assert living.stdin
+        assert living.stdout.readline() == b"ready\n"
+        with pytest.raises(TakenError):
+            Listener(path, make_folder=True)
+        with pytest.raises(AlreadyRunningError, match=f"pid {living.pid}.*does not answer"):
+            machine.serve()
+        living.stdin.close()
+    machine.serve()
+
+
+def test_a_file_that_is_no_socket_is_left_alone(machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("mine")
+    with pytest.raises(ControlError, match="not a socket"):
+        machine.serve(control=path)
+    assert path.read_text() == "mine"
+
+
+def test_the_socket_may_be_named(machine: Machine, tmp_path: Path) -> None:
+    folder = tmp_path / ("long" * 30)
+    folder.mkdir()
+    served = machine.serve(control=folder / "my.sock")
+    assert bridges.ask(folder / "my.sock").name == "my"
+    served.close()
+    assert list(folder.iterdir()) == []
+
+
+def test_closing_does_not_remove_anothers_socket(machine: Machine) -> None:
+    served = machine.serve()
+    path = machine.folder / "robot1.sock"
+    path.unlink()
+    machine.serve()
+    served.close()
+    assert bridges.ask(path).pid == os.getpid()
+
+
+def test_a_session_is_served_once(machine: Machine, tmp_path: Path) -> None:
+    machine.serve(file=tmp_path / "robot1.yaml")
+    with pytest.raises(
+        AlreadyRunningError, match=rf"robot1 already runs here: pid {os.getpid()}, socket .*robot1.sock"
+    ):
+        machine.serve(file=tmp_path / "robot1.yaml")
+    with pytest.raises(AlreadyRunningError):
+        machine.serve(file=tmp_path / "a-copy.yaml")
+
+
+def test_both_sides_of_a_bridge_on_one_machine_have_one_each(machine: Machine) -> None:
+    machine.serve()
+    machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server")))
+    assert [(each.name, each.info and each.info.role) for each in bridges.running_bridges(machine.environ)] == [
+        ("robot1-2", "server"),
+        ("robot1", "client"),
+    ]
+
+
+@pytest.mark.parametrize("name", ["a/b", "..", ".hidden", "größe", "x" * 255, "a b\n"])
+def test_any_name_of_a_session_makes_a_socket(machine: Machine, name: str) -> None:
+    machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, name=name)))
+    (running,) = bridges.running_bridges(machine.environ)
+    assert running.info is not None
+    assert running.info.name == name
+    assert running.path.parent == machine.folder
+
+
+def test_where_sockets_are(tmp_path: Path) -> None:
+    fallback = Path(f"/tmp/rsb-console-{os.geteuid()}")
+    assert folders.serving_folder({}) == fallback
+    assert folders.serving_folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path("/run/user/7/rsb-console")
+    service = {"XDG_RUNTIME_DIR": "/run/user/7", "RUNTIME_DIRECTORY": "/run/rsb-console"}
+    assert folders.serving_folder(service) == Path("/run/rsb-console")
+    for environ in ({}, service):
+        assert {fallback, folders.SERVICES} <= set(folders.searched_folders(environ))
