@@ -5,7 +5,7 @@ from dataclasses import replace
 from tests.console.scripted import ScriptedEngine, route
 
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
-from rsb_console.command.headless import text_status
+from rsb_console.command.reports import text_status
 
 
 def parts(*routes: RouteSnapshot) -> list[str]:

@@ -255,6 +255,7 @@ def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) ->
     machine.serve(engine)
     stalled = Stalled(machine)
     (console,) = eventually(lambda: [each for each in machine.served[-1]._consoles if each._buffered])
+    eventually(lambda: not console._sending.locked(), what="one state, and no more")
     held = console._buffered
     remote = machine.attach()
     seen = remote.snapshot().time
@@ -269,10 +270,9 @@ def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) ->
 def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "_STALLED_FOR", 0.5)
     machine.serve(Busy())
-    stalled = Stalled(machine)
-    eventually(lambda: consoles(machine) == 1)
-    eventually(lambda: consoles(machine) == 0)
-    stalled.connection.close()
+    with Stalled(machine).connection:
+        eventually(lambda: consoles(machine) == 1)
+        eventually(lambda: consoles(machine) == 0)
 
 
 def test_nothing_is_left_behind(machine: Machine) -> None:

@@ -46,17 +46,23 @@ def test_only_its_user_may_use_a_socket(machine: Machine) -> None:
 @as_root
 def test_another_user_is_refused_even_where_the_files_let_them_in(tmp_path: Path) -> None:
     """The kernel says who connects; root's bridge serves root, and a user's serves that user and root."""
-    script = (
-        "import os, socket, sys; os.setuid(65534); c = socket.socket(socket.AF_UNIX); c.connect(sys.argv[1]);"
-        "print(c.recv(1000))"
-    )
+    script = f"""
+import os, socket, sys
+sys.path[:0] = {sys.path!r}
+from rsb_bridge.control.protocol import VERSION, Hello, encode
+os.setuid(65534)
+connection = socket.socket(socket.AF_UNIX)
+connection.connect(sys.argv[1])
+connection.sendall(encode(Hello(VERSION, "0.1.0")))
+print(connection.recv(1000))
+"""
     server_script = f"""
 import os, sys
 sys.path[:0] = {sys.path!r}
-os.setuid(1234)
 from pathlib import Path
 from tests.console.scripted import SESSION, ScriptedEngine
 from rsb_bridge.control import bridges
+os.setuid(1234)
 server = bridges.serve(ScriptedEngine(), SESSION, file=None, control=Path(sys.argv[1]), on_stop=lambda: None)
 os.chmod(sys.argv[1], 0o666)
 print("ready", flush=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import signal
 import time
 import uuid
 from dataclasses import dataclass
@@ -46,6 +47,13 @@ class RunningBridge:
     def name(self) -> str:
         """What an operator calls it: the socket's name, which no other bridge of the same user has."""
         return self.path.name.removesuffix(folders.SUFFIX)
+
+    @property
+    def attach_command(self) -> str:
+        """What attaches to it, for an operator to type."""
+        if self.path.parent in folders.searched_folders(os.environ):
+            return f"rsb-console attach {self.name}"
+        return f"rsb-console attach --control {self.path}"
 
     def __str__(self) -> str:
         if self.info is None:
@@ -107,7 +115,7 @@ def serve(
     *,
     file: Path | None,
     control: Path | None,
-    on_stop: Callable[[], None],
+    on_stop: Callable[[], None] | None = None,
     has_console: bool = False,
     environ: Mapping[str, str] = os.environ,
 ) -> ControlServer:
@@ -118,7 +126,7 @@ def serve(
         session: that it runs.
         file: the session file.
         control: the socket; None: one in the user's folder, named after the session.
-        on_stop: ends the process; called on another thread.
+        on_stop: ends the process, on another thread; None: SIGTERM does.
         has_console: the process has a console of its own.
         environ: says where the user's folder is.
 
@@ -139,9 +147,13 @@ def serve(
         has_console=has_console,
     )
     listener = _claim(info, environ) if control is None else _claim_path(control)
-    server = ControlServer(engine, listener, info, on_stop)
+    server = ControlServer(engine, listener, info, on_stop or _terminate)
     server.start()
     return server
+
+
+def _terminate() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:

@@ -98,6 +98,7 @@ class RemoteEngine(EngineApi):
         self._ids = itertools.count(1)
         self._requests: dict[int, tuple[Future[object], Callable[[str], None] | None]] = {}
         self._followed = 0
+        self._events_before = 0
         self._asked_at: float | None = None
         self._used_at = float("-inf")
         self._look_is_due = False
@@ -149,6 +150,13 @@ class RemoteEngine(EngineApi):
 
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
         return self._log.wait(after, timeout)
+
+    def remembered_events(self, timeout: float) -> list[Event]:
+        """The events that the bridge remembered when this attached; waits up to `timeout` s until all have come."""
+        deadline = time.monotonic() + timeout
+        while self._followed < self._events_before and (left := deadline - time.monotonic()) > 0:
+            self._log.wait(self._log.last, min(left, _USED_REGULARLY))
+        return self._log.after(0)
 
     # --- commands
 
@@ -269,9 +277,9 @@ class RemoteEngine(EngineApi):
                     self._show()
                     return True
             case Events():
-                self._followed = message.events[-1].number
                 for event in message.events:
                     self._log.append(event)
+                self._followed = message.events[-1].number
             case Step():
                 _, step = self._requests.get(message.id, (None, None))
                 if step is not None:
@@ -304,6 +312,7 @@ class RemoteEngine(EngineApi):
         self._asked_at = None
         self._lost = ""
         if not self._started.done():
+            self._events_before = received.snapshot.last_event
             self._started.set_result(None)
 
     def _lose(self, reason: str) -> None:

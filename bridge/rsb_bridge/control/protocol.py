@@ -215,6 +215,7 @@ class State(_Message, frozen=True, tag="state"):
         address: likewise.
         running: likewise.
         links: likewise.
+        last_event: likewise.
         session: as in `rsb_bridge.api.EngineApi`; None: as before.
         waits_for_operator: as in `rsb_bridge.api.EngineApi`.
     """
@@ -227,6 +228,7 @@ class State(_Message, frozen=True, tag="state"):
     address: str = ""
     running: bool = True
     links: tuple[LinkSnapshot, ...] = ()
+    last_event: int = 0
     session: Session | None = None
     waits_for_operator: bool = False
 

@@ -55,7 +55,7 @@ _PAUSE = 0.0005
 """s of rest between two parts of a state, in which the bridge's threads run."""
 _ANSWERED_WITHIN = 2.0
 """s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not."""
-_SAID_WITHIN = 0.5
+_SAID_WITHIN = 0.25
 _READ_SIZE = 64 << 10
 
 T = TypeVar("T")
@@ -103,7 +103,7 @@ class ControlServer:
         assert self._loop is not None
         with contextlib.suppress(RuntimeError):  # it has ended by itself
             self._loop.call_soon_threadsafe(self._ends.set)
-        self._thread.join(2 * _SAID_WITHIN)
+        self._thread.join(3 * _SAID_WITHIN)
 
     def stop_process(self) -> None:
         """Do what `rsb_bridge.control.protocol.Stop` asks for."""
@@ -126,15 +126,28 @@ class ControlServer:
         server.close()
         for console in tuple(self._consoles):
             console.end(self._ending)
+        await self._consoles_gone()
+        for console in tuple(self._consoles):
+            console.abort()
+        await self._consoles_gone()
+
+    def _refusal(self, writer: asyncio.StreamWriter) -> str:
+        """Why a connection is refused; empty: it is not."""
+        if not is_trusted(writer.get_extra_info("socket")):
+            return "this bridge is another user's"
+        if len(self._consoles) >= protocol.CONSOLES:
+            return f"{protocol.CONSOLES} consoles are attached already; close one of them"
+        return ""
+
+    async def _consoles_gone(self) -> None:
         if self._consoles:
             await asyncio.wait(self._consoles.values(), timeout=_SAID_WITHIN)
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        console = _Console(self, reader, writer)
-        if len(self._consoles) >= protocol.CONSOLES:
-            console.send(Refused(f"{protocol.CONSOLES} consoles are attached already; close one of them"))
-            writer.close()
+        if len(self._consoles) >= 2 * protocol.CONSOLES:
+            writer.transport.abort()
             return
+        console = _Console(self, reader, writer, self._refusal(writer))
         task = self._consoles[console] = asyncio.create_task(console.run())
         try:
             await task
@@ -146,10 +159,20 @@ class ControlServer:
 
 
 class _Console:
-    """One connection."""
+    """One connection.
 
-    def __init__(self, server: ControlServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    Args:
+        server: whose.
+        reader: of the connection.
+        writer: of the connection.
+        refusal: why it is refused as soon as it says hello; empty: it is not.
+    """
+
+    def __init__(
+        self, server: ControlServer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, refusal: str
+    ) -> None:
         self._server = server
+        self._refusal = refusal
         self._engine = server.engine
         self._reader, self._writer = reader, writer
         self._frames = protocol.frames_to_bridge()
@@ -173,10 +196,6 @@ class _Console:
             OSError: the connection broke.
             ProtocolError: it does not keep to the protocol.
         """
-        if not is_trusted(self._writer.get_extra_info("socket")):
-            self.send(Refused("this bridge is another user's"))
-            self._writer.close()
-            return
         self._tasks.spawn(self._tick())
         try:
             while data := await self._reader.read(_READ_SIZE):
@@ -199,8 +218,7 @@ class _Console:
 
     def end(self, reason: str) -> None:
         """Say the last events, and why this is the end; then close."""
-        if self._buffered == 0:
-            self._send_events()
+        self._send_events()
         self.send(Goodbye(reason))
         self._writer.close()
 
@@ -227,8 +245,8 @@ class _Console:
 
     def _greet(self, hello: Hello) -> None:
         info = self._server.info
-        problem = protocol.version_problem((protocol.VERSION, info.program), (hello.version, hello.program))
-        if problem:
+        versions = protocol.version_problem((protocol.VERSION, info.program), (hello.version, hello.program))
+        if problem := self._refusal or versions:
             self.send(Refused(problem))
             self._writer.close()
             return
@@ -316,10 +334,11 @@ class _Console:
             await self._show()
 
     def _send_events(self) -> None:
-        if self._after is None:
-            return
-        events = self._engine.events(self._after)[: protocol.EVENTS_AT_ONCE]
-        if events:
+        """Send as many events as are taken at once."""
+        while self._after is not None and self._buffered == 0:
+            events = self._engine.events(self._after)[: protocol.EVENTS_AT_ONCE]
+            if not events:
+                return
             self._after = events[-1].number
             self.send(Events(tuple(events)))
 

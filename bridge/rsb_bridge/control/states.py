@@ -75,6 +75,7 @@ class Sender:
             address=snapshot.address,
             running=snapshot.running,
             links=snapshot.links,
+            last_event=snapshot.last_event,
             session=None if session == self._session else session,
             waits_for_operator=waits_for_operator,
         )
@@ -134,6 +135,7 @@ class Receiver:
             running=state.running,
             links=state.links,
             routes=routes,
+            last_event=state.last_event,
         )
         return True
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console.command import commands
+from rsb_console.command.remote_arguments import add_remote_commands
 from rsb_console.command.shell import print_line
 
 if TYPE_CHECKING:
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
-Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 130 interrupted,
-143 terminated before it had started."""
+Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 3 no such bridge runs, 4 the session runs already,
+130 interrupted, 143 terminated before it had started."""
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -53,6 +54,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop after N s")
+    add_remote_commands(command, _complete, _console_options)
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 
@@ -82,6 +84,11 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--on-hangup", choices=("stop", "continue"), default="stop", help="when the terminal goes away (%(default)s)"
     )
+    parser.add_argument("--control", type=Path, metavar="PATH", help="serve the control socket there")
+    _console_options(parser)
+
+
+def _console_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--readonly", action="store_true", help="watch only: nothing can be changed")
     parser.add_argument("--ascii", action="store_true", help="draw with ASCII characters")
     parser.add_argument("--no-mouse", action="store_true", help="leave the mouse to the terminal (m takes it back)")

@@ -47,6 +47,7 @@ def run(arguments: Namespace) -> int:
             log_format=arguments.log_format,
             on_hangup=arguments.on_hangup,
             status_every=arguments.status_every,
+            control=arguments.control,
         )
     if not _can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
         return USAGE

@@ -53,3 +53,10 @@ def theme_names(**_: object) -> list[str]:
 
     folders = (shipped_path(), config_path() / "themes")
     return sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
+
+
+def bridge_names(**_: object) -> list[str]:
+    """The bridges that run on this machine."""
+    from rsb_bridge.control.folders import find_sockets  # noqa: PLC0415 (only for the commands that attach)
+
+    return [path.stem for path in find_sockets(os.environ)]

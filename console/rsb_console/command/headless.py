@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import signal
 import sys
 import time
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Self
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.bridges import AlreadyRunningError, serve
+from rsb_bridge.control.folders import ControlError
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_bridge.model.snapshot import Event, Level
 from rsb_console.command.log_writer import LogWriter
-from rsb_console.command.shell import FAILURE, OK, keep_output_clean, print_error
+from rsb_console.command.reports import clock, json_event, json_line, json_status, text_event, text_status
+from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, OK, keep_output_clean, print_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
     from pathlib import Path
     from types import FrameType
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Snapshot
 
 STATUS_EVERY = 5.0
 _LOOK_EVERY = 0.25
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer and its reader do
-_TOPICS_IN_STATUS = 8
 
 
-def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: str, status_every: float) -> int:
+def run_headless(
+    path: Path, session: Session, *, log_format: str, on_hangup: str, status_every: float, control: Path | None
+) -> int:
     """Bridge until a signal, or until the link is shut down on purpose.
 
     Args:
@@ -41,13 +44,22 @@ def run_headless(path: Path, session: Session, *, log_format: str, on_hangup: st
         log_format: ``text`` or ``json`` (one object a line).
         on_hangup: ``continue`` goes on when the terminal goes away; ``stop`` ends cleanly.
         status_every: s between status lines.
+        control: the control socket; None: in the user's folder.
 
     Returns:
         The exit code.
     """
     keep_output_clean()
     engine = Engine(session, base=path.parent)
-    with Signals(ignore_hangup=on_hangup == "continue") as signals:
+    with Signals(ignore_hangup=on_hangup == "continue") as signals, contextlib.ExitStack() as resources:
+        try:
+            server = serve(engine, session, file=path, control=control)
+            resources.callback(server.close)
+        except AlreadyRunningError as error:
+            print_error(f"{error}. To attach to it: {error.bridge.attach_command}")
+            return ALREADY_RUNNING
+        except ControlError as error:
+            print_error(f"the bridge runs, but no console can attach to it: {error}")
         try:
             engine.start()
         except EngineError as error:
@@ -89,8 +101,8 @@ def bridge_until_told(
         status_every: as `run_headless`.
         seconds: s after which it stops by itself; None: never.
     """
-    format_event = _json_event if log_format == "json" else _text_event
-    status = _json_status if log_format == "json" else text_status
+    format_event = json_event if log_format == "json" else text_event
+    status = json_status if log_format == "json" else text_status
     stopping = _json_stopping if log_format == "json" else _text_stopping
     writer = LogWriter(sys.stdout.fileno(), lambda lost, reason: format_event(_lines_lost(lost, reason)))
 
@@ -157,87 +169,9 @@ def _lines_lost(lost: int, reason: str) -> Event:
     return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)
 
 
-def _clock(moment: float) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(moment))
-
-
-def _text_event(event: Event) -> str:
-    link = f"{event.link}: " if event.link else ""
-    return f"{_clock(event.time)} {event.level:<7} {event.source:<6} {link}{event.text}"
-
-
 def _text_stopping(reason: str) -> str:
-    return f"{_clock(time.time())} stopping: {reason}"
-
-
-def text_status(snapshot: Snapshot) -> str:
-    """One line: how many peers are linked, how many topics flow, the traffic, and the first topics."""
-    linked = sum(link.state is State.OK for link in snapshot.links)
-    states = [route.state for route in snapshot.routes]
-    counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
-    received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
-    sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
-    parts = [
-        f"{linked}/{len(snapshot.links)} linked",
-        f"{len(states)} topics" + (f": {counts}" if counts else ""),
-        f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-        *(_rate_text(route) for route in _faults_first(snapshot.routes)[:_TOPICS_IN_STATUS]),
-    ]
-    if len(states) > _TOPICS_IN_STATUS:
-        parts.append(f"and {len(states) - _TOPICS_IN_STATUS} more")
-    return f"{_clock(snapshot.time)} status  {' | '.join(parts)}"
-
-
-def _faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
-    """The line has room for some topics only, and faults must be among them."""
-    worst_first = list(State)
-    return sorted(routes, key=lambda route: worst_first.index(route.state))
-
-
-def _rate_text(route: RouteSnapshot) -> str:
-    arrow = "→" if route.outgoing else "←"
-    dropped = route.ledger.dropped_total
-    return f"{arrow} {route.topic} {_how(route)}" + (f" ({dropped} dropped)" if dropped else "")
-
-
-def _how(route: RouteSnapshot) -> str:
-    """The rate and what is wrong all the same, or the reason why there is no rate; a pause needs no reason."""
-    how = f"{route.rate:.1f} Hz" if route.state is State.OK else route.state.upper()
-    reason = "" if route.state is State.PAUSED else route.reason
-    return how + (f": {reason}" if reason else "")
-
-
-def _json_line(content: dict[str, object]) -> str:
-    return json.dumps(content, ensure_ascii=False)
-
-
-def _json_event(event: Event) -> str:
-    content = asdict(event) | {"source": event.source}
-    del content["number"]  # counts the events that are not printed, too
-    return _json_line(content)
+    return f"{clock(time.time())} stopping: {reason}"
 
 
 def _json_stopping(reason: str) -> str:
-    return _json_line({"time": time.time(), "level": Level.INFO, "stopping": reason})
-
-
-def _json_status(snapshot: Snapshot) -> str:
-    """The figures for a monitor, without what only the console draws (histories, the details of stages)."""
-    links = {link.name: {"state": link.state, "peer": link.peer, "rtt": link.rtt} for link in snapshot.links}
-    routes = [
-        {
-            "topic": route.topic,
-            "link": route.link,
-            "outgoing": route.outgoing,
-            "state": route.state,
-            "reason": route.reason,
-            "missing": [stage.name for stage in route.stages if not stage.done],
-            "rate": round(route.rate, 3),
-            "bytes_per_second": round(route.bytes_per_second),
-            "latency_p50": route.latency_p50,
-            "latency_p99": route.latency_p99,
-            **asdict(route.ledger),
-        }
-        for route in snapshot.routes
-    ]
-    return _json_line({"time": snapshot.time, "status": {"links": links, "routes": routes}})
+    return json_line({"time": time.time(), "level": Level.INFO, "stopping": reason})

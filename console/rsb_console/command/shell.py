@@ -7,7 +7,7 @@ import os
 import resource
 import sys
 
-OK, FAILURE, USAGE, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 130, 143
 _MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some programs go through all that they may have
 
 

@@ -1,0 +1,96 @@
+"""The arguments of the commands that attach to a running bridge."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+    AddCommand = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
+    Complete = Callable[[argparse.Action, str], None]
+
+TOPIC_KEYS = (
+    "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, expected_rate=, stale_after=, paused="
+)
+
+
+def add_remote_commands(command: AddCommand, complete: Complete, console_options: Callable[..., None]) -> None:
+    """Add the commands.
+
+    Args:
+        command: adds one, by its name, what it runs, and a summary.
+        complete: completes an argument with a function of `rsb_console.command.completion`.
+        console_options: adds the options of the console to a parser.
+    """
+
+    def remote(name: str, summary: str, *, bridge_first: bool = False) -> argparse.ArgumentParser:
+        parser = command(name, _lazily(name), summary)
+        which = "the bridge, as `rsb-console status` names it; needed where several run"
+        if bridge_first:
+            complete(parser.add_argument("bridge", metavar="NAME", nargs="?", help=which), "bridge_names")
+        else:
+            complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
+        parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
+        if name != "attach":
+            parser.add_argument("--json", action="store_true", help="for programs")
+        return parser
+
+    console_options(remote("attach", "open the console on a bridge that runs already", bridge_first=True))
+    remote("status", "say how a running bridge is; exit code 1 if something is wrong", bridge_first=True)
+    topics = remote("topics", "list a running bridge's topics", bridge_first=True)
+    topics.add_argument("--available", action="store_true", help="those that can be bridged, on either side, instead")
+    add = remote("add", "bridge one more topic")
+    add.add_argument("topic", metavar="TOPIC", help="its name on the client")
+    add.add_argument("direction", choices=("transmit", "receive"), help="as the client sees it")
+    _topic_keys(add)
+    add.add_argument("--link", default="", metavar="CLIENT", help="on a server of several: with which client")
+    edit = remote("edit", "change a topic that is bridged")
+    _route(edit)
+    _topic_keys(edit)
+    for name, summary in (
+        ("remove", "stop bridging a topic, on both sides"),
+        ("pause", "stop carrying a topic's messages, on both sides"),
+        ("resume", "carry a paused topic's messages again"),
+    ):
+        _route(remote(name, summary))
+    retry = remote("retry", "connect now, and open refused topics again", bridge_first=True)
+    retry.add_argument("--link", default="", metavar="CLIENT", help="only this one")
+    remote("restart", "close the links on both sides and open them again", bridge_first=True)
+    events = remote("events", "print what a running bridge reports", bridge_first=True)
+    events.add_argument("--follow", action="store_true", help="go on with what happens from now on")
+    wait = remote("wait", "wait until something is so; exit code 1 if it is not within the time")
+    wait.add_argument(
+        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "TOPIC"),
+        help="flowing TOPIC, linked [CLIENT], or stopped",
+    )  # fmt: skip
+    wait.add_argument("--timeout", type=float, metavar="N", help="s; default: wait for ever")
+    remote("stop", "end a running bridge", bridge_first=True)
+
+
+def _lazily(name: str) -> Callable[[argparse.Namespace], int]:
+    """Import what the command needs only when it is run."""
+
+    def run(arguments: argparse.Namespace) -> int:
+        code: int = import_module("rsb_console.command.remote").run(name, arguments)
+        return code
+
+    return run
+
+
+def _route(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("topic", metavar="TOPIC", help="its name on the bridge's side")
+    parser.add_argument("--link", default="", metavar="CLIENT", help="where several clients have the topic")
+    parser.add_argument("--direction", choices=("transmit", "receive"), help="where it goes both ways")
+
+
+def _topic_keys(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "keys",
+        nargs="*",
+        metavar="KEY=VALUE",
+        help=f"as in a session file: {TOPIC_KEYS}; an empty value is the default",
+    )
