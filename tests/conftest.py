@@ -17,6 +17,14 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_control_sockets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Bridges that others run on this machine are not the tests' business, nor theirs the others'."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def _domains() -> int:
     """The first of two domains that no other run on this machine uses."""

@@ -35,11 +35,14 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.session_file import SessionFile
+    from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
 
     MakeEngine = Callable[[Session, Path], EngineApi]
+    Serve = Callable[[EngineApi, Session, Path | None], tuple[ControlServer | None, RunningBridge | None]]
 
 T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
@@ -59,6 +62,8 @@ class ConsoleApp(App[None]):
         theme: its name; None: the one that suits the terminal.
         config: the user's configuration folder; None: the platform's.
         make_engine: makes an engine from a session and the folder of its key files.
+        serve: serves an engine on a control socket, or finds the bridge that runs its session already; None: neither.
+        attach_to: the control socket of a bridge to begin with, instead of a session; None: none.
         temporary: the session's file is deleted when the session ends.
     """
 
@@ -77,6 +82,8 @@ class ConsoleApp(App[None]):
         theme: str | None = None,
         config: Path | None = None,
         make_engine: MakeEngine | None = None,
+        serve: Serve | None = None,
+        attach_to: Path | None = None,
         temporary: bool = False,
     ) -> None:
         super().__init__(driver_class=ConsoleDriver)
@@ -98,9 +105,13 @@ class ConsoleApp(App[None]):
         console: Console = self
         self.sessions = SessionOperations(console)
         bridge = BridgeOperations(console, lambda: self.main.selected)
-        self.main = MainScreen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
+        self.main: MainScreen = MainScreen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
+        self.attached_to = ""
         self._session = session
+        self._attach_to = attach_to
         self._make_engine = make_engine or _make_engine
+        self._serve = serve
+        self._server: ControlServer | None = None
         self._resources = ExitStack()
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
@@ -136,7 +147,9 @@ class ConsoleApp(App[None]):
         for title, message in self.preferences.problems:
             self.notify(message, title=title, severity="warning", markup=False, timeout=15)
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
-        if self._session is not None:
+        if self._attach_to is not None:
+            self._attach_to_bridge(self._attach_to)
+        elif self._session is not None:
             self._run_session(self._session, self.path, None, temporary=self.temporary)
         else:
             self.main.run_worker(self.sessions.welcome(), group=Group.SESSION, exclusive=True)
@@ -177,27 +190,68 @@ class ConsoleApp(App[None]):
     @work(group="session")
     async def _start_again(self) -> None:
         async with self._changing:
-            if self.engine is not None:
-                await asyncio.to_thread(self.engine.stop)
+            if self.engine is not None and not self.attached_to:
+                await asyncio.to_thread(self._stop_engine)
                 await self._start(self.engine.session)
 
     async def _start(self, session: Session) -> None:
         self.note, self._last_event = "starting", 0
         self.main.reset()
-        self.engine = self._make_engine(session, self.base)
+        self.attached_to = ""
+        engine = self._make_engine(session, self.base)
+        if self._serve is not None:
+            try:
+                self._server, running = await asyncio.to_thread(self._serve, engine, session, self.path)
+            except EngineError as error:
+                running = None
+                self.notify(str(error), title="Nobody can attach", severity="warning", markup=False, timeout=15)
+            if running is not None:
+                self.engine, self.note = None, "no session"
+                self.main.run_worker(self.sessions.attach_instead(running), group=Group.SESSION, exclusive=True)
+                return
+        self.engine = engine
         try:
-            await asyncio.to_thread(self.engine.start)
+            await asyncio.to_thread(engine.start)
             self.note = ""
         except EngineError as error:
             self.note = "not started"
             self.notify(str(error), title="Not started", severity="error", markup=False, timeout=30)
         self.pull()
 
+    async def attach(self, path: Path) -> None:
+        await asyncio.shield(self._attach_to_bridge(path).wait())
+
+    @work(group="session")
+    async def _attach_to_bridge(self, path: Path) -> None:
+        from rsb_console.session.attaching import attach  # noqa: PLC0415 -- keeps the start short
+
+        async with self._changing:
+            self.note, self._last_event = "attaching", 0
+            await asyncio.to_thread(self.stop)
+            self._resources = ExitStack()
+            self.engine, self.attached_to, self.temporary = None, "", False
+            self.main.reset()
+            try:
+                attached = await asyncio.to_thread(attach, path, read_only=self.readonly)
+            except EngineError as error:
+                self.note = "not attached"
+                self.notify(str(error), title="Not attached", severity="error", markup=False, timeout=30)
+                return
+            self.engine, self.attached_to, self.note = attached.engine, attached.name, ""
+            self.base, self.path, self.file, self.saved = attached.base, attached.path, attached.file, attached.saved
+            self.pull()
+
     def stop(self) -> None:
-        """Stop the engine and close the session's resources; may take some seconds."""
+        """Stop the engine, or detach from it, and close the session's resources; may take some seconds."""
+        self._stop_engine()
+        self._resources.close()
+
+    def _stop_engine(self) -> None:
         if self.engine is not None:
             self.engine.stop()
-        self._resources.close()
+        if self._server is not None:
+            self._server.close()
+            self._server = None
 
     def saved_to(self, session: Session, path: Path | None) -> None:
         from rsb_console.session.recents import remember  # noqa: PLC0415 -- keeps the start short

@@ -33,6 +33,7 @@ class Console(Protocol):
         file: that file as it was opened, with its comments; None: the session is in no file, or it has changed.
         temporary: the session's file is deleted when the session ends, as the demo's is.
         readonly: nothing may be changed.
+        attached_to: the bridge of another process that is shown; empty: the engine is the console's own.
         note: what the console is doing with the session (``starting``); empty: nothing.
         refresh_rate: Hz.
         preferences: the user's themes and keys.
@@ -46,6 +47,7 @@ class Console(Protocol):
     file: SessionFile | None
     temporary: bool
     readonly: bool
+    attached_to: str
     note: str
     refresh_rate: float
     preferences: Preferences
@@ -68,6 +70,10 @@ class Console(Protocol):
 
     async def start_again(self) -> None:
         """Start the same session on a new engine, after the old one has ended or could not start."""
+        ...
+
+    async def attach(self, path: Path) -> None:
+        """Stop the engine, and attach to a bridge of another process by its control socket."""
         ...
 
     def saved_to(self, session: Session, path: Path | None) -> None:

@@ -35,7 +35,8 @@ def run(session: str, log: str) -> int:
     output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     for stream in (1, 2):
         os.dup2(output, stream)
-    code = rsb_console(["run", session, "--no-ui", "--log-format", "json"])
+    # A socket of its own: some tests run one session twice, as two machines may.
+    code = rsb_console(["run", session, "--no-ui", "--log-format", "json", "--control", f"{session}.sock"])
     sys.stdout.flush()
     return code
 

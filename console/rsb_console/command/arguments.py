@@ -54,7 +54,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop after N s")
-    add_remote_commands(command, _complete, _console_options)
+    add_remote_commands(command, _complete, commands.attach, _console_options)
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 

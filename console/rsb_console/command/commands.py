@@ -60,6 +60,29 @@ def run(arguments: Namespace) -> int:
         theme=arguments.theme,
         on_hangup=arguments.on_hangup,
         mouse=not arguments.no_mouse,
+        control=arguments.control,
+    )
+
+
+def attach(arguments: Namespace) -> int:
+    """Open the console on a bridge that runs already."""
+    from rsb_console.command.remote import bridge_to_attach  # noqa: PLC0415 (not needed elsewhere)
+
+    if not _can_draw("rsb-console status"):
+        return USAGE
+    bridge = bridge_to_attach(arguments)
+    if isinstance(bridge, int):
+        return bridge
+    from rsb_console.command.console import run_console  # noqa: PLC0415 (needs Textual)
+
+    return run_console(
+        None,
+        readonly=arguments.readonly,
+        ascii_only=arguments.ascii,
+        theme=arguments.theme,
+        on_hangup="stop",
+        mouse=not arguments.no_mouse,
+        attach_to=bridge.path,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.session_file import load
@@ -14,6 +15,9 @@ from rsb_console.terminal.shutdown import ShutdownReason, crash_path, output_pat
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.session import Session
 
 
@@ -24,6 +28,8 @@ def run_console(
     ascii_only: bool,
     theme: str | None,
     on_hangup: str,
+    control: Path | None = None,
+    attach_to: Path | None = None,
     session: Session | None = None,
     mouse: bool = True,
     temporary: bool = False,
@@ -36,6 +42,8 @@ def run_console(
         ascii_only: draw only ASCII, whatever the terminal can do.
         theme: its name; None: the one that suits the terminal.
         on_hangup: ``stop`` or ``continue``: what the bridge does when the terminal hangs up.
+        control: the control socket that the engine is served on; None: one in the user's folder.
+        attach_to: the control socket of a bridge to attach to; None: none.
         session: runs if there is no `path`.
         mouse: take the mouse from the terminal.
         temporary: the session file is deleted when the console ends, as the demo's is.
@@ -52,6 +60,8 @@ def run_console(
         readonly=readonly,
         ascii_only=ascii_only or prefers_ascii(os.environ),
         theme=theme,
+        serve=partial(_serve, control),
+        attach_to=attach_to,
         temporary=temporary,
     )
     shut_down_on_signals(app.shut_down_soon)
@@ -64,6 +74,22 @@ def run_console(
     return _finish(app, on_hangup)
 
 
+def _serve(
+    control: Path | None, engine: EngineApi, session: Session, path: Path | None
+) -> tuple[ControlServer | None, RunningBridge | None]:
+    """Serve an engine that is about to start, or find the bridge that runs its session.
+
+    Raises:
+        ControlError: there can be no socket.
+    """
+    from rsb_bridge.control.bridges import AlreadyRunningError, serve  # noqa: PLC0415 -- keeps the start short
+
+    try:
+        return serve(engine, session, file=path, control=control, has_console=True), None
+    except AlreadyRunningError as error:
+        return None, error.bridge
+
+
 def _finish(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app. Returns the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
@@ -71,7 +97,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     code = FAILURE if crashed else OK
     if crashed:
         print_error(f"the console has crashed; please report {crash_path()}")
-    if app.engine is not None and (crashed or (hung_up and on_hangup == "continue")):
+    if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
         code = bridge_on(app.engine, crashed=crashed)

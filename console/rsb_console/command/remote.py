@@ -53,8 +53,18 @@ class NoBridgeError(Exception):
 
 def run(name: str, arguments: Namespace) -> int:
     """Run a command by its name. Returns the exit code."""
+    return _reported(COMMANDS[name], arguments)
+
+
+def bridge_to_attach(arguments: Namespace) -> RunningBridge | int:
+    """The bridge that the arguments mean; or the exit code, after saying why there is none."""
+    return _reported(chosen_bridge, arguments)
+
+
+def _reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
+    """Do something; what goes wrong is said in words, and gives an exit code."""
     try:
-        return COMMANDS[name](arguments)
+        return work(arguments)
     except UsageError as error:
         return _failed(arguments, str(error), USAGE)
     except (NoBridgeError, ControlError) as error:

@@ -18,17 +18,23 @@ TOPIC_KEYS = (
 )
 
 
-def add_remote_commands(command: AddCommand, complete: Complete, console_options: Callable[..., None]) -> None:
+def add_remote_commands(
+    command: AddCommand,
+    complete: Complete,
+    attach: Callable[[argparse.Namespace], int],
+    console_options: Callable[[argparse.ArgumentParser], None],
+) -> None:
     """Add the commands.
 
     Args:
         command: adds one, by its name, what it runs, and a summary.
         complete: completes an argument with a function of `rsb_console.command.completion`.
+        attach: what `attach` runs.
         console_options: adds the options of the console to a parser.
     """
 
     def remote(name: str, summary: str, *, bridge_first: bool = False) -> argparse.ArgumentParser:
-        parser = command(name, _lazily(name), summary)
+        parser = command(name, attach if name == "attach" else _lazily(name), summary)
         which = "the bridge, as `rsb-console status` names it; needed where several run"
         if bridge_first:
             complete(parser.add_argument("bridge", metavar="NAME", nargs="?", help=which), "bridge_names")

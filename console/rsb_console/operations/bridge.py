@@ -76,6 +76,9 @@ class BridgeOperations:
         engine = self._console.engine
         if engine is None:
             return
+        if not self._console.snapshot().running and self._console.attached_to:
+            self._console.notify("the bridge has ended in its own process: start it there", severity="warning")
+            return
         if not self._console.snapshot().running:
             await self._console.start_again()
             return

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.folders import SUFFIX
 
 if TYPE_CHECKING:
+    from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
     from rsb_console.console import Console
 
@@ -35,7 +38,9 @@ class SessionOperations:
         from rsb_console.session.saving import unsaved  # noqa: PLC0415 -- keeps the start short
 
         engine, saved, reasons = self._console.engine, self._console.saved, []
-        if self._console.linked:
+        if self._console.attached_to:
+            reasons.append(f"The bridge {self._console.attached_to} goes on; only this console leaves it.")
+        elif self._console.linked:
             reasons.append("The bridge stops: no topic crosses any more.")
         if engine is not None and saved is not None:
             changes = unsaved(saved, engine.session)
@@ -52,7 +57,7 @@ class SessionOperations:
         """Offer all ways to begin, until one has led to a session."""
         from rsb_console.screens.welcome import WelcomeScreen  # noqa: PLC0415 -- keeps the start short
 
-        while choice := await self._console.ask(WelcomeScreen(readonly=self._console.readonly)):
+        while choice := await self._console.ask(WelcomeScreen(await self._running(), readonly=self._console.readonly)):
             if choice == "quit":
                 self._console.request_quit()
                 return
@@ -60,8 +65,23 @@ class SessionOperations:
             if self._console.engine is not None:
                 return
 
+    async def _running(self) -> list[RunningBridge]:
+        """The bridges on this machine that this console is not the one of."""
+        from rsb_bridge.control.bridges import running_bridges  # noqa: PLC0415 -- keeps the start short
+
+        return [each for each in await asyncio.to_thread(running_bridges) if each.pid != os.getpid()]
+
+    async def attach_instead(self, running: RunningBridge) -> None:
+        """Offer to attach to the bridge that runs a session already; watching only, do it."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        words = f"{running}\n\nA second bridge of one session would take the link away from the first."
+        title = f"{running.name} already runs here. Attach to it?"
+        if self._console.readonly or await self._console.ask(ConfirmScreen(title, words, "Attach")):
+            await self._console.attach(running.path)
+
     async def _begin(self, choice: str) -> None:
-        """Do what was chosen in a dialog: an action, or the path of a session file."""
+        """Do what was chosen in a dialog: an action, or the path of a session file or of a control socket."""
         actions = {
             "demo": self.demo,
             "new_session": self.new_session,
@@ -70,7 +90,12 @@ class SessionOperations:
             "save": self.save,
             "save_as": self.save_as,
         }
-        await (actions[choice]() if choice in actions else self._open(Path(choice)))
+        if choice in actions:
+            await actions[choice]()
+        elif choice.endswith(SUFFIX):
+            await self._console.attach(Path(choice))
+        else:
+            await self._open(Path(choice))
 
     async def sessions(self) -> None:
         from rsb_console.screens.session_files import SessionsScreen  # noqa: PLC0415 -- keeps the start short

@@ -110,14 +110,17 @@ class MainScreen(Screen[None]):
 
     def _view(self, snapshot: Snapshot) -> View:
         session = "" if self.console.path is None else self.console.path.stem
-        cause = "" if snapshot.running or self.console.engine is None else self._cause_of_death()
-        console = self.console
-        return View(session, console.refresh_rate, self._frozen_since, console.readonly, console.note, cause)
+        console, engine = self.console, self.console.engine
+        cause = "" if snapshot.running or engine is None else self._cause_of_death()
+        lost = "" if engine is None or not engine.unreachable else f"✗ NOT ATTACHED: {engine.unreachable}"
+        attached = bool(console.attached_to)
+        note = console.note or lost
+        return View(session, console.refresh_rate, self._frozen_since, console.readonly, note, cause, attached=attached)
 
     def _cause_of_death(self) -> str:
         events = [*self.log_pane.events, *self._held]
         cause = next((event.text for event in reversed(events) if event.level is Level.ERROR), "")
-        way_on = "" if self.console.readonly else f"{self._key('restart')} starts it again"
+        way_on = "" if self.console.readonly or self.console.attached_to else f"{self._key('restart')} starts it again"
         return ", ".join(part for part in (way_on, cause) if part)
 
     def _key(self, action: str) -> str:

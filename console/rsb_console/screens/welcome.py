@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from textual.app import ComposeResult
 
+    from rsb_bridge.control.bridges import RunningBridge
+
 ABOUT = """\
 Bridges ROS 2 topics between domains and networks over encrypted sockets,
 and shows what flows and what doesn't."""
@@ -34,16 +36,21 @@ RECENT = 5
 
 
 class Menu(SelectableList):
-    """The choices, then the recent sessions, and at last to quit.
+    """What runs on this machine, the choices, then the recent sessions, and at last to quit.
 
     Args:
+        running: bridges to attach to.
         choices: ids out of `CHOICES`.
         recent: session files.
     """
 
-    def __init__(self, choices: Sequence[str], recent: Sequence[Path]) -> None:
+    def __init__(self, running: Sequence[RunningBridge], choices: Sequence[str], recent: Sequence[Path]) -> None:
         super().__init__(id="menu")
         self._lines: dict[str, Line] = {}
+        for bridge in running:
+            about = f"runs: {bridge.info.role}, {bridge.info.address}" if bridge.info else bridge.problem
+            words = f"{about}, pid {bridge.pid}; ⏎ attaches"
+            self._lines[str(bridge.path)] = (("●  ", "ok"), (f"{bridge.name:<17}", "strong"), (words, "dim"))
         for choice in choices:
             key, label, more = CHOICES[choice]
             self._lines[choice] = ((f"{key}  ", "key"), (f"{label:<17}", "strong"), (more, "dim"))
@@ -63,7 +70,12 @@ class Menu(SelectableList):
 
 
 class WelcomeScreen(ModalScreen[str]):
-    """Gives one of `CHOICES`, or the path of a recent session."""
+    """Gives one of `CHOICES`, or the path of a running bridge's control socket, or of a recent session.
+
+    Args:
+        running: bridges on this machine.
+        readonly: leave out what changes something.
+    """
 
     BINDINGS: ClassVar = [
         Binding("enter", "choose", show=False),
@@ -73,11 +85,11 @@ class WelcomeScreen(ModalScreen[str]):
         *(Binding(str(number), f"recent({number})", show=False) for number in range(1, RECENT + 1)),
     ]
 
-    def __init__(self, *, readonly: bool) -> None:
+    def __init__(self, running: Sequence[RunningBridge], *, readonly: bool) -> None:
         super().__init__()
         self._readonly = readonly
         self._recent = recent_sessions()[:RECENT]
-        self.menu = Menu(WATCHING if readonly else tuple(CHOICES), self._recent)
+        self.menu = Menu(running, WATCHING if readonly else tuple(CHOICES), self._recent)
 
     def compose(self) -> ComposeResult:
         """What this is, and the menu."""

@@ -131,7 +131,8 @@ def running_demo() -> Iterator[Demo]:
 @contextlib.contextmanager
 def _bridge_process(path: Path) -> Iterator[None]:
     """Run the robot's side of the bridge as on a robot, and wait until it listens, for `_READY_WITHIN` at the most."""
-    command = [sys.executable, "-m", "rsb_console", "run", "--no-ui", "--log-format", "json", str(path)]
+    options = ["--no-ui", "--log-format", "json", "--control", str(path.with_suffix(".sock"))]
+    command = [sys.executable, "-m", "rsb_console", "run", *options, str(path)]
     log_path = path.parent / "robot.log"
     with log_path.open("w") as log:
         process = subprocess.Popen(  # noqa: S603

@@ -31,6 +31,7 @@ class View:
         readonly: whether actions that change something are disabled.
         note: shown instead of the link's state while no engine runs; empty: an engine runs.
         cause: why the engine ended by itself; empty: not known, or it runs.
+        attached: whether the engine runs in another process.
     """
 
     session: str = ""
@@ -39,6 +40,7 @@ class View:
     readonly: bool = False
     note: str = ""
     cause: str = ""
+    attached: bool = False
 
 
 class StatusBar(LiveLines):
@@ -161,6 +163,8 @@ def _view(snapshot: Snapshot, view: View) -> Line:
     pieces = []
     if view.readonly:
         pieces.append(("read-only  ", "paused"))
+    if view.attached:
+        pieces.append(("attached  ", "dim"))
     if view.session and view.session != snapshot.name:
         pieces.append((f"{view.session} · ", "dim"))
     if view.frozen_since is None:
