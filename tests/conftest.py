@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.support.bridge import Bridge
+    from tests.support.control import Machine
     from tests.support.domain import Domain
     from tests.support.program import Programs
     from tests.support.relay import Relay
@@ -103,5 +104,15 @@ def programs(bridge: Bridge) -> Iterator[Programs]:
     from tests.support.program import Programs
 
     made = Programs(bridge.folder)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[Machine]:
+    """Serves engines on control sockets of the test's own, and attaches to them."""
+    from tests.support.control import Machine
+
+    made = Machine(tmp_path)
     yield made
     made.close()

@@ -22,7 +22,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
 if TYPE_CHECKING:
-    from tests.control.conftest import Machine
+    from tests.support.control import Machine
 
 
 def test_it_sees_what_the_engine_sees(machine: Machine) -> None:

@@ -19,7 +19,7 @@ from rsb_bridge.control.bridges import AlreadyRunningError
 from rsb_bridge.control.folders import ControlError, Listener, TakenError
 
 if TYPE_CHECKING:
-    from tests.control.conftest import Machine
+    from tests.support.control import Machine
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
 NOBODY = 65534

@@ -1,18 +1,16 @@
-"""A served engine that plays a script, and consoles that attach to it."""
+"""A user's control sockets: engines that are served there, and consoles that attach to them."""
 
 from __future__ import annotations
 
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-import pytest
 from tests.console.scripted import ScriptedEngine
 
 from rsb_bridge.control import bridges
 from rsb_bridge.control.client import RemoteEngine
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from rsb_bridge.control.server import ControlServer
@@ -56,10 +54,3 @@ class Machine:
     def close(self) -> None:
         """Detach, and stop serving."""
         self._resources.close()
-
-
-@pytest.fixture
-def machine(tmp_path: Path) -> Iterator[Machine]:
-    made = Machine(tmp_path)
-    yield made
-    made.close()

@@ -1,0 +1,249 @@
+"""The commands that attach to a running bridge: what they print, what they do there, and how they exit."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.console.scripted import EVENTS, ROUTES, SESSION, ScriptedEngine, route
+from tests.support.bridge import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.snapshot import Ledger, State
+from rsb_console.command.arguments import parser_and_commands
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.control import Machine
+
+COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.0))
+
+
+@pytest.fixture(autouse=True)
+def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+
+
+@pytest.fixture
+def engine(machine: Machine) -> ScriptedEngine:
+    """A served one with a topic and no fault."""
+    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN,))
+    machine.serve(made)
+    return made
+
+
+class Ran:
+    """What became of a command."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
+        parsed = parser_and_commands()[0].parse_args(arguments)
+        self.code = parsed.command(parsed)
+        self.out, self.err = capsys.readouterr()
+
+    @property
+    def json(self) -> Any:
+        """Its output, one object."""
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def ran(capsys: pytest.CaptureFixture[str]) -> Any:
+    return lambda *arguments: Ran(capsys, *arguments)
+
+
+def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: ScriptedEngine) -> None:
+    fine = ran("status")
+    assert fine.code == 0
+    assert fine.out.startswith(f"robot1: client, 10.0.0.20:49152, domain 3, pid {os.getpid()}\n")
+    assert "→ /scan 10.0 Hz" in fine.out
+    status = ran("status", "robot1", "--json").json
+    assert (status["name"], status["pid"], status["running"]) == ("robot1", os.getpid(), True)
+    assert status["links"]["robot1"]["state"] == "ok"
+    assert status["routes"][0]["topic"] == "/scan"
+    engine.now = replace(engine.now, routes=ROUTES)
+    faulty = ran("status")
+    assert faulty.code == 1
+    assert "← /robot2/scan DOWN: no publisher of /scan in domain 4" in faulty.out
+
+
+def test_topics_lists_what_is_bridged_or_could_be(ran: Any, engine: ScriptedEngine) -> None:
+    assert ran("topics").out == "→ /scan 10.0 Hz (19 dropped)\n"
+    assert [each["topic"] for each in ran("topics", "--json").json["topics"]] == ["/scan"]
+    sides = [(each["side"], each["topic"]) for each in ran("topics", "--available", "--json").json["available"]]
+    assert sides == [("here", "/camera/depth"), ("robot1", "/camera/depth")]
+
+
+def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
+    added = ran("add", "/map", "receive", "protocol=udp", "qos={depth: 3}", "paused=yes", "--json")
+    assert added.json == {"ok": True, "key": "/map"}
+    changed = ran("edit", "/scan", "max_rate=", "qos=sensor_data")
+    assert (changed.code, changed.out) == (0, "")
+    for command in ("remove", "pause", "resume"):
+        assert ran(command, "/scan").code == 0
+    assert ran("retry").code == 0
+    restarted = ran("restart")
+    assert "linked again" in restarted.out
+    assert engine.commands == [
+        ("add", Topic("/map", "receive", protocol="udp", qos={"depth": 3}, paused=True), ""),
+        ("edit", "/scan", Topic("/scan", "transmit", qos="sensor_data")),
+        ("remove", "/scan"),
+        ("pause", "/scan", True),
+        ("pause", "/scan", False),
+        ("retry", ""),
+        ("restart",),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (("add", "/map", "receive", "prtocol=udp"), "prtocol=udp: not KEY=VALUE with a KEY out of topic,"),
+        (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
+        (("add", "/scan", "transmit"), "topic: "),
+        (("pause", "/scna"), "/scna is not bridged; did you mean /scan?"),
+        (("wait", "--for", "happy"), "not one of flowing TOPIC, linked [CLIENT], stopped"),
+    ],
+)
+def test_what_is_not_valid_is_said_in_words(
+    ran: Any, engine: ScriptedEngine, command: tuple[str, ...], words: str
+) -> None:
+    refused = ran(*command)
+    assert refused.code == 2
+    assert words in refused.err
+    refused = ran(*command, "--json")
+    assert refused.json["ok"] is False
+    assert words in refused.json["error"]
+    assert engine.commands == []
+
+
+def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:
+    back = route("/scan", key="back")
+    engine.now = replace(engine.now, routes=(SCAN, back))
+    assert (
+        "say which: --link robot1 --direction transmit; --link robot1 --direction receive" in ran("pause", "/scan").err
+    )
+    assert ran("pause", "/scan", "--direction", "receive").code == 0
+    assert engine.commands == [("pause", "back", True)]
+
+
+def test_events_prints_what_is_remembered(ran: Any, engine: ScriptedEngine) -> None:
+    texts = [json.loads(line)["text"] for line in ran("events", "--json").out.splitlines()]
+    assert texts == [event.text for event in EVENTS]
+    assert len(ran("events").out.splitlines()) == len(EVENTS)
+
+
+def test_wait_waits(ran: Any, engine: ScriptedEngine) -> None:
+    assert ran("wait", "--for", "flowing", "/scan", "--timeout", "10").code == 0
+    assert ran("wait", "--for", "linked", "robot1", "--json").json["ok"]
+    late = ran("wait", "--for", "flowing", "/map", "--timeout", "0.1")
+    assert (late.code, late.err) == (1, "rsb-console: not flowing /map within 0.1 s: /map is not bridged\n")
+    engine.now = replace(
+        engine.now, routes=(replace(SCAN, state=State.WAITING, reason="no publisher", ledger=Ledger()),)
+    )
+    assert "/scan WAITING: no publisher" in ran("wait", "--for", "flowing", "/scan", "--timeout", "0.1").err
+
+
+def test_without_a_bridge_they_say_so(ran: Any, machine: Machine) -> None:
+    nothing = ran("status")
+    assert (nothing.code, nothing.err) == (3, "rsb-console: no bridge runs here that you may attach to\n")
+    machine.serve()
+    other = ran("status", "robot2")
+    assert other.code == 3
+    assert "no bridge 'robot2' runs here; these do:\n  robot1: client, 10.0.0.20:49152, pid" in other.err
+    assert ran("status", "--control", str(machine.folder / "x.sock")).code == 3
+
+
+def test_of_several_bridges_one_has_to_be_named(ran: Any, machine: Machine) -> None:
+    machine.serve()
+    machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, name="robot2")))
+    several = ran("status")
+    assert several.code == 2
+    assert "several bridges run here; say which:\n  robot1: " in several.err
+    assert ran("topics", "robot2").code == 0
+    assert ran("topics", "--control", str(machine.folder / "robot2.sock")).code == 0
+
+
+# --- with real processes
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    """A client's, whose server does not run."""
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    write_key(tmp_path / "robot1.key")
+    path = tmp_path / "robot1.yaml"
+    topics = (Topic("/scan", "transmit"),)
+    save(
+        Session(
+            name="robot1", role="client", server_ip="127.0.0.1", server_port=free_port(), key_file="robot1.key",
+            domain_id=85, topics=topics,
+        ),
+        path,
+    )  # fmt: skip
+    return path
+
+
+@pytest.fixture
+def bridge(session: Path) -> Iterator[subprocess.Popen[str]]:
+    """It runs headless."""
+    with start("run", "--no-ui", str(session)) as process:
+        assert process.stdout
+        assert "connecting" in process.stdout.readline()
+        yield process
+        process.kill()
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen([COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_a_headless_bridge_is_attached_to_changed_and_stopped(bridge: subprocess.Popen[str], session: Path) -> None:
+    status = json.loads(command("status", "--json").stdout)
+    assert (status["pid"], status["file"]) == (bridge.pid, str(session))
+    with start("events", "--json", "--follow") as following:
+        assert following.stdout
+        assert json.loads(following.stdout.readline())["code"] == "link.connecting"
+        assert command("add", "/map", "receive", "type=OccupancyGrid").returncode == 0
+        assert command("pause", "/scan").returncode == 0
+        assert command("remove", "/map").returncode == 0
+        waited = command("wait", "--for", "linked", "--timeout", "0.1")
+        assert waited.returncode == 1
+        topics = json.loads(command("topics", "--json").stdout)["topics"]
+        assert [(each["topic"], each["state"]) for each in topics] == [("/scan", "paused")]
+        assert command("stop").returncode == 0
+        assert bridge.wait(60) == 0
+        seen = [json.loads(line)["code"] for line in iter(following.stdout.readline, "") if line]
+        assert "attach.lost" in seen
+        following.terminate()
+    assert command("status").returncode == 3
+
+
+def test_a_session_is_not_started_twice(bridge: subprocess.Popen[str], session: Path) -> None:
+    second = command("run", "--no-ui", str(session))
+    assert second.returncode == 4
+    assert f"robot1 already runs here: pid {bridge.pid}, socket " in second.stderr
+    assert "To attach to it: rsb-console attach robot1" in second.stderr
+    assert "Traceback" not in second.stderr
+    bridge.send_signal(signal.SIGKILL)
+    bridge.wait()
+    with start("run", "--no-ui", str(session)) as third:
+        eventually(lambda: command("status").returncode != 3, what="the dead one's socket is replaced")
+        third.terminate()
+        assert third.wait(60) == 0
