@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from tests.console.live import Pair, end, talker
 from tests.console.terminal import COMMAND, Terminal
+from tests.console.tmux import Tmux
 
 from rsb_bridge.model.session import Topic
 from rsb_console.terminal.driver import prefers_ascii
@@ -267,34 +268,6 @@ def test_a_terminal_without_unicode_gets_ascii_only(pair: Pair) -> None:
         assert terminal.output.isascii()
         assert b"38;5;" not in terminal.output  # sixteen colours
         assert b"38;2;" not in terminal.output
-
-
-class Tmux:
-    """The console in a tmux server of its own: what an operator's terminal multiplexer does to it."""
-
-    def __init__(self, folder: Path, *command: str) -> None:
-        self._socket = str(folder / "tmux")
-        self("new-session", "-d", "-x", "120", "-y", "36", *command)
-        self("set-option", "-g", "mouse", "on")
-
-    def __call__(self, *words: str) -> str:
-        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        command = ["tmux", "-S", self._socket, "-f", "/dev/null", *words]
-        return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=60).stdout
-
-    def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:
-        """Wait until `words` are there, or no more."""
-        deadline = time.monotonic() + seconds
-        while (words in (picture := self("capture-pane", "-p"))) is not there:
-            assert time.monotonic() < deadline, f"{words!r} not {there} within {seconds} s:\n{picture}"
-            time.sleep(0.05)
-        return picture
-
-    def __enter__(self) -> "Tmux":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self("kill-server")
 
 
 @pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")

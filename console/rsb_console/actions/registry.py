@@ -103,7 +103,8 @@ ACTIONS: tuple[Action, ...] = (
     Action("mouse", "m", "mouse", "Give the mouse to the terminal, or take it back", Group.CONSOLE),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
-    Action("quit", "q", "quit", "Quit; the bridge stops, unless another process runs it", Group.CONSOLE, in_footer=True),
+    Action("quit", "q", "quit", "Quit; the bridge stops, unless it runs in another process",
+           Group.CONSOLE, in_footer=True),
 )  # fmt: skip
 
 BY_ID = {action.id: action for action in ACTIONS}

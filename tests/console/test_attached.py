@@ -1,0 +1,210 @@
+"""The console on a bridge of another process: it shows and does the same, says so, and leaves the bridge running."""
+
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.console.driving import WIDE, drive, empty_app, scripted_app, shown, text, until
+from tests.console.live import COMMAND, Pair, end, talker
+from tests.console.scripted import ScriptedEngine, route
+from tests.console.tmux import Tmux
+from tests.support.control import Machine
+from tests.support.waiting import eventually
+from textual.pilot import Pilot
+
+from rsb_bridge.config.session_file import save
+from rsb_bridge.control import bridges
+from rsb_bridge.model.session import Topic
+from rsb_console.app import ConsoleApp
+
+CHATTER = f"/console_{os.getpid()}/attached"
+
+
+@pytest.fixture
+def engine(machine: Machine, tmp_path: Path) -> ScriptedEngine:
+    """It is served, with its file."""
+    made = ScriptedEngine()
+    save(made.session, tmp_path / "nav2.yaml")
+    machine.serve(made, file=tmp_path / "nav2.yaml")
+    return made
+
+
+def attached_app(machine: Machine, **options: object) -> ConsoleApp:
+    return scripted_app(session=None, path=None, attach_to=machine.folder / "robot1.sock", **options)
+
+
+def test_it_shows_what_the_engine_shows_and_does_what_the_operator_wants(
+    machine: Machine, engine: ScriptedEngine, tmp_path: Path
+) -> None:
+    app = attached_app(machine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        assert "attached  LIVE" in text(app)
+        assert "/robot2/scan channel 3: No route to host" in text(app), "the log, too"
+        assert (app.path, app.saved) == (tmp_path / "nav2.yaml", engine.session)
+        await pilot.press("p")
+        await until(pilot, lambda: engine.commands == [("pause", "/robot2/scan", True)], "paused there")
+        engine.now = replace(engine.now, routes=(route("/new"),))
+        await shown(pilot, "/new")
+
+    drive(app, steps)
+    app.stop()
+    assert bridges.ask(machine.folder / "robot1.sock").info is not None
+
+
+def test_the_quit_dialog_says_that_the_bridge_goes_on(machine: Machine, engine: ScriptedEngine) -> None:
+    app = attached_app(machine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("q")
+        await shown(pilot, "The bridge robot1 goes on")
+        await pilot.press("y")
+
+    drive(app, steps)
+    app.stop()
+    assert engine.commands == []
+
+
+def test_it_says_that_the_bridge_has_ended_and_comes_back(machine: Machine, engine: ScriptedEngine) -> None:
+    app = attached_app(machine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        machine.served[-1].close("the bridge was stopped")
+        await shown(pilot, "NOT ATTACHED: the bridge was stopped")
+        await until(pilot, lambda: "● ok" not in text(app), "nothing is called ok that is not known")
+        await pilot.press("R")
+        await shown(pilot, "start it there")
+        machine.serve(ScriptedEngine(routes=(route("/again"),)))
+        await shown(pilot, "/again")
+        await until(pilot, lambda: "NOT ATTACHED" not in text(app), "attached")
+
+    drive(app, steps)
+    app.stop()
+
+
+def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, engine: ScriptedEngine) -> None:
+    def serve(*_: object) -> tuple[None, bridges.RunningBridge]:
+        return None, bridges.ask(machine.folder / "robot1.sock")
+
+    app = scripted_app(serve=serve)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "robot1 already runs here. Attach to it?")
+        assert app.engine is None, "a second bridge has not even begun"
+        await pilot.press("y")
+        await shown(pilot, "attached  ")
+        await shown(pilot, "/robot2/scan")
+
+    drive(app, steps)
+    app.stop()
+
+    watching = scripted_app(serve=serve, readonly=True)
+
+    async def look(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        assert watching.attached_to == "robot1"
+        assert "read-only" in text(watching)
+
+    drive(watching, look)
+    watching.stop()
+
+
+def test_the_welcome_screen_lists_what_runs_first(
+    machine: Machine, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rsb_console.operations.sessions.SessionOperations._running", _running(machine))
+    app = empty_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "runs: client, 10.0.0.20:49152")
+        assert app.engine is None
+        await pilot.press("enter")
+        await shown(pilot, "attached  ")
+
+    drive(app, steps, WIDE)
+    app.stop()
+
+
+def _running(machine: Machine) -> object:
+    """As the app's own, which leaves out the process that it runs in."""
+
+    async def running(_: object) -> list[bridges.RunningBridge]:
+        return bridges.running_bridges(machine.environ)
+
+    return running
+
+
+# --- with real processes
+
+
+@pytest.fixture
+def pair(tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Pair:
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    return Pair(tmp_path, Topic(CHATTER, "transmit"))
+
+
+@pytest.fixture
+def headless(pair: Pair) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """The client's bridge without a console, the newest last."""
+    processes = [run_headless(pair)]
+    yield processes
+    end(processes[-1])
+
+
+def run_headless(pair: Pair) -> subprocess.Popen[bytes]:
+    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    command = [str(COMMAND), "run", "--no-ui", str(pair.client_path)]
+    return subprocess.Popen(command, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+def test_attaching_in_a_terminal(
+    pair: Pair, headless: list[subprocess.Popen[bytes]], tmp_path: Path, machine: Machine
+) -> None:
+    eventually(lambda: bridges.running_bridges(machine.environ))
+    with pair.server(), talker(CHATTER), Tmux(tmp_path, "sh") as tmux:
+        tmux("send-keys", f"{COMMAND} attach", "Enter")
+        tmux.wait_for("attached  LIVE")
+        tmux.wait_for("● LINKED")
+        tmux.wait_for("● ok")
+        tmux("send-keys", "p")
+        tmux.wait_for("PAUSED")
+        tmux("send-keys", "p")
+        tmux.wait_for("● ok")
+        tmux("send-keys", "q")
+        tmux.wait_for("The bridge robot1 goes on")
+        tmux("send-keys", "y")
+        tmux.wait_for("Topics", there=False)
+        assert headless[-1].poll() is None
+
+        tmux("send-keys", f"{COMMAND} run {pair.client_path}", "Enter")
+        tmux.wait_for("robot1 already runs here. Attach to it?")
+        tmux("send-keys", "y")
+        tmux.wait_for("● ok")
+
+        headless[-1].send_signal(signal.SIGKILL)
+        headless[-1].wait()
+        tmux.wait_for("NOT ATTACHED")
+        tmux.wait_for("● ok", there=False)
+        headless.append(run_headless(pair))
+        tmux.wait_for("● LINKED")
+        tmux.wait_for("● ok")
+        tmux("send-keys", "q")
+        tmux.wait_for("The bridge robot1 goes on")
+        tmux("send-keys", "y")
+        tmux.wait_for("Topics", there=False)
+
+        tmux("send-keys", f"{COMMAND}", "Enter")
+        tmux.wait_for("●  robot1")
+        tmux("send-keys", "Enter")
+        tmux.wait_for("● ok")
+        assert headless[-1].poll() is None

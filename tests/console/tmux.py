@@ -1,0 +1,34 @@
+"""A terminal multiplexer under a real command."""
+
+import os
+import subprocess
+import time
+from pathlib import Path
+
+
+class Tmux:
+    """The console in a tmux server of its own: what an operator's terminal multiplexer does to it."""
+
+    def __init__(self, folder: Path, *command: str) -> None:
+        self._socket = str(folder / "tmux")
+        self("new-session", "-d", "-x", "120", "-y", "36", *command)
+        self("set-option", "-g", "mouse", "on")
+
+    def __call__(self, *words: str) -> str:
+        environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        command = ["tmux", "-S", self._socket, "-f", "/dev/null", *words]
+        return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=60).stdout
+
+    def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:
+        """Wait until `words` are there, or no more."""
+        deadline = time.monotonic() + seconds
+        while (words in (picture := self("capture-pane", "-p"))) is not there:
+            assert time.monotonic() < deadline, f"{words!r} not {there} within {seconds} s:\n{picture}"
+            time.sleep(0.05)
+        return picture
+
+    def __enter__(self) -> "Tmux":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self("kill-server")
