@@ -229,8 +229,8 @@ def test_a_headless_bridge_is_attached_to_changed_and_stopped(bridge: subprocess
         assert [each["topic"] for each in topics] == ["/scan"]
         assert command("stop").returncode == 0
         assert bridge.wait(60) == 0
-        seen = [json.loads(line)["code"] for line in iter(following.stdout.readline, "") if line]
-        assert "attach.lost" in seen
+        codes = (json.loads(line)["code"] for line in following.stdout)
+        assert next(code for code in codes if code == "attach.lost")
         following.terminate()
     assert command("status").returncode == 3
 

@@ -55,8 +55,8 @@ _PAUSE = 0.0005
 """s of rest between two parts of a state, in which the bridge's threads run."""
 _ANSWERED_WITHIN = 2.0
 """s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not."""
-_ACCEPTED_WITHIN = 0.01
-"""s: what was accepted last has become a console then, which can be told of the end."""
+_TURNS_TO_ACCEPT = 10
+"""Turns of the loop: what was accepted last has become a console then, which can be told of the end."""
 _SAID_WITHIN = 0.25
 _READ_SIZE = 64 << 10
 
@@ -126,7 +126,8 @@ class ControlServer:
         self._ready.set()
         await self._ends.wait()
         server.close()
-        await asyncio.sleep(_ACCEPTED_WITHIN)
+        for _ in range(_TURNS_TO_ACCEPT):
+            await asyncio.sleep(0)
         for console in tuple(self._consoles):
             console.end(self._ending)
         await self._consoles_gone()
