@@ -289,3 +289,25 @@ def test_a_bridge_that_is_not_there_is_said_in_words(machine: Machine) -> None:
     with pytest.raises(EngineError, match="no bridge serves"):
         RemoteEngine(machine.folder / "nobody.sock").start()
     assert bridges.running_bridges(machine.environ) == []
+
+
+def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine) -> None:
+    machine.folder.mkdir(mode=0o700)
+    with socket.socket(socket.AF_UNIX) as hangs:
+        hangs.bind(str(machine.folder / "robot1.sock"))
+        hangs.listen()
+        remote = RemoteEngine(machine.folder / "robot1.sock")
+        failed: list[str] = []
+
+        def start() -> None:
+            try:
+                remote.start()
+            except EngineError as error:
+                failed.append(str(error))
+
+        starting = threading.Thread(target=start)
+        starting.start()
+        with hangs.accept()[0]:
+            remote.stop()
+            starting.join(10)
+        assert failed == ["detached from the bridge"]

@@ -50,6 +50,7 @@ class Program:
         with self._log.open("a") as log:
             self._process = host.start(
                 *(str(_COMMAND), "run", "--no-ui", "--log-format", "json", "--status-every", "0.5", str(session)),
+                *("--control", str(session.with_suffix(".sock"))),  # these hosts share their files
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

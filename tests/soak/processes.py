@@ -143,7 +143,8 @@ class Program(Process):
     """
 
     def __init__(self, name: str, session: Path, clock: Callable[[], float] = time.time) -> None:
-        options = ("--no-ui", "--log-format", "json", "--status-every", str(_STATUS_EVERY))
+        control = session.with_suffix(".sock")  # none of this user's other bridges is meant
+        options = ("--no-ui", "--log-format", "json", "--status-every", str(_STATUS_EVERY), "--control", str(control))
         super().__init__(name, "-m", "rsb_console", "run", str(session), *options)
         self.lives: list[Life] = []
         self.books: list[Book] = []

@@ -88,6 +88,14 @@ def find_sockets(environ: Mapping[str, str]) -> list[Path]:
     return found
 
 
+def hidden_services() -> str:
+    """The user whose services' sockets this user may not see; empty: there are none, or they may be seen."""
+    try:
+        return "" if os.access(SERVICES, os.R_OK | os.X_OK) else SERVICES.owner()
+    except (OSError, KeyError):  # no such folder, or no such user
+        return ""
+
+
 class Listener:
     """A socket that listens, mode 0600, and the file that leads to it.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import time
@@ -17,6 +18,7 @@ from rsb_bridge.model.snapshot import Event, Level
 from rsb_console.command.log_writer import LogWriter
 from rsb_console.command.reports import clock, json_event, json_line, json_status, text_event, text_status
 from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, OK, keep_output_clean, print_error
+from rsb_console.command.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -65,7 +67,11 @@ def run_headless(
         except EngineError as error:
             print_error(str(error))
             return FAILURE
-        return bridge_until_told(engine, signals, log_format=log_format, status_every=status_every)
+        supervisor = Supervisor(os.environ)
+        supervisor.ready()
+        return bridge_until_told(
+            engine, signals, log_format=log_format, status_every=status_every, supervisor=supervisor
+        )
 
 
 def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
@@ -91,6 +97,7 @@ def bridge_until_told(
     log_format: str = "text",
     status_every: float = STATUS_EVERY,
     seconds: float | None = None,
+    supervisor: Supervisor | None = None,
 ) -> int:
     """Run an engine until a signal, then stop it. Its log goes to standard output.
 
@@ -100,6 +107,7 @@ def bridge_until_told(
         log_format: as `run_headless`.
         status_every: as `run_headless`.
         seconds: s after which it stops by itself; None: never.
+        supervisor: is told how the engine is; None: nobody is.
     """
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else text_status
@@ -120,11 +128,15 @@ def bridge_until_told(
             log(events)
         now = time.monotonic()
         snapshot = engine.snapshot()
+        if supervisor is not None:
+            supervisor.show(snapshot)
         if now >= next_status:
             next_status = now + status_every
             writer.write(status(snapshot))
         reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
     writer.write(stopping(reason))
+    if supervisor is not None:
+        supervisor.stopping()
     failed = not engine.snapshot().running
     engine.stop(_STOPS_WITHIN)
     log(engine.events(seen))

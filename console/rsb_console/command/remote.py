@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.folders import ControlError, hidden_services
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import (
@@ -101,7 +101,9 @@ def chosen_bridge(arguments: Namespace) -> RunningBridge:
     chosen = [bridge for bridge in found if name in (None, bridge.name)]
     running = "".join(f"\n  {bridge}" for bridge in found)
     if not found:
-        raise NoBridgeError("no bridge runs here that you may attach to")
+        other = hidden_services()
+        hint = f"; services are the user {other}'s: sudo -u {other} rsb-console …" if other else ""
+        raise NoBridgeError(f"no bridge runs here that you may attach to{hint}")
     if not chosen:
         raise NoBridgeError(f"no bridge {name!r} runs here; these do:{running}")
     if len(chosen) > 1:

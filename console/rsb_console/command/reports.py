@@ -30,20 +30,28 @@ def text_event(event: Event) -> str:
 
 def text_status(snapshot: Snapshot) -> str:
     """One line: how many peers are linked, how many topics flow, the traffic, and the first topics."""
-    linked = sum(link.state is State.OK for link in snapshot.links)
-    states = [route.state for route in snapshot.routes]
-    counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
     received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
     sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
     parts = [
-        f"{linked}/{len(snapshot.links)} linked",
-        f"{len(states)} topics" + (f": {counts}" if counts else ""),
+        *_counts(snapshot),
         f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
         *(rate_text(route) for route in faults_first(snapshot.routes)[:_TOPICS_IN_STATUS]),
     ]
-    if len(states) > _TOPICS_IN_STATUS:
-        parts.append(f"and {len(states) - _TOPICS_IN_STATUS} more")
+    if len(snapshot.routes) > _TOPICS_IN_STATUS:
+        parts.append(f"and {len(snapshot.routes) - _TOPICS_IN_STATUS} more")
     return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
+
+
+def summary(snapshot: Snapshot) -> str:
+    """How many peers are linked, and how many topics flow."""
+    return ", ".join(_counts(snapshot))
+
+
+def _counts(snapshot: Snapshot) -> tuple[str, str]:
+    linked = sum(link.state is State.OK for link in snapshot.links)
+    states = [route.state for route in snapshot.routes]
+    counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
+    return f"{linked}/{len(snapshot.links)} linked", f"{len(states)} topics" + (f": {counts}" if counts else "")
 
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
