@@ -15,7 +15,7 @@ from tests.console.scripted import EVENTS, ScriptedEngine, route
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import bridges, folders, protocol, server
+from rsb_bridge.control import bridges, client, folders, protocol, server
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -182,6 +182,34 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     eventually(lambda: remote.events()[-1].text == EVENTS[-1].text)
     numbers = [event.number for event in remote.events()]
     assert numbers == list(range(1, len(EVENTS) * 2 + 3)), "its own count goes on, whoever serves"
+
+
+class Hanging(ScriptedEngine):
+    """Does nothing any more while `goes_on` is not set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+
+    def snapshot(self) -> Any:
+        self.goes_on.wait()
+        self.now = replace(self.now, time=self.now.time + 1)
+        return self.now
+
+
+def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = Hanging()
+    machine.serve(engine)
+    remote = machine.attach()
+    monkeypatch.setattr(client, "ANSWERS_WITHIN", 0.5)
+    engine.goes_on.clear()
+    eventually(lambda: not remote.snapshot().running)
+    assert "has not answered for" in remote.unreachable
+    assert {each.state for each in remote.snapshot().routes} == {State.DOWN}
+    engine.goes_on.set()
+    eventually(lambda: remote.snapshot().running and not remote.unreachable)
+    assert State.OK in {each.state for each in remote.snapshot().routes}
 
 
 def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:

@@ -47,7 +47,7 @@ def test_it_is_seen_and_changed_from_elsewhere(bridge: Bridge, machine: Machine)
     _, client = bridge.both(Topic("/tcp", "transmit", type="std_msgs/msg/String"))
     machine.serve(client)
     remote = machine.attach()
-    assert remote.snapshot().links[0].state is State.OK
+    eventually(lambda: remote.snapshot().links[0].state is State.OK)
     assert [route.topic for route in remote.snapshot().routes] == ["/tcp"]
     eventually(lambda: any(event.code == EventCode.LINK_UP for event in remote.events()))
 
@@ -75,7 +75,7 @@ def test_it_is_seen_and_changed_from_elsewhere(bridge: Bridge, machine: Machine)
 def test_consoles_that_are_many_stalled_or_killed_cost_no_message(
     bridge: Bridge, robot: Domain, pc: Domain, machine: Machine
 ) -> None:
-    topics = [Topic(f"/{number}_tcp", "transmit", type="std_msgs/msg/String") for number in range(5)]
+    topics = [Topic(f"/topic{number}_tcp", "transmit", type="std_msgs/msg/String") for number in range(5)]
     server, client = bridge.both(*topics)
     machine.serve(client)
     listeners = [pc.listener(topic.topic) for topic in topics]

@@ -117,9 +117,13 @@ class RemoteEngine(EngineApi):
     def unreachable(self) -> str:
         if self._lost:
             return self._lost
-        asked = self._asked_at
-        silent = 0.0 if asked is None else time.monotonic() - asked
+        silent = self._silent_for
         return f"the bridge has not answered for {silent:.0f} s" if silent > ANSWERS_WITHIN else ""
+
+    @property
+    def _silent_for(self) -> float:
+        asked = self._asked_at
+        return 0.0 if asked is None else time.monotonic() - asked
 
     def start(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -143,6 +147,8 @@ class RemoteEngine(EngineApi):
         delay = since - _COMES_BEFORE_USE if since < _USED_REGULARLY else 0.0
         with contextlib.suppress(RuntimeError):  # detached already
             self._loop.call_soon_threadsafe(self._look_soon, delay)
+        if self._silent_for > ANSWERS_WITHIN:
+            return _lost(self._shown, "the bridge does not answer", self._clock.time_ns() / 1e9)
         return self._shown
 
     def events(self, after: int = 0) -> list[Event]:
