@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from bench import bed
 from bench.console import OVER_SSH, Watched
@@ -19,7 +19,8 @@ from rsb_bridge.model.session import Session, Topic
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-TOPICS, SECONDS, ROUNDS = 500, 20.0, 3
+TOPICS, SECONDS = 500, 20.0
+IDLE = 0.05  # %
 
 
 def main() -> None:
@@ -32,15 +33,27 @@ def main() -> None:
             bed.headless(folder / "client.yaml") as bridge,
         ):
             _flowing()
-            print(f"{TOPICS} topics at 1 Hz, headless; CPU in % of a core, {ROUNDS} x {SECONDS:.0f} s by turns")
-            print(f"{'consoles':>9} {'bridge':>7} {'console':>8} {'added':>6} {'sent kB/s':>10}")
-            alone = 0.0
-            for _ in range(ROUNDS):
-                for consoles in (0, 1):
-                    used, theirs, sent = _measure(bridge, consoles)
-                    alone = used if not consoles else alone
-                    added = used - alone + theirs
-                    print(f"{consoles:>9} {used:>7.1f} {theirs:>8.1f} {added:>6.1f} {sent:>10.1f}")
+            print(f"{TOPICS} topics at 1 Hz on a headless bridge; CPU in % of a core, {SECONDS:.0f} s each")
+            print(
+                f"{'consoles':>9} {'bridge':>7} {'its control thread':>19} {'each console':>13} {'sent kB/s each':>15}"
+            )
+            quiet = _measure(bridge, 0)
+            for consoles in (0, 1, 0, 1, 0, 1, 5):
+                now = _measure(bridge, consoles)
+                # The thread that has nothing to do without a console. The whole process varies by more than it takes.
+                control = max(now.threads.get(tid, 0.0) for tid, used in quiet.threads.items() if used < IDLE)
+                print(
+                    f"{consoles:>9} {sum(now.threads.values()):>7.1f} {control:>19.2f} {now.console:>13.1f}"
+                    f" {now.written:>15.1f}"
+                )
+
+
+class Costs(NamedTuple):
+    """CPU in % of a core: of the bridge by thread, and of each console; what each console writes, kB/s."""
+
+    threads: dict[str, float]
+    console: float
+    written: float
 
 
 def _session(folder: Path, role: str, domain: int, port: int) -> Path:
@@ -60,23 +73,33 @@ def _flowing() -> None:
             raise SystemExit("nothing flows")
 
 
-def _measure(bridge: bed.Process, count: int) -> tuple[float, float, float]:
-    """CPU of the bridge and of the consoles, % of a core; what one console writes, kB/s."""
-    consoles: Sequence[Watched] = [
-        Watched("-m", "rsb_console", "attach", "bench-2", environ=OVER_SSH) for _ in range(count)
-    ]
+def _measure(bridge: bed.Process, count: int) -> Costs:
+    consoles = [Watched("-m", "rsb_console", "attach", "bench-2", environ=OVER_SSH) for _ in range(count)]
     try:
-        for console in consoles:
-            console.until(lambda c=console: b"/bench/topic_" in c.terminal.output, 30.0)  # type: ignore[misc]
+        for each in consoles:
+            each.until(lambda c=each: b"/bench/topic_" in c.terminal.output, 30.0)  # type: ignore[misc]
         time.sleep(3.0)
-        before = bridge.cpu(), sum(each.cpu() for each in consoles), sum(each.written for each in consoles)
+        threads, console, written = _threads(bridge.pid), *_of_all(consoles)
         time.sleep(SECONDS)
-        after = bridge.cpu(), sum(each.cpu() for each in consoles), sum(each.written for each in consoles)
+        threads_then, console_then, written_then = _threads(bridge.pid), *_of_all(consoles)
     finally:
-        for console in consoles:
-            console.stop()
-    used, theirs, written = (b - a for a, b in zip(before, after, strict=True))
-    return 100 * used / SECONDS, 100 * theirs / SECONDS, written / SECONDS / 1e3 / max(1, count)
+        for each in consoles:
+            each.stop()
+    return Costs(
+        {tid: 100 * (used - threads.get(tid, 0.0)) / SECONDS for tid, used in threads_then.items()},
+        100 * (console_then - console) / SECONDS / max(1, count),
+        (written_then - written) / SECONDS / 1e3 / max(1, count),
+    )
+
+
+def _threads(pid: int) -> dict[str, float]:
+    """Processor time of each thread so far, s."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return {task.name: int((task / "schedstat").read_text().split()[0]) / 1e9 for task in tasks}
+
+
+def _of_all(consoles: Sequence[Watched]) -> tuple[float, int]:
+    return sum(each.cpu() for each in consoles), sum(each.written for each in consoles)
 
 
 if __name__ == "__main__":
