@@ -189,8 +189,8 @@ def test_both_sides_of_a_bridge_on_one_machine_have_one_each(machine: Machine) -
     machine.serve()
     machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server")))
     assert [(each.name, each.info and each.info.role) for each in bridges.running_bridges(machine.environ)] == [
-        ("robot1-2", "server"),
         ("robot1", "client"),
+        ("robot1-2", "server"),
     ]
 
 

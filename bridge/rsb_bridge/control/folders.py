@@ -84,7 +84,8 @@ def find_sockets(environ: Mapping[str, str]) -> list[Path]:
     found = []
     for folder in searched_folders(environ):
         with contextlib.suppress(OSError):
-            found += sorted(path for path in folder.iterdir() if path.suffix == SUFFIX)
+            sockets = (path for path in folder.iterdir() if path.suffix == SUFFIX)
+            found += sorted(sockets, key=lambda path: path.stem)
     return found
 
 
