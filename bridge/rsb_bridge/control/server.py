@@ -125,9 +125,10 @@ class ControlServer:
         server = await asyncio.start_unix_server(self._connected, sock=self._listener.socket)
         self._ready.set()
         await self._ends.wait()
-        server.close()
+        self._loop.remove_reader(self._listener.socket)  # a server that is closed while it accepts leaves a socket open
         for _ in range(_TURNS_TO_ACCEPT):
             await asyncio.sleep(0)
+        server.close()
         for console in tuple(self._consoles):
             console.end(self._ending)
         await self._consoles_gone()
