@@ -33,12 +33,11 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.control.bridges import RunningBridge
-    from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 _ANSWERED_WITHIN = 60.0
 _LOOK_EVERY = 0.1
 _EVENTS_WITHIN = 10.0
-FINE = frozenset({State.OK, State.PAUSED})
 
 T = TypeVar("T")
 
@@ -148,8 +147,17 @@ def _status(arguments: Namespace) -> int:
                 print_line(f"  link {link.name} {link.state.upper()} {link.peer} {link.reason}".rstrip())
             for route in faults_first(now.routes):
                 print_line(f"  {rate_text(route)}")
-        fine = now.running and {*(link.state for link in now.links), *(route.state for route in now.routes)} <= FINE
-        return OK if fine else FAILURE
+        return OK if _is_fine(now) else FAILURE
+
+
+def _is_fine(now: Snapshot) -> bool:
+    """Whether nothing is wrong; a topic that flows may have a reason to be looked at all the same."""
+    links = all(link.state is State.OK for link in now.links)
+    return (
+        now.running
+        and links
+        and all((route.state, route.reason) == (State.OK, "") or route.state is State.PAUSED for route in now.routes)
+    )
 
 
 def _topics(arguments: Namespace) -> int:
