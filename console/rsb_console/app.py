@@ -228,8 +228,7 @@ class ConsoleApp(App[None]):
         async with self._changing:
             self.note, self._last_event = "attaching", 0
             await asyncio.to_thread(self.stop)
-            self._resources = ExitStack()
-            self.engine, self.attached_to, self.temporary = None, "", False
+            self._resources, self.engine, self.attached_to, self.temporary = ExitStack(), None, "", False
             self.main.reset()
             try:
                 attached = await asyncio.to_thread(attach, path, read_only=self.readonly)
@@ -239,7 +238,6 @@ class ConsoleApp(App[None]):
                 return
             self.engine, self.attached_to, self.note = attached.engine, attached.name, ""
             self.base, self.path, self.file, self.saved = attached.base, attached.path, attached.file, attached.saved
-            self.pull()
 
     def stop(self) -> None:
         """Stop the engine, or detach from it, and close the session's resources; may take some seconds."""

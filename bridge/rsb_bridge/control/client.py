@@ -39,11 +39,10 @@ from rsb_bridge.control.protocol import (
     Topics,
     Welcome,
 )
-from rsb_bridge.control.states import Receiver
+from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
-from rsb_bridge.model.snapshot import State as RouteState
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
@@ -148,7 +147,7 @@ class RemoteEngine(EngineApi):
         with contextlib.suppress(RuntimeError):  # detached already
             self._loop.call_soon_threadsafe(self._look_soon, delay)
         if self._silent_for > ANSWERS_WITHIN:
-            return _lost(self._shown, "the bridge does not answer", self._clock.time_ns() / 1e9)
+            return out_of_reach(self._shown, "the bridge does not answer", self._clock.time_ns() / 1e9)
         return self._shown
 
     def events(self, after: int = 0) -> list[Event]:
@@ -329,7 +328,7 @@ class RemoteEngine(EngineApi):
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
         if reason != self._lost:
             self._lost = reason
-            self._shown = _lost(self._shown, reason, self._clock.time_ns() / 1e9)
+            self._shown = out_of_reach(self._shown, reason, self._clock.time_ns() / 1e9)
 
     def _send(self, message: ToBridge) -> None:
         if self._writer is not None and not self._writer.is_closing():
@@ -380,23 +379,3 @@ def _nothing(_: object) -> None:
 def _topics(value: object) -> list[TopicInfo]:
     assert isinstance(value, tuple)
     return list(value)
-
-
-def _lost(shown: Snapshot, reason: str, now: float) -> Snapshot:
-    """What to show of a bridge that is out of reach: nothing is known to flow."""
-    return replace(
-        shown,
-        time=now,
-        running=False,
-        links=tuple(
-            replace(
-                link, state=RouteState.DOWN, reason=reason, since=now, retry_in=None, rtt=None,
-                rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
-            )
-            for link in shown.links
-        ),
-        routes=tuple(
-            replace(route, state=RouteState.DOWN, reason=reason, rate=0.0, bytes_per_second=0.0)
-            for route in shown.routes
-        ),
-    )  # fmt: skip

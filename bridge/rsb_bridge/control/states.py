@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.control.protocol import ROUTES_IN_STATE, ProtocolError, State, decode_route, encode_route
+from rsb_bridge.model import snapshot as model
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 if TYPE_CHECKING:
@@ -138,6 +140,26 @@ class Receiver:
             last_event=state.last_event,
         )
         return True
+
+
+def out_of_reach(shown: Snapshot, reason: str, now: float) -> Snapshot:
+    """What to show of a bridge that is out of reach: nothing is known to flow."""
+    return replace(
+        shown,
+        time=now,
+        running=False,
+        links=tuple(
+            replace(
+                link, state=model.State.DOWN, reason=reason, since=now, retry_in=None, rtt=None,
+                rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
+            )
+            for link in shown.links
+        ),
+        routes=tuple(
+            replace(route, state=model.State.DOWN, reason=reason, rate=0.0, bytes_per_second=0.0)
+            for route in shown.routes
+        ),
+    )  # fmt: skip
 
 
 def _keys(snapshot: Snapshot) -> tuple[str, ...]:

@@ -75,9 +75,9 @@ class SessionOperations:
         """Offer to attach to the bridge that runs a session already; watching only, do it."""
         from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
 
-        words = f"{running}\n\nA second bridge of one session would take the link away from the first."
+        message = f"{running}\n\nA second bridge of one session would take the link away from the first."
         title = f"{running.name} already runs here. Attach to it?"
-        if self._console.readonly or await self._console.ask(ConfirmScreen(title, words, "Attach")):
+        if self._console.readonly or await self._console.ask(ConfirmScreen(title, message, "Attach")):
             await self._console.attach(running.path)
 
     async def _begin(self, choice: str) -> None:

@@ -49,8 +49,8 @@ class Menu(SelectableList):
         self._lines: dict[str, Line] = {}
         for bridge in running:
             about = f"runs: {bridge.info.role}, {bridge.info.address}" if bridge.info else bridge.problem
-            words = f"{about}, pid {bridge.pid}; ⏎ attaches"
-            self._lines[str(bridge.path)] = (("●  ", "ok"), (f"{bridge.name:<17}", "strong"), (words, "dim"))
+            message = f"{about}, pid {bridge.pid}; ⏎ attaches"
+            self._lines[str(bridge.path)] = (("●  ", "ok"), (f"{bridge.name:<17}", "strong"), (message, "dim"))
         for choice in choices:
             key, label, more = CHOICES[choice]
             self._lines[choice] = ((f"{key}  ", "key"), (f"{label:<17}", "strong"), (more, "dim"))
