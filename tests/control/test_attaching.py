@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gc
 import socket
@@ -327,6 +328,34 @@ def test_a_bridge_that_is_not_there_is_said_in_words(machine: Machine) -> None:
     with pytest.raises(EngineError, match="no bridge serves"):
         RemoteEngine(machine.folder / "nobody.sock").start()
     assert bridges.running_bridges(machine.environ) == []
+
+
+@pytest.mark.parametrize("turns", range(12))
+def test_an_attachment_that_is_cancelled_leaves_no_socket_open(machine: Machine, turns: int) -> None:
+    """At whichever turn of the event loop; Python tells of a socket that is left open, which makes a test fail."""
+    machine.serve()
+
+    async def cancel_early() -> None:
+        attaching = asyncio.ensure_future(RemoteEngine(machine.folder / "robot1.sock")._attach())
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        attaching.cancel()
+        await asyncio.gather(attaching, return_exceptions=True)
+
+    asyncio.run(cancel_early())
+    gc.collect()
+
+
+def test_a_bridge_that_accepts_nobody_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client, "ANSWERS_WITHIN", 0.2)
+    machine.folder.mkdir(mode=0o700)
+    with socket.socket(socket.AF_UNIX) as busy, contextlib.ExitStack() as waiting:
+        busy.bind(str(machine.folder / "robot1.sock"))
+        busy.listen(0)
+        while (connection := folders.try_connect(machine.folder / "robot1.sock")) is not None:
+            waiting.enter_context(connection)
+        with pytest.raises(EngineError, match="does not answer"):
+            RemoteEngine(machine.folder / "robot1.sock").start()
 
 
 def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine) -> None:

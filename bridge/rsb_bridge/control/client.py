@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.folders import ControlError, NotServedError, connect
+from rsb_bridge.control.folders import ControlError, NotServedError, try_connect
 from rsb_bridge.control.protocol import (
     AddTopic,
     EditTopic,
@@ -56,6 +56,7 @@ T = TypeVar("T")
 ANSWERS_WITHIN = 5.0
 """s in which a bridge welcomes a console, and after which one that is silent counts as unreachable."""
 _RETRY_EVERY = 0.5
+_BUSY_TRIED_EVERY = 0.05
 _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
@@ -252,9 +253,7 @@ class RemoteEngine(EngineApi):
 
     async def _attach(self) -> str:
         """Be attached until the connection ends; gives the reason."""
-        connection = await asyncio.to_thread(connect, self.path, ANSWERS_WITHIN)
-        connection.setblocking(False)
-        reader, writer = await asyncio.open_unix_connection(sock=connection)
+        reader, writer = await self._open()
         try:
             self._writer = writer
             self._send(Hello(protocol.VERSION, __version__, self.read_only))
@@ -271,6 +270,20 @@ class RemoteEngine(EngineApi):
                     complete = self._handle(message) or complete
         finally:
             writer.transport.abort()
+
+    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """Connect; whatever ends this, no socket is left open.
+
+        The socket is made between two awaits, so that a cancellation cannot come before somebody owns it.
+        """
+        async with asyncio.timeout(ANSWERS_WITHIN):
+            while (connection := try_connect(self.path)) is None:  # noqa: ASYNC110 — the kernel tells of no event
+                await asyncio.sleep(_BUSY_TRIED_EVERY)
+        try:
+            return await asyncio.open_unix_connection(sock=connection)
+        except BaseException:
+            connection.close()
+            raise
 
     def _handle(self, message: ToConsole) -> bool:
         """Take a message; whether it completes a state."""

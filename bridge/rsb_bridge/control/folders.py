@@ -146,17 +146,33 @@ def connect(path: Path, timeout: float) -> socket.socket:
     Raises:
         ControlError: nothing listens there, or it may not be used.
     """
-    with _folder(path.parent, make=False) as folder, _reported(path):
+    with _reported(path):
+        return _connect(path, timeout)
+
+
+def try_connect(path: Path) -> socket.socket | None:
+    """As `connect`, but never waits. The socket does not block; None: the server has too many to accept, try again.
+
+    A Unix socket cannot be waited for while its server is that busy: the kernel does not say when it has room.
+    """
+    with _reported(path):
+        try:
+            return _connect(path, 0.0)
+        except BlockingIOError:
+            return None
+
+
+def _connect(path: Path, timeout: float) -> socket.socket:
+    with _folder(path.parent, make=False) as folder:
         connection = socket.socket(socket.AF_UNIX)
         try:
             connection.settimeout(timeout)
             connection.connect(_address(folder, path.name))
+            if not is_trusted(connection):
+                raise ControlError(f"{path}: another user's process serves this socket")
         except BaseException:
             connection.close()
             raise
-    if not is_trusted(connection):
-        connection.close()
-        raise ControlError(f"{path}: another user's process serves this socket")
     return connection
 
 
