@@ -41,6 +41,14 @@ def test_it_sees_what_the_engine_sees(machine: Machine) -> None:
     eventually(lambda: (remote.snapshot(), remote.session == engine.session)[1])
 
 
+def test_events_say_who_did_what(machine: Machine) -> None:
+    engine = ScriptedEngine()
+    did = Event(1, 1.5, Level.INFO, "route.paused", "paused", "robot1", "/scan", who="anna", old="5 Hz", new="paused")
+    engine.happened = [did]
+    machine.serve(engine)
+    assert eventually(machine.attach().events) == [did]
+
+
 def test_events_are_followed(machine: Machine) -> None:
     engine = ScriptedEngine()
     machine.serve(engine)

@@ -14,6 +14,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.bridge import Bridge
 from rsb_bridge.context import Context
 from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_bridge.ros.queue import Receiver, RosToLoopQueue
 from rsb_bridge.telemetry.event_log import EventLog
@@ -28,9 +29,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import Session
-    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.model.snapshot import Event, Level
     from rsb_bridge.ros.api import RawMessage
 
 _EPOCH = 1_700_000_000
@@ -69,9 +69,9 @@ class _Events(EventLog):
         super().__init__(clock)
         self._told = told
 
-    def add(self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "") -> None:
-        super().add(level, code, text, link=link, topic=topic)
-        self._told(level, code, text, link)
+    def append(self, event: Event) -> None:
+        super().append(event)
+        self._told(event.level, EventCode(event.code), event.text, event.link)
 
 
 class _Snapshots(SnapshotPublisher):

@@ -40,6 +40,9 @@ class Event:
         text: one line, complete in itself.
         link: the peer's name, or empty.
         topic: the topic, or empty.
+        who: the operator who did it, or empty where no operator did.
+        old: what the operator changed, as it was before; or empty.
+        new: what the operator made of it; or empty.
     """
 
     number: int
@@ -49,6 +52,9 @@ class Event:
     text: str
     link: str = ""
     topic: str = ""
+    who: str = ""
+    old: str = ""
+    new: str = ""
 
     @property
     def source(self) -> str:

@@ -27,9 +27,20 @@ class EventLog:
         self._news = threading.Condition()
         self.last = 0
 
-    def add(self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "") -> None:
-        """Append an event."""
-        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, link, topic))
+    def add(
+        self,
+        level: Level,
+        code: EventCode,
+        text: str,
+        *,
+        link: str = "",
+        topic: str = "",
+        who: str = "",
+        old: str = "",
+        new: str = "",
+    ) -> None:
+        """Append an event; `rsb_bridge.model.snapshot.Event` says what each value is."""
+        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, link, topic, who, old, new))
 
     def append(self, event: Event) -> None:
         """Append an event of any engine's; it gets the next number of this log."""
