@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,16 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from rsb_bridge.config.merge import identity, merge
-from rsb_bridge.config.session_file import SessionError, load, load_file, parse, same, save
+from rsb_bridge.config.session_file import (
+    ChangedOnDiskError,
+    SessionError,
+    UneditableError,
+    load,
+    load_file,
+    parse,
+    same,
+    save,
+)
 from rsb_bridge.config.yaml_text import inline, read_yaml
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Client, Session, Topic
@@ -35,6 +45,11 @@ def edited(text: str, folder: Path, change: Callable[[Session], Session]) -> str
     save(session, path, opened)
     assert same(load(path), session)
     return path.read_bytes().decode()
+
+
+def files_in(folder: Path) -> list[str]:
+    """What is in a folder."""
+    return sorted(path.name for path in folder.iterdir())
 
 
 def topics(*changes: tuple[int, Topic | dict[str, Any] | None]) -> Callable[[Session], Session]:
@@ -224,6 +239,72 @@ def test_the_clients_of_a_server_keep_their_comments_too(tmp_path: Path) -> None
     removed = "  - {name: robot2, key_file: robot2.key}\n"
     expected = text.replace(removed, "").replace("[/camera/*]", "[]").replace("[/camera/raw]", "[/camera/raw, /b]")
     assert now == expected.replace("clients:", "key_file: all.key\nclients:") + "  - name: robot3\n"
+
+
+@pytest.mark.parametrize("text", ["? topics\n: - {topic: /a, direction: receive}\n", "? domain_id\n: 3\n"])
+def test_a_layout_that_cannot_be_edited_is_said_and_left_alone(tmp_path: Path, text: str) -> None:
+    with pytest.raises(UneditableError, match="cannot be edited in place"):
+        edited(HEAD + text, tmp_path, lambda session: replace(session, topics=(), domain_id=None))
+    assert (tmp_path / "robot1.yaml").read_text() == HEAD + text
+    assert files_in(tmp_path) == ["robot1.yaml"]
+
+
+# --- the file itself
+
+
+def test_what_a_file_said_before_is_kept_once(tmp_path: Path) -> None:
+    path, backup = tmp_path / "robot1.yaml", tmp_path / "robot1.yaml~"
+    path.write_text(HEAD)
+    opened = load_file(path)
+    opened = save(opened.session, path, opened)
+    assert not backup.exists(), "nothing changed"
+    opened = save(replace(opened.session, domain_id=1), path, opened)
+    assert backup.read_text() == HEAD
+    before = path.read_text()
+    save(replace(opened.session, domain_id=2), path, opened)
+    assert backup.read_text() == before
+    assert files_in(tmp_path) == ["robot1.yaml", "robot1.yaml~"]
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664])
+def test_a_file_keeps_its_mode_and_a_new_one_is_the_users_alone(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "robot1.yaml"
+    save(parse(HEAD, path), path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    path.chmod(mode)
+    opened = load_file(path)
+    save(replace(opened.session, domain_id=1), path, opened)
+    assert [each.stat().st_mode & 0o777 for each in (path, tmp_path / "robot1.yaml~")] == [mode, mode]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_a_file_keeps_its_owner(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(HEAD)
+    os.chown(path, 1234, 5678)
+    save(replace(parse(HEAD, path), domain_id=1), path)
+    assert (path.stat().st_uid, path.stat().st_gid) == (1234, 5678)
+
+
+def test_a_read_only_file_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(HEAD)
+    path.chmod(0o444)
+    opened = load_file(path)
+    with pytest.raises(SessionError, match=r"read-only \(`chmod u\+w"):
+        save(replace(opened.session, domain_id=1), path, opened)
+    assert path.read_text() == HEAD
+    assert files_in(tmp_path) == ["robot1.yaml"]
+
+
+def test_a_file_that_was_changed_on_disk_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(HEAD)
+    opened = load_file(path)
+    path.write_text(f"# mine\n{HEAD}")
+    with pytest.raises(ChangedOnDiskError):
+        save(replace(opened.session, domain_id=1), path, opened)
+    assert path.read_text() == f"# mine\n{HEAD}"
 
 
 # --- any file

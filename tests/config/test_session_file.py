@@ -96,7 +96,7 @@ def test_topic_names_are_judged_as_ros_judges_them(name: str) -> None:
     assert (validate_topic(Topic(topic=name, direction="transmit")) == []) == right
 
 
-def test_saving_makes_a_private_file_and_follows_a_link(tmp_path: Path) -> None:
+def test_saving_keeps_the_mode_and_follows_a_link(tmp_path: Path) -> None:
     target = tmp_path / "sessions" / "robot1.yaml"
     target.parent.mkdir()
     target.write_text("old")
@@ -106,8 +106,8 @@ def test_saving_makes_a_private_file_and_follows_a_link(tmp_path: Path) -> None:
     save(SESSION, link)
     assert load(target) == SESSION
     assert link.is_symlink()
-    assert target.stat().st_mode & 0o777 == 0o600
-    assert list(target.parent.iterdir()) == [target]
+    assert target.stat().st_mode & 0o777 == 0o644
+    assert sorted(target.parent.iterdir()) == [target, target.with_name("robot1.yaml~")]
 
 
 def test_a_session_with_mistakes_is_not_saved(tmp_path: Path) -> None:

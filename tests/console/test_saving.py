@@ -101,11 +101,110 @@ def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path
         changed(app, Topic("/new", "transmit"))
         path.write_text(edited)
         await pilot.press("w")
-        await shown(pilot, "changed on disk")
+        await shown(pilot, "nav2.yaml was changed on disk")
+        await pilot.press("enter")  # the focus is on Cancel
+        await shut(pilot)
         assert path.read_text() == edited
-        await save_as(pilot, "other.yaml")
+        await pilot.press("w")
+        await shown(pilot, "nav2.yaml was changed on disk")
+        await pilot.click("#save_as")
+        await shown(pilot, "Save as")
+        await fill(pilot, path="other.yaml")
+        await pilot.press("enter")
         await shown(pilot, "saved: other.yaml")
+        assert path.read_text() == edited
         assert load(folder / "other.yaml").topics == (Topic("/new", "transmit"),)
+
+    drive(app, steps)
+
+
+def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comments(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    app = scripted_app(path=path)
+    edited = f"# mine, later\n{dump(SESSION)}stale_after: 3.0\n"
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        now = changed(app, Topic("/new", "transmit"))
+        path.write_text(edited)
+        await pilot.press("w")
+        await shown(pilot, "nav2.yaml was changed on disk")
+        await pilot.click("#overwrite")
+        await shown(pilot, "Changes: added /new; changed stale_after.")
+        await shown(pilot, "-stale_after: 3.0")
+        await pilot.press("y")
+        await shown(pilot, "saved:")
+        assert path.read_text().startswith("# mine, later\n")
+        assert load(path) == now
+        assert (folder / "nav2.yaml~").read_text() == edited
+
+    drive(app, steps)
+
+
+def test_a_file_that_was_changed_on_disk_can_be_opened_instead(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    app = scripted_app(path=path)
+    later = msgspec.structs.replace(SESSION, stale_after=3.0)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        changed(app, Topic("/new", "transmit"))
+        save(later, path)
+        await pilot.press("w")
+        await shown(pilot, "nav2.yaml was changed on disk")
+        await pilot.click("#open")
+        await shown(pilot, "Run nav2.yaml instead?")
+        await pilot.press("y")
+        await until(pilot, lambda: app.engine is not None and app.engine.session == later, "the file's session")
+
+    drive(app, steps)
+    assert load(path) == later
+
+
+def test_the_difference_is_shown_before_it_is_written(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    topics = "".join(f"- {{topic: /a{at}, direction: transmit}}\n" for at in range(40))
+    path.write_text(f"{dump(SESSION)}topics:\n{topics}")
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        first, *rest = load(path).topics
+        changed(app, msgspec.structs.replace(first, max_rate=5.0), *rest[20:])
+        await pilot.press("w")
+        await shown(pilot, "-- {topic: /a0, direction: transmit}")
+        assert "/a20, direction" not in text(app)
+        await pilot.press("pagedown")
+        await shown(pilot, "-- {topic: /a20, direction: transmit}")
+        await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5.0}")
+
+    drive(app, steps)
+    assert "max_rate" not in path.read_text()
+
+
+def test_a_layout_that_cannot_be_edited_is_written_anew_only_after_a_question(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    before = f"# mine\n{dump(SESSION)}? topics\n: - {{topic: /a, direction: transmit}}\n"
+    path.write_text(before)
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        now = changed(app, Topic("/new", "transmit"))
+        await pilot.press("w")
+        await shown(pilot, "Write nav2.yaml anew?")
+        await shown(pilot, "without its comments")
+        await pilot.press("n")
+        await shut(pilot)
+        assert path.read_text() == before
+        await pilot.press("w")
+        await shown(pilot, "Write nav2.yaml anew?")
+        await pilot.press("y")
+        await shown(pilot, "saved:")
+        assert load(path) == now
+        assert (folder / "nav2.yaml~").read_text() == before
 
     drive(app, steps)
 

@@ -31,12 +31,14 @@ def kind_of_file(mode: int) -> str:
     return kinds[stat.S_IFMT(mode)]
 
 
-def replace_file(path: Path, content: bytes) -> None:
-    """Replace a file atomically, mode 0600. If that fails, the old file stays as it was.
+def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> None:
+    """Replace a file atomically. If that fails, the old file stays as it was.
 
     Args:
         path: of the file, which need not exist. A symbolic link is followed, and stays one.
         content: the whole file.
+        like: a file whose mode, owner and group the new one gets, as far as this user may give them; if it is None or
+            does not exist, the mode is 0600.
 
     Raises:
         OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder).
@@ -44,9 +46,13 @@ def replace_file(path: Path, content: bytes) -> None:
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, f"is {kind_of_file(target.stat().st_mode)}, not a file", str(path))
+    model = like.stat() if like is not None and like.exists() else None
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:
+            if model is not None:
+                _give_owner(handle, model)
+                os.fchmod(handle, stat.S_IMODE(model.st_mode))
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -56,6 +62,14 @@ def replace_file(path: Path, content: bytes) -> None:
             Path(name).unlink()
         raise
     _sync_folder(target.parent)
+
+
+def _give_owner(handle: int, model: os.stat_result) -> None:
+    """Give an open file the owner and the group of another; where only the group may be given, that."""
+    for owner in (model.st_uid, -1):
+        with suppress(PermissionError):
+            os.fchown(handle, owner, model.st_gid)
+            return
 
 
 def _sync_folder(folder: Path) -> None:

@@ -34,6 +34,10 @@ _GONE = object()
 _QOS_KEYS = ("profile", *(field.name for field in fields(Qos)))
 
 
+class LayoutError(ValueError):
+    """A text is written in a way that cannot be edited here: with the key of a value behind a question mark."""
+
+
 def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
     """The text of a session's file with the session's changes in it.
 
@@ -44,6 +48,9 @@ def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
         root: of the text, as PyYAML composes it.
         old: what the text says.
         new: what it is to say.
+
+    Raises:
+        LayoutError: the text is written in a way that cannot be edited here.
     """
     merger = _Merger(text)
     merger.struct(root, old, new)
@@ -83,6 +90,10 @@ class _Merger:
         """Edit a session, a topic or a client."""
         assert isinstance(node, yaml.MappingNode)
         pairs = {key.value: (key, value) for key, value in node.value}
+        for key, _ in node.value:
+            at = key.start_mark.index
+            if self._text[self._line_start(at) : at].rstrip().endswith("?"):
+                raise LayoutError
         plain = msgspec.to_builtins(new)
         changes: dict[str, Any] = {}
         for name in new.__struct_fields__:

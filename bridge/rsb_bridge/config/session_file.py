@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import msgspec
 
@@ -13,10 +16,15 @@ from rsb_bridge.config.validation import build, validate, validate_topic
 from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
 from rsb_bridge.model.session import Problem, Session
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
+
+
+class ChangedOnDiskError(SessionError):
+    """The file was changed by somebody else since it was opened."""
+
+
+class UneditableError(SessionError):
+    """A change cannot be put into the text of a file; the file can only be written anew, without its comments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +49,12 @@ class SessionFile:
         """Check that the file on disk is still as it was.
 
         Raises:
-            SessionError: it is not. A file that is gone is no change: saving writes it again.
+            ChangedOnDiskError: it is not. A file that is gone is no change: saving writes it again.
+            SessionError: it cannot be read.
         """
         if self.path.exists() and read_text(self.path) != self.text:
             message = "was changed on disk after it was opened: open it again, or save under another name"
-            raise SessionError(self.path, [Problem("", message)])
+            raise ChangedOnDiskError(self.path, [Problem("", message)])
 
 
 def load(path: Path) -> Session:
@@ -102,7 +111,38 @@ def _in_order(session: Session) -> Session:
 
 
 def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:
-    """Write a session file, mode 0600: whole, or not at all.
+    """Write a session file: whole, or not at all.
+
+    A file that is replaced keeps its mode, owner and group, and what it said is kept beside it (`backup_path`). A new
+    one has mode 0600.
+
+    Args:
+        session: what the file is to say.
+        path: of the file.
+        opened: as in `edited_text`.
+
+    Returns:
+        The file as it is now.
+
+    Raises:
+        ChangedOnDiskError: the file was changed on disk since it was opened.
+        SessionError: the session has mistakes, or it could not be written. The old file is as it was.
+    """
+    text = edited_text(session, path, opened)
+    if opened is not None and opened.is_at(path):
+        opened.check_unchanged()
+    try:
+        _check_writable(path)
+        if path.is_file() and path.read_bytes() != text.encode():
+            replace_file(backup_path(path), path.read_bytes(), like=path)
+        replace_file(path, text.encode(), like=path)
+    except OSError as error:
+        raise SessionError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
+    return SessionFile(path, text, session)
+
+
+def edited_text(session: Session, path: Path, opened: SessionFile | None = None) -> str:
+    """What `save` writes.
 
     Args:
         session: what the file is to say.
@@ -110,35 +150,51 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
         opened: the file that the session came from. What did not change since stays as it is there: comments, order and
             layout. None: the file is written anew.
 
-    Returns:
-        The file as it is now.
-
     Raises:
-        SessionError: the session has mistakes, the file was changed on disk since it was opened, or it could not be
-            written. The old file is as it was.
+        UneditableError: the changes cannot be put into the opened file's text.
+        SessionError: the session has mistakes.
     """
     problems = validate(session)
     if problems:
         raise SessionError(path, problems)
     if opened is not None:
-        if opened.is_at(path):
-            opened.check_unchanged()
-        text = _merged(opened, session)
-    else:
-        text = dump(session)
-    if not same(parse(text, path), session):
+        return _merged(opened, session)
+    text = dump(session)
+    if not _says(text, session, path):
         raise SessionError(path, [Problem("", "not saved: the file would not load again as this session")])
+    return text
+
+
+def backup_path(path: Path) -> Path:
+    """Where the previous content of a session file is kept: beside it, with a ``~`` behind its name."""
+    target = Path(os.path.realpath(path))
+    return target.with_name(f"{target.name}~")
+
+
+def _check_writable(path: Path) -> None:
+    """Raise an OSError for a file without any right to write: its folder's rights would let it be replaced."""
+    if path.is_file() and not stat.S_IMODE(path.stat().st_mode) & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(errno.EACCES, f"it is read-only (`chmod u+w {path}` lets it be saved)")
+
+
+def _says(text: str, session: Session, path: Path) -> bool:
     try:
-        replace_file(path, text.encode())
-    except OSError as error:
-        raise SessionError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
-    return SessionFile(path, text, session)
+        return same(parse(text, path), session)
+    except SessionError:
+        return False
 
 
 def _merged(opened: SessionFile, session: Session) -> str:
-    from rsb_bridge.config.merge import merge  # noqa: PLC0415 -- only saving needs it
+    from rsb_bridge.config.merge import LayoutError, merge  # noqa: PLC0415 -- only saving needs it
 
-    return merge(opened.text, read_yaml(opened.text, opened.path).root, opened.session, session)
+    try:
+        text = merge(opened.text, read_yaml(opened.text, opened.path).root, opened.session, session)
+    except LayoutError:
+        text = ""
+    if not _says(text, session, opened.path):
+        message = "its layout cannot be edited in place: save under another name, or have it written anew"
+        raise UneditableError(opened.path, [Problem("", message)])
+    return text
 
 
 def read_text(path: Path) -> str:

@@ -177,13 +177,28 @@ class SessionOperations:
             await self._save_to(path)
 
     async def _save_to(self, path: Path) -> None:
-        from rsb_console.screens.saving import save_elsewhere  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.screens.saving import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.saving import file_of, is_changed, reopened  # noqa: PLC0415 -- keeps the start short
 
-        engine = self._console.engine
+        engine, opened = self._console.engine, self._console.file
         if engine is None:
             return
         session = engine.session
-        if await save_elsewhere(self._console, session, path):
+        if opened is not None and opened.is_at(path) and is_changed(opened):
+            if file_of(path, session) is None:
+                match await self._console.ask(ChangedScreen(path)):
+                    case "open":
+                        await self._open(path)
+                        return
+                    case "save_as":
+                        await self.save_as()
+                        return
+                    case "overwrite":
+                        pass
+                    case _:
+                        return
+            opened = reopened(path)
+        if await save_elsewhere(self._console, session, path, opened):
             self._console.saved_to(session, path)
 
     # --- looking at what belongs to it

@@ -38,8 +38,11 @@ class ConfirmScreen(ModalScreen[bool]):
             dialog.border_title = self._title
             yield Static(self._message, markup=False)
             with Horizontal(classes="buttons"):
-                yield Button(self._yes, id="yes", variant="error", compact=True)
-                yield Button("No", id="no", compact=True)
+                yield from self.compose_buttons()
+
+    def compose_buttons(self) -> ComposeResult:
+        yield Button(self._yes, id="yes", variant="error", compact=True)
+        yield Button("No", id="no", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         self.dismiss(event.button.id == "yes")

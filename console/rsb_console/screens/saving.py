@@ -2,28 +2,42 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from textual.binding import Binding
+from textual.containers import Horizontal, Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Button, Static
 
 from rsb_bridge.config.keys import KeyFileError, copy_key
-from rsb_bridge.config.session_file import SessionError, save
+from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
 from rsb_console.screens.confirm import ConfirmScreen
-from rsb_console.session.saving import file_of, moved, rescued, topics_note, unsaved
+from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, topics_note, unsaved
+from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
+
+    from textual.app import ComposeResult
 
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.model.session import Session
     from rsb_console.console import Console
 
 
-async def save_elsewhere(console: Console, session: Session, path: Path) -> bool:
+_LOOKS = {"+": "ok", "-": "down", "@": "dim"}
+_MOST_LINES = 16
+
+
+async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
     """Save the session that runs to a file that may lie in another folder.
 
     Args:
         console: runs the session. If that is temporary, its keys are copied beside the new file.
         session: the one that runs; its key files are relative to `console.base`.
         path: of the file.
+        opened: as in `save_asking`.
 
     Returns:
         Whether the file holds the session and its key files are there.
@@ -31,7 +45,7 @@ async def save_elsewhere(console: Console, session: Session, path: Path) -> bool
     note = topics_note(session)
     if not console.temporary:
         session = moved(session, console.base, path.parent)
-        return await save_asking(console, session, path, note=note, opened=console.file)
+        return await save_asking(console, session, path, note=note, opened=opened)
     try:
         session, files = rescued(session, console.base, path.parent)
         if not await save_asking(console, session, path, note=note):
@@ -67,12 +81,8 @@ async def save_asking(
         return True
     try:
         if path.exists():  # noqa: ASYNC240 -- one stat
-            title, message, yes = f"Overwrite {path.name}?", "What is in the file now is replaced.", "Overwrite"
-            if opened is not None and opened.is_at(path):
-                opened.check_unchanged()
-                message = f"Changes: {unsaved(opened.session, session)}. The rest of the file stays, comments too."
-                title, yes = f"Save {path.name}?", "Save"
-            if not await console.ask(ConfirmScreen(title, message, yes)):
+            question, opened = _question(session, path, opened)
+            if not await console.ask(question):
                 return False
         save(session, path, opened)
     except SessionError as error:
@@ -80,3 +90,123 @@ async def save_asking(
         return False
     console.notify(f"saved: {path}{note}", markup=False, timeout=timeout)
     return True
+
+
+def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple[ConfirmScreen, SessionFile | None]:
+    """What to ask before a file is replaced, and what to save with: the opened file, or None to write it anew.
+
+    Raises:
+        SessionError: the session has mistakes, or the file was changed on disk meanwhile.
+    """
+    title, yes, message = f"Overwrite {path.name}?", "Overwrite", "What is in the file now is replaced"
+    if opened is not None and opened.is_at(path):
+        opened.check_unchanged()
+        title, yes = f"Save {path.name}?", "Save"
+        message = f"Changes: {unsaved(opened.session, session)}. The rest of the file stays, comments too"
+    try:
+        after = edited_text(session, path, opened)
+    except UneditableError:
+        opened, after = None, edited_text(session, path)
+        title, yes = f"Write {path.name} anew?", "Write anew"
+        message = "Its layout cannot be edited in place: the whole file is written anew, without its comments"
+    message = f"{message}. What it says now is kept in {backup_path(path).name}."
+    return DiffScreen(title, message, yes, difference(text_of(path), after)), opened
+
+
+class DiffLines(LiveLines, can_focus=False):
+    """The lines of a diff, coloured."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        super().__init__(id="diff")
+        self._lines = lines
+        self.styles.height = min(len(lines), _MOST_LINES)
+
+    @property
+    def line_count(self) -> int:
+        """One a line of the diff."""
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        text = self._lines[index]
+        return fit(((text, _LOOKS.get(text[:1], "")),), self.width)
+
+
+class DiffScreen(ConfirmScreen):
+    """A question that shows what becomes of a file.
+
+    Args:
+        title: what is about to happen.
+        message: what that means.
+        yes: the label of the button that does it.
+        lines: of the diff.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("up,k", "scroll_diff(-1)", show=False),
+        Binding("down,j", "scroll_diff(1)", show=False),
+        Binding("pageup", f"scroll_diff(-{_MOST_LINES})", show=False),
+        Binding("pagedown", f"scroll_diff({_MOST_LINES})", show=False),
+    ]
+
+    def __init__(self, title: str, message: str, yes: str, lines: Sequence[str]) -> None:
+        super().__init__(title, message, yes)
+        self._diff = DiffLines(lines)
+
+    def compose(self) -> ComposeResult:
+        """The message, the diff, and the buttons."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = self._title
+            yield Static(self._message, markup=False)
+            yield self._diff
+            if self._diff.line_count > _MOST_LINES:
+                yield Static("↑ ↓ scroll", classes="hint")
+            with Horizontal(classes="buttons"):
+                yield from self.compose_buttons()
+
+    def action_scroll_diff(self, lines: int) -> None:
+        self._diff.scroll_relative(y=lines, animate=False)
+
+
+ChangedAnswer = Literal["open", "overwrite", "save_as", ""]
+
+
+class ChangedScreen(ModalScreen[ChangedAnswer]):
+    """Says that a session's file was changed on disk, and asks what to do; escape does nothing.
+
+    Args:
+        path: of the file.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("escape", "dismiss('')", show=False),
+        Binding("left", "app.focus_previous", show=False),
+        Binding("right", "app.focus_next", show=False),
+    ]
+    AUTO_FOCUS = "#cancel"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+
+    def compose(self) -> ComposeResult:
+        """What happened, and a button for each way on."""
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = f"{self._path.name} was changed on disk"
+            yield Static(
+                "Somebody else has changed the file since it was opened here.\n"
+                "Open it: the session begins anew with what the file says; what was changed here is lost.\n"
+                "Overwrite: the file says what runs here; the difference is shown first.\n"
+                "Save as: under another name; the file stays as it is.",
+                markup=False,
+            )
+            with Horizontal(classes="buttons"):
+                yield Button("Open it", id="open", compact=True)
+                yield Button("Overwrite…", id="overwrite", variant="error", compact=True)
+                yield Button("Save as…", id="save_as", compact=True)
+                yield Button("Cancel", id="cancel", compact=True)
+
+    def on_button_pressed(self, event: Button.Pressed) -> None:
+        answers: dict[str | None, ChangedAnswer] = {
+            "open": "open", "overwrite": "overwrite", "save_as": "save_as",
+        }  # fmt: skip
+        self.dismiss(answers.get(event.button.id, ""))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 from itertools import count
 from pathlib import Path
@@ -11,27 +12,63 @@ import msgspec
 
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
-from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, same
+from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, read_text, same
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Session
 
 
 def unsaved(saved: Session, now: Session) -> str:
-    """Describe how the topics differ from those in the file; empty: they do not."""
-    before, after = _by_route(saved), _by_route(now)
+    """Describe how the session differs from its file; empty: it does not."""
+    before, after = _parts(saved), _parts(now)
     kinds = {
-        "added": [route for route in after if route not in before],
-        "removed": [route for route in before if route not in after],
-        "changed": [route for route in after if route in before and after[route] != before[route]],
+        "added": [part for part in after if part not in before],
+        "removed": [part for part in before if part not in after],
+        "changed": [part for part in after if part in before and after[part] != before[part]],
     }
-    return "; ".join(f"{kind} {', '.join(topic for topic, _ in routes)}" for kind, routes in kinds.items() if routes)
+    return "; ".join(f"{kind} {', '.join(name for name, _ in parts)}" for kind, parts in kinds.items() if parts)
 
 
-def _by_route(session: Session) -> dict[tuple[str, str], Topic]:
-    return {(topic.topic, topic.direction): topic for topic in session.topics}
+def _parts(session: Session) -> dict[tuple[str, str], object]:
+    """What can differ between two sessions, by its name for people and what else tells it from the others."""
+    parts: dict[tuple[str, str], object] = {
+        (name, ""): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
+    }
+    parts |= {(topic.topic, topic.direction): topic for topic in session.topics}
+    return parts | {(f"client {client.name}", ""): client for client in session.clients}
+
+
+def difference(before: str, after: str) -> list[str]:
+    """The lines of a unified diff of two texts, without file names."""
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), lineterm="", n=2)
+    return list(lines)[2:]
+
+
+def text_of(path: Path) -> str:
+    """What is in a file that may be anything; empty: no text."""
+    try:
+        return read_text(path)
+    except SessionError:
+        return ""
+
+
+def is_changed(opened: SessionFile) -> bool:
+    """Whether somebody else has changed a file on disk since it was opened."""
+    try:
+        opened.check_unchanged()
+    except SessionError:
+        return True
+    return False
+
+
+def reopened(path: Path) -> SessionFile | None:
+    """A session file as it is on disk now; None: it has mistakes, or there is none."""
+    try:
+        return load_file(path)
+    except SessionError:
+        return None
 
 
 def moved(session: Session, old: Path, new: Path) -> Session:
@@ -122,8 +159,5 @@ def topics_note(session: Session) -> str:
 
 def file_of(path: Path, session: Session) -> SessionFile | None:
     """The file at a path if it says just this session; None: it says something else, or is no session file."""
-    try:
-        file = load_file(path)
-    except SessionError:
-        return None
-    return file if same(file.session, session) else None
+    file = reopened(path)
+    return file if file is not None and same(file.session, session) else None
