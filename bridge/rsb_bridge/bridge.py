@@ -182,6 +182,8 @@ class Bridge:
         """Put another topic in a route's place; the new route's key."""
         with self._command():
             link, route = self._find(key)
+            if link.amend_topic(route, topic):
+                return key
             at = list(link.routes).index(key)
             link.table.remove(route, "edited")
             try:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from std_msgs.msg import String
-from tests.support.bridge import carries, find, happened, heard, linked, protocol_of, route
+from tests.support.bridge import carries, find, happened, heard, link, linked, protocol_of, route
 from tests.support.domain import LATCHED, text
 from tests.support.waiting import eventually, holds
 
@@ -59,6 +60,33 @@ def test_topics_are_added_edited_paused_and_removed(operator: str, bridge: Bridg
     eventually(lambda: not out.get_subscription_count() and not there.matched)
     with pytest.raises(EngineError, match="there is no route"):
         engine.remove_topic(key).result(60)
+
+
+@pytest.mark.parametrize("operator", ["client", "server"])
+def test_a_change_of_the_rate_limit_keeps_counts_and_connections(
+    operator: str, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    engine = client if operator == "client" else server
+    carries([out], server, ["/chat"])
+    out.publish(text("before"))
+    heard(there, 1)
+    before = [link(side) for side in (client, server)]
+    counted = eventually(lambda: ledger if (ledger := route(client, "/chat").ledger).delivered == 1 else None)
+    limited = msgspec.structs.replace(route(engine, "/chat").spec, max_rate=0.01)
+    key = engine.edit_topic(route(engine, "/chat").key, limited).result(60)
+    assert key == route(engine, "/chat").key
+    eventually(lambda: client.session.topics[0].max_rate == 0.01)
+    for number in range(5):
+        out.publish(text(str(number)))
+    ledger = eventually(lambda: found if (found := route(client, "/chat").ledger).offered == 6 else None)
+    assert (counted.offered, ledger.throttled) == (1, 4), "one passes, the others are left out"
+    assert heard(there, 2) == [text("before"), text("0")]
+    assert [link(side).since for side in (client, server)] == [each.since for each in before]
+    for side in (client, server):
+        assert len([e for e in side.events() if e.code == EventCode.ROUTE_CONNECTED]) == 1
+        assert happened(side, EventCode.ROUTE_AMENDED, "max_rate none → 0.01 Hz")
 
 
 def test_a_topic_that_one_side_opened_the_other_may_remove(bridge: Bridge, robot: Domain) -> None:

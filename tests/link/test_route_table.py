@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -13,6 +14,7 @@ from tests.support.offline import FakePeer
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -22,7 +24,6 @@ if TYPE_CHECKING:
     from tests.support.virtual_time import VirtualLoop
 
     from rsb_bridge.context import Context
-    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import Propose
@@ -62,6 +63,12 @@ class Side(FakePeer):
         for route in self.table.routes.values():
             self.table.pause(route, paused=paused)
 
+    def limit(self, rate: float | None) -> None:
+        for route in self.table.routes.values():
+            topic = msgspec.structs.replace(route.spec, max_rate=rate)
+            proposal = proposal_of(topic, self.context.transports["tcp"], client_name="robot1", use_name=False)
+            self.table.amend(route, topic, proposal)
+
     def lose(self) -> None:
         for route in self.table.routes.values():
             route.channel_lost("cut")
@@ -71,8 +78,11 @@ class Side(FakePeer):
             self.table.handle(self.inbox.popleft())
 
     @property
-    def state(self) -> dict[str, bool]:
-        return {key: route.paused for key, route in self.table.routes.items()}
+    def state(self) -> dict[str, tuple[bool, float | None, float]]:
+        return {
+            key: (route.paused, route.spec.max_rate, route.proposal.max_rate)
+            for key, route in self.table.routes.items()
+        }
 
     # --- as the table's owner
 
@@ -137,7 +147,7 @@ def hear_all(pair: Pair) -> None:
             side.hear()
 
 
-OPERATIONS = ("add", "remove", "pause", "resume", "lose", "hear")
+OPERATIONS = ("add", "remove", "pause", "resume", "limit", "unlimit", "lose", "hear")
 steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size=25)
 
 
@@ -160,6 +170,10 @@ def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
         match operation:
             case "pause" | "resume":
                 side.pause(operation == "pause")
+            case "limit":
+                side.limit(2.0 if at_client else 3.0)
+            case "unlimit":
+                side.limit(None)
             case _:
                 getattr(side, operation)()
     settle(pair, loop)
@@ -201,6 +215,45 @@ def test_ids_of_closed_incarnations_are_remembered_within_bounds(
     client.remove()
     settle_shortly(pair, loop)
     assert client.table._closed == server.table._closed == {}
+
+
+@pytest.mark.parametrize("operator", [0, 1], ids=["client", "server"])
+def test_a_change_of_a_limit_goes_on_with_the_same_opening(
+    operator: int, make_pair: Callable[[], Pair], loop: VirtualLoop
+) -> None:
+    pair = make_pair()
+    pair[0].add()
+    settle(pair, loop)
+    routes = [next(iter(side.table.routes.values())) for side in pair]
+    ids = [route.id for route in routes]
+    pair[operator].limit(2.0)
+    settle(pair, loop)
+    assert [next(iter(side.table.routes.values())) for side in pair] == routes
+    assert [route.id for route in routes] == ids
+    assert [route.spec.max_rate for route in routes] == [2.0, 2.0]
+    for side in pair:
+        said = [event.text for event in side.context.events.after(0) if event.code == EventCode.ROUTE_AMENDED]
+        assert said == ["/chat: max_rate none → 2 Hz"]
+
+
+@pytest.mark.parametrize("apart", [0, 1], ids=["client", "server"])
+def test_a_limit_that_changed_while_apart_keeps_the_route(
+    apart: int, make_pair: Callable[[], Pair], loop: VirtualLoop
+) -> None:
+    """The proposer's route has another limit when the two sides meet again; what the other side counted stays."""
+    pair = make_pair()
+    pair[apart].add()
+    settle(pair, loop)
+    kept = next(iter(pair[1 - apart].table.routes.values()))
+    for side in pair:
+        side.table.disconnected("cut")
+        side.inbox.clear()
+    pair[apart].limit(2.0)
+    for side in pair:
+        side.table.connected()
+    settle(pair, loop)
+    assert next(iter(pair[1 - apart].table.routes.values())) is kept
+    assert kept.spec.max_rate == kept.proposal.max_rate == 2.0
 
 
 def settle_shortly(pair: Pair, loop: VirtualLoop) -> None:

@@ -12,6 +12,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import (
     Accept,
+    Amend,
     Close,
     ControlMessage,
     Describe,
@@ -67,6 +68,7 @@ EXAMPLES = [
     Ready(route=1, sources=2, newest={bytes(16): 2**63 - 1}),
     Publishers(route=1, present=(bytes(16), b"sixteen bytes...")),
     Close(route=1, reason="removed", removed=True),
+    Amend(route=1, max_rate=2.5, stale_after=0.0),
     Pause(route=1, paused=True, revision=3),
     Ping(n=1, sent=2**62),
     Pong(n=1, sent=2, received=3, answered=4),

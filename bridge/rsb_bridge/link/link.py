@@ -303,12 +303,25 @@ class Link(ABC):
         Raises:
             LinkError: the topic has a mistake, or there is such a route.
         """
+        return self.table.add(topic, self._proposal(topic), proposed_here=True)
+
+    def amend_topic(self, route: Route, topic: Topic) -> bool:
+        """Put another topic in a route's place where only limits differ, so that the route can go on.
+
+        Returns:
+            Whether that was possible.
+
+        Raises:
+            LinkError: the topic has a mistake.
+        """
+        return self.table.amend(route, topic, self._proposal(topic))
+
+    def _proposal(self, topic: Topic) -> Propose:
         session = self.context.session
         use_name = session.use_name if self.is_client else self.use_name
         for problem in validate_topic(topic, session, client=self.name if use_name else None):
             raise LinkError(str(problem))
-        proposal = proposal_of(topic, self.transport_of(topic), client_name=self.name, use_name=use_name)
-        return self.table.add(topic, proposal, proposed_here=True)
+        return proposal_of(topic, self.transport_of(topic), client_name=self.name, use_name=use_name)
 
     def closed(self, route_id: int) -> None:
         """An incarnation of a route is over."""

@@ -8,7 +8,7 @@ import msgspec
 
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.wire.messages import Propose
+from rsb_bridge.wire.messages import Amend, Propose
 
 if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Transport
@@ -62,7 +62,31 @@ def topic_of(proposal: Propose) -> Topic:
     )
 
 
+_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0}
+_AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None}
+
+
 def same_route(one: Propose, other: Propose) -> bool:
-    """Whether two proposals differ in nothing but their ids and a pause."""
-    nothing = {"route": 1, "paused": False, "pause_revision": 0}
+    """Whether two proposals differ in nothing but their ids, a pause, and what can change in an open route."""
+    nothing = _OF_AN_OPENING | _AMENDABLE
     return msgspec.structs.replace(one, **nothing) == msgspec.structs.replace(other, **nothing)
+
+
+def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
+    """A proposal with the limits of another one, or of a change."""
+    return msgspec.structs.replace(proposal, **{name: getattr(limits, name) for name in _AMENDABLE})
+
+
+def amendment(proposal: Propose, route_id: int) -> Amend:
+    """The message that tells a proposal's limits."""
+    return Amend(route_id, **{name: getattr(proposal, name) for name in _AMENDABLE})
+
+
+def amended_topic(topic: Topic, limits: Propose) -> Topic:
+    """A topic with a proposal's limits."""
+    return msgspec.structs.replace(
+        topic,
+        max_rate=limits.max_rate or None,
+        expected_rate=limits.expected_rate or None,
+        stale_after=limits.stale_after,
+    )

@@ -8,7 +8,7 @@ import msgspec
 
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import same_route, topic_of
+from rsb_bridge.link.proposals import amended, amended_topic, amendment, same_route, topic_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.snapshot import Level
@@ -18,7 +18,7 @@ from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.route import Owner, Route, route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.messages import Accept, Close, Describe, Pause, Propose, Publishers, Ready, Refuse, Report
+from rsb_bridge.wire.messages import Accept, Amend, Close, Describe, Pause, Propose, Publishers, Ready, Refuse, Report
 
 if TYPE_CHECKING:
     import asyncio
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _CLOSED_REMEMBERED = 4
 """Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
 
-RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Publishers | Close | Pause | Report
+RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Publishers | Close | Amend | Pause | Report
 """The control messages that are about routes."""
 
 
@@ -166,6 +166,38 @@ class RouteTable:
             del self._closed[route_id]
         route.log(Level.INFO, code, reason)
 
+    def amend(self, route: Route, spec: Topic, proposal: Propose) -> bool:
+        """Change the limits of a route on both sides, while it stays open.
+
+        Args:
+            route: to change.
+            spec: the topic as it is wanted, validated.
+            proposal: of it, with this side's names.
+
+        Returns:
+            Whether that is possible: it is not where other things change, or where the proposer cannot be asked now.
+        """
+        if not same_route(route.proposal, proposal) or not (route.proposed_here or route.id):
+            return False
+        changed = amended(route.proposal, proposal)
+        if route.proposed_here:
+            route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
+        if route.id:
+            self._owner.send(amendment(changed, route.id))
+        if spec.paused != route.paused:
+            self.pause(route, paused=spec.paused)
+        return True
+
+    def _amended(self, message: Amend) -> None:
+        """The peer has changed the limits of a route, or asks for that."""
+        route = self._by_id.get(message.route) or self._closed.get(message.route)
+        if route is None:
+            return  # it was removed here while the message was under way
+        proposal = amended(route.proposal, message)
+        route.amend(amended_topic(route.spec, proposal), proposal)
+        if route.proposed_here and route.id:
+            self._owner.send(amendment(proposal, route.id))
+
     def pause(self, route: Route, *, paused: bool) -> None:
         """Pause or resume a route on both sides."""
         route.pause(paused)
@@ -240,6 +272,8 @@ class RouteTable:
                 self._take_report(message)
             case Close(removed=True):
                 self._removed(message)
+            case Amend():
+                self._amended(message)
             case _:
                 route = self._by_id.get(message.route)
                 if route is not None:  # else it was closed here while the message was under way
@@ -286,6 +320,8 @@ class RouteTable:
                 self._tell_removed(known, "replaced by the client's")
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
+        if known is not None:
+            known.amend(amended_topic(known.spec, authorized), amended(known.proposal, authorized))
         route = known or self.add(topic_of(authorized), authorized, proposed_here=False)
         same_process = route.instance == owner.instance
         self._reopen(route, proposal.route)

@@ -60,6 +60,8 @@ class EventCode(StrEnum):
     """The link had more events than its share of the log; the text says how many."""
 
     ROUTE_CONNECTED = "route.connected"
+    ROUTE_AMENDED = "route.amended"
+    """The route goes on with another rate limit, expected rate or time until it is stale."""
     ROUTE_PAUSED = "route.paused"
     ROUTE_RESUMED = "route.resumed"
     ROUTE_REFUSED = "route.refused"

@@ -215,6 +215,11 @@ class OutgoingRoute(Route):
     def _failure(self) -> str:
         return self._intake.failure if self._intake is not None else ""
 
+    def amend(self, spec: Topic, proposal: Propose) -> None:
+        if proposal.max_rate != self.proposal.max_rate:
+            self._throttle.limit(proposal.max_rate)
+        super().amend(spec, proposal)
+
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)

@@ -99,10 +99,8 @@ class Route:
         self.problem = ""
         self.meter = RateMeter(context.now())
         self.latency = LatencyMeter()
-        session = context.session
-        after = session.stale_after if spec.stale_after is None else spec.stale_after
-        self.stale = StaleWatch(after, session.stale_warnings, context.now())
-        self.never_stale = spec.stale_after is None
+        self.stale = StaleWatch(0.0, 0, context.now())
+        self.set_stale_after()
         self.release_port: Callable[[], None] | None = None
         self._loss: asyncio.TimerHandle | None = None  # reports that the channel was lost
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
@@ -274,6 +272,21 @@ class Route:
             self.log(Level.INFO, code, "paused" if paused else "resumed")
         self.advance()
 
+    def amend(self, spec: Topic, proposal: Propose) -> None:
+        """Go on with other limits; counts, endpoints and what is under way stay."""
+        changes = limits_changed(self.proposal, proposal)
+        self.spec, self.proposal = spec, proposal
+        self.set_stale_after()
+        if changes:
+            self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
+
+    def set_stale_after(self) -> None:
+        """Watch for silence as the topic's entry and the session say now."""
+        session, own = self.context.session, self.spec.stale_after
+        self.stale.after = session.stale_after if own is None else own
+        self.stale.times = session.stale_warnings
+        self.never_stale = own is None
+
     # --- time
 
     def tick(self) -> None:
@@ -391,6 +404,24 @@ class Route:
     def log(self, level: Level, code: EventCode, text: str) -> None:
         """Add an event about this route."""
         self.context.log(level, code, f"{self.local_topic}: {text}", link=self.peer.name, topic=self.local_topic)
+
+
+def limits_changed(old: Propose, new: Propose) -> str:
+    """What differs between the limits of two proposals, for an operator."""
+    limits = (
+        ("max_rate", old.max_rate or None, new.max_rate or None, " Hz"),
+        ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
+        ("stale_after", old.stale_after, new.stale_after, " s"),
+    )
+    return ", ".join(
+        f"{name} {_figure(before, unit)} → {_figure(after, unit)}"
+        for name, before, after, unit in limits
+        if before != after
+    )
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "none" if value is None else f"{value:g}{unit}"
 
 
 def route_key(link: str, proposal: Propose) -> str:

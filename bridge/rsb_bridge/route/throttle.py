@@ -21,8 +21,13 @@ class Throttle:
     """
 
     def __init__(self, rate: float) -> None:
-        self._interval = int(1e9 / rate) if rate else 0
         self._due: dict[bytes, int] = {}
+        self.limit(rate)
+
+    def limit(self, rate: float) -> None:
+        """Keep to another rate from now on."""
+        self._interval = int(1e9 / rate) if rate else 0
+        self._due.clear()
 
     def passes(self, stamp: int, publisher: bytes = b"") -> bool:
         """Whether a message passes that was received at `stamp` (ns)."""

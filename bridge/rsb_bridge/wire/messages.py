@@ -114,10 +114,7 @@ class Propose(_Message, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
-        if any(rate and rate not in RATE for rate in (self.max_rate, self.expected_rate)):
-            raise ValueError(f"a rate is 0 or {RATE} Hz")
-        if self.stale_after and self.stale_after not in STALE_AFTER:
-            raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
+        _check_limits(self)
 
 
 class Accept(_Message, frozen=True):
@@ -221,6 +218,22 @@ class Close(_Message, frozen=True):
     removed: bool = False
 
 
+class Amend(_Message, frozen=True):
+    """The route goes on with other limits; the fields are those of `Propose`.
+
+    The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
+    changes nothing before the proposer has answered.
+    """
+
+    route: RouteId
+    max_rate: Hertz = 0.0
+    expected_rate: Hertz = 0.0
+    stale_after: StaleAfter | None = None
+
+    def __post_init__(self) -> None:
+        _check_limits(self)
+
+
 class Pause(_Message, frozen=True):
     """Either side: the route pauses or resumes.
 
@@ -310,6 +323,7 @@ ControlMessage: TypeAlias = (
     | Publishers
     | Neighbours
     | Close
+    | Amend
     | Pause
     | Ping
     | Pong
@@ -318,6 +332,14 @@ ControlMessage: TypeAlias = (
     | TopicList
     | Shutdown
 )
+
+
+def _check_limits(message: Propose | Amend) -> None:
+    if any(rate and rate not in RATE for rate in (message.max_rate, message.expected_rate)):
+        raise ValueError(f"a rate is 0 or {RATE} Hz")
+    if message.stale_after and message.stale_after not in STALE_AFTER:
+        raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
+
 
 _T = TypeVar("_T")
 
