@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
@@ -69,6 +69,11 @@ class Bridge:
     def links(self) -> list[Link]:
         """All links, up or down: a client's one, or a server's many."""
         return self._role.links()
+
+    @property
+    def session(self) -> Session:
+        """The session as operators have left it. May be called from any thread."""
+        return self._role.session
 
     # --- life
 

@@ -12,8 +12,6 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, TypeVar
 
-import msgspec
-
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.bridge import Bridge
 from rsb_bridge.config.keys import KeyFileError, key_path, read_key
@@ -87,11 +85,7 @@ class Engine(EngineApi):
 
     @property
     def session(self) -> Session:
-        if self._session.role == "server" or self._bridge is None:
-            return self._session
-        (link,) = self._bridge.links()
-        topics = tuple(route.spec for route in tuple(link.routes.values()) if route.proposed_here)
-        return msgspec.structs.replace(self._session, topics=topics)
+        return self._session if self._bridge is None else self._bridge.session
 
     @property
     def waits_for_operator(self) -> bool:

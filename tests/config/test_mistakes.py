@@ -136,6 +136,16 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (SERVER + "clients:\n  - {name: a, deny: scan}\n", 7, "clients[0].deny: 'scan' is not a list"),
         (SERVER + "clients:\n  - {name: a b, use_name: true}\n", 7, "clients[0].name: 'a b' cannot be a prefix"),
         (SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"), 5, "clients[0].key_file: missing"),
+        (
+            SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
+            9,
+            "clients[0].topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth",
+        ),
+        (
+            SERVER + "clients:\n  - name: a\n    topics:" + 2 * "\n    - {topic: /b, direction: transmit}",
+            10,
+            "clients[0].topics[1]: /b (transmit) is there already, as clients[0].topics[0]",
+        ),
     ],
 )
 def test_a_mistake_is_named_with_its_line_and_what_would_be_right(text: str, line: int, words: str) -> None:

@@ -307,6 +307,52 @@ def test_a_file_that_was_changed_on_disk_is_left_alone(tmp_path: Path) -> None:
     assert path.read_text() == f"# mine\n{HEAD}"
 
 
+SERVER = """\
+name: control
+role: server
+server_ip: 0.0.0.0
+server_port: 49152
+key_file: all.key
+clients:
+  - name: robot1
+    topics:              # for the survey
+      # seldom
+      - {topic: /map, direction: transmit}   # large
+      - topic: /goal
+        direction: receive
+  - {name: robot2, deny: [/camera/*]}        # slow
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "old", "new"),
+    [
+        pytest.param(
+            lambda one, two: (replace(one, topics=(*one.topics, Topic("/a", "transmit"))), two),
+            "        direction: receive\n",
+            "        direction: receive\n      - topic: /a\n        direction: transmit\n", id="added",
+        ),
+        pytest.param(
+            lambda one, two: (replace(one, topics=(replace(one.topics[0], max_rate=1.0), one.topics[1])), two),
+            "direction: transmit}", "direction: transmit, max_rate: 1.0}", id="edited",
+        ),
+        pytest.param(
+            lambda one, two: (replace(one, topics=one.topics[:1]), two),
+            "      - topic: /goal\n        direction: receive\n", "", id="removed",
+        ),
+        pytest.param(
+            lambda one, two: (one, replace(two, topics=(Topic("/a", "transmit"),))),
+            "[/camera/*]}", "[/camera/*], topics: [{topic: /a, direction: transmit}]}", id="the first, in braces",
+        ),
+    ],
+)  # fmt: skip
+def test_what_a_server_proposes_is_kept_under_the_client(
+    tmp_path: Path, change: Callable[[Client, Client], tuple[Client, ...]], old: str, new: str
+) -> None:
+    now = edited(SERVER, tmp_path, lambda session: replace(session, clients=change(*session.clients)))
+    assert now == SERVER.replace(old, new)
+
+
 # --- any file
 
 
@@ -367,6 +413,15 @@ def written(draw: st.DrawFn, session: Session) -> Written:  # noqa: PLR0915 -- o
             made.add(f"{start}{key}: {scalar(value)}{comma}{comment()}", at, (at, key), (at, "in braces"), *owners)
         made.add(f"{' ' * len(lead)}}}{end}{comment()}", at, (at, "in braces"), *owners)
 
+    def nested_topics(topics: list[dict[str, Any]], head: str, indent: int, *owners: Any) -> None:
+        made.add(f"{head}{comment()}", *owners)
+        for topic in topics:
+            if draw(st.booleans()):
+                made.add(f"{' ' * indent}- {inline(topic)}{comment()}", *owners)
+                continue
+            for number, (key, value) in enumerate(topic.items()):
+                made.add(f"{' ' * indent}{' ' if number else '-'} {key}: {inline(value)}{comment()}", *owners)
+
     def entry(at: int, each: msgspec.Struct, indent: int, style: str) -> None:
         items = shuffled(each)
         if style == "lines":
@@ -383,6 +438,8 @@ def written(draw: st.DrawFn, session: Session) -> Written:  # noqa: PLR0915 -- o
                 made.add(f"{lead}{key}:", *owners)
                 for policy, what in value.items():
                     made.add(f"{' ' * (indent + offset + 1)}{policy}: {inline(what)}{comment()}", *owners)
+            elif key == "topics" and draw(st.booleans()):
+                nested_topics(value, f"{lead}{key}:", indent + offset + draw(st.sampled_from([0, 2])), *owners)
             else:
                 made.add(f"{lead}{key}: {scalar(value)}{comment()}", *owners)
             between(indent + offset, at, (at, "inside"))
@@ -429,13 +486,14 @@ fields_of_a_topic = {
     "paused": st.booleans(),
 }
 patterns = st.lists(names, max_size=3, unique=True).map(tuple)
+some_topics = st.builds(Topic, topic=names, direction=st.sampled_from(["transmit", "receive"]), **fields_of_a_topic)
 fields_of_a_client = {
+    "topics": st.lists(some_topics, max_size=3, unique_by=lambda each: (each.topic, each.direction)).map(tuple),
     "key_file": st.sampled_from([None, "a.key", "no", "b: c"]),
     "use_name": st.sampled_from([None, False]),
     "allow": patterns,
     "deny": patterns,
 }
-some_topics = st.builds(Topic, topic=names, direction=st.sampled_from(["transmit", "receive"]), **fields_of_a_topic)
 some_clients = st.builds(
     Client, name=st.text("abz1- #:", min_size=1).map(lambda text: f"x{text}x"), **fields_of_a_client
 )

@@ -18,7 +18,7 @@ from rsb_bridge.model.limits import (
 from rsb_bridge.model.session import Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from rsb_bridge.model.session import Session, Topic
 
@@ -38,7 +38,9 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
-    yield from _topics(session)
+    yield from _topics(session.topics, "topics", session)
+    for at, client in enumerate(session.clients):
+        yield from _topics(client.topics, join(join("clients", at), "topics"), session)
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
@@ -51,16 +53,14 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
         yield Problem("domain_id", f"domain {domain} can collide with other programs' ports; {SAFE_DOMAIN} cannot")
 
 
-def _topics(session: Session) -> Iterator[Problem]:
-    if len(session.topics) > ROUTES_PER_LINK:
-        yield Problem("topics", f"a server takes {ROUTES_PER_LINK} topics of a client, and refuses the others")
-    ports = [topic for topic in session.topics if topic.port is not None]
+def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
+    if len(topics) > ROUTES_PER_LINK:
+        yield Problem(where, f"a server takes {ROUTES_PER_LINK} topics of a client, and refuses the others")
+    ports = [topic for topic in topics if topic.port is not None]
     if len(ports) > PORTS_PER_CLIENT:
-        yield Problem(
-            "topics", f"a server binds {PORTS_PER_CLIENT} ports for a client's topics, and refuses the others"
-        )
-    for at, topic in enumerate(session.topics):
-        location = join("topics", at)
+        yield Problem(where, f"a server binds {PORTS_PER_CLIENT} ports for a client's topics, and refuses the others")
+    for at, topic in enumerate(topics):
+        location = join(where, at)
         if topic.topic == session.shutdown_topic:
             yield Problem(location, f"{topic.topic} closes the bridge, too: it is the shutdown_topic")
         transport = transport_of(topic, session)

@@ -14,7 +14,7 @@ from rsb_bridge.config.bringup import bridge_nodes
 from rsb_bridge.config.files import kind_of_file, replace_file
 from rsb_bridge.config.validation import build, validate, validate_topic
 from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
-from rsb_bridge.model.session import Problem, Session
+from rsb_bridge.model.session import Problem, Session, Topic
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
@@ -105,9 +105,15 @@ def same(one: Session, other: Session) -> bool:
 
 
 def _in_order(session: Session) -> Session:
-    topics = tuple(sorted(session.topics, key=lambda topic: (topic.topic, topic.direction)))
-    clients = tuple(sorted(session.clients, key=lambda client: client.name))
-    return msgspec.structs.replace(session, topics=topics, clients=clients)
+    clients = tuple(
+        msgspec.structs.replace(client, topics=_sorted(client.topics))
+        for client in sorted(session.clients, key=lambda client: client.name)
+    )
+    return msgspec.structs.replace(session, topics=_sorted(session.topics), clients=clients)
+
+
+def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
+    return tuple(sorted(topics, key=lambda topic: (topic.topic, topic.direction)))
 
 
 def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:

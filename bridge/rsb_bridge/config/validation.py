@@ -19,7 +19,7 @@ from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.type_names import expand_type_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from rsb_bridge.model.transports import TransportTraits
 
@@ -105,9 +105,7 @@ def _session(session: Session) -> Iterator[Problem]:
     if session.shutdown_topic is not None:
         yield from _topic_name(session.shutdown_topic, "shutdown_topic")
     client = session.name if session.role == "client" and session.use_name else None
-    for at, topic in enumerate(session.topics):
-        yield from _topic(topic, join("topics", at), session, client)
-    yield from _clashes(session)
+    yield from _topics(session.topics, "topics", session, client)
     yield from _clients(session)
 
 
@@ -284,19 +282,26 @@ def _stale_after(seconds: float, location: str) -> Iterator[Problem]:
         yield Problem(location, f"{seconds} is out of range: {STALE_AFTER} s, or 0 to never warn")
 
 
-def _clashes(session: Session) -> Iterator[Problem]:
-    """Topics that are there twice, or want one port."""
+def _topics(topics: Sequence[Topic], location: str, session: Session, client: str | None) -> Iterator[Problem]:
+    """Mistakes in the topics of one link; `client` as in `validate_topic`."""
+    for at, topic in enumerate(topics):
+        yield from _topic(topic, join(location, at), session, client)
+    yield from _clashes(topics, location, session)
+
+
+def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
+    """Topics of one link that are there twice, or want one port."""
     routes: dict[tuple[str, str], int] = {}
     ports: dict[tuple[str, int], str] = {}
     shared = "its server_port"
     link = transports.of_link(session.server_ip)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared
-    for at, topic in enumerate(session.topics):
-        location = join("topics", at)
+    for at, topic in enumerate(topics):
+        location = join(where, at)
         first = routes.setdefault((topic.topic, topic.direction), at)
         if first != at:
-            yield Problem(location, f"{topic.topic} ({topic.direction}) is there already, as topics[{first}]")
+            yield Problem(location, f"{topic.topic} ({topic.direction}) is there already, as {join(where, first)}")
         if topic.port is None:
             continue
         transport = transport_of(topic, session)
@@ -313,7 +318,9 @@ def _clashes(session: Session) -> Iterator[Problem]:
 
 def _clients(session: Session) -> Iterator[Problem]:
     if session.role == "server" and session.topics:
-        yield Problem("role", "a server has no topics of its own: move them to the client's file")
+        yield Problem(
+            "role", "a server has no topics of its own: move them to the client's file, or under its entry in clients"
+        )
     if session.role == "client" and session.clients:
         yield Problem("role", "a client has no clients: only a server lists them")
     names: dict[str, int] = {}
@@ -325,6 +332,7 @@ def _clients(session: Session) -> Iterator[Problem]:
         if first != at:
             yield Problem(join(location, "name"), f"{show(client.name)} is the name of clients[{first}] already")
         yield from _patterns(client, location)
+        yield from _topics(client.topics, join(location, "topics"), session, client.name if use_name else None)
 
 
 def _patterns(client: Client, location: str) -> Iterator[Problem]:

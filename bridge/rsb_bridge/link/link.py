@@ -293,6 +293,12 @@ class Link(ABC):
         """The routes, by key."""
         return self.table.routes
 
+    @property
+    def proposed_topics(self) -> tuple[Topic, ...]:
+        """What this side proposes, as operators have left it. May be called from any thread."""
+        topics = [route.spec for route in tuple(self.routes.values()) if route.proposed_here]
+        return (*topics, *tuple(self.table.yielded.values()))
+
     def transport_of(self, topic: Topic) -> Transport:
         """What carries a topic's messages; the link's own transport unless the topic names another."""
         return self.context.transports[topic.protocol] if topic.protocol else self.transport

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Protocol
 
+import msgspec
+
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
 from rsb_bridge.link.cipher_preference import preferred_suite
@@ -47,6 +49,11 @@ class BridgeRole(Protocol):
 
     async def stop(self) -> None:
         """Say goodbye and close everything."""
+        ...
+
+    @property
+    def session(self) -> Session:
+        """The session as operators have left it: with what this side proposes now. From any thread."""
         ...
 
     def links(self) -> list[Link]:
@@ -98,6 +105,10 @@ class ClientRole:
         self._tasks.cancel()
         await _farewell(self.links(), "the client stops", retry_after=0.0)
         self._link.destroy()
+
+    @property
+    def session(self) -> Session:
+        return msgspec.structs.replace(self._context.session, topics=self._link.proposed_topics)
 
     def links(self) -> list[Link]:
         return [self._link]
@@ -151,6 +162,9 @@ class ServerRole:
         self._stopped = False
 
     async def start(self) -> None:
+        for link in self._server.links.values():
+            for topic in link.entry.client.topics:
+                link.add_topic(topic)
         await self._server.start()
 
     async def stop(self) -> None:
@@ -160,6 +174,15 @@ class ServerRole:
         await _farewell(self.links(), "the server stops", retry_after=0.0)
         for link in self.links():
             link.destroy()
+
+    @property
+    def session(self) -> Session:
+        links = tuple(self._server.links.values())
+        clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.proposed_topics) for link in links)
+        session = self._context.session
+        if not session.clients and not any(client.topics for client in clients):
+            return session
+        return msgspec.structs.replace(session, clients=clients)
 
     def links(self) -> list[Link]:
         return list(self._server.links.values())

@@ -82,10 +82,12 @@ class RouteTable:
 
     Attributes:
         routes: by key.
+        yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
     """
 
     def __init__(self, context: Context, owner: RouteOwner) -> None:
         self.routes: dict[str, Route] = {}
+        self.yielded: dict[str, Topic] = {}
         self._context = context
         self._owner = owner
         self._by_id: dict[int, Route] = {}
@@ -161,6 +163,8 @@ class RouteTable:
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
         self.routes.pop(route.key, None)
+        if code is EventCode.ROUTE_REMOVED:
+            self.yielded.pop(route.key, None)
         route.destroy()
         for route_id in route.closed_ids:
             del self._closed[route_id]
@@ -318,6 +322,7 @@ class RouteTable:
             # this side's.
             if known.proposed_here:
                 self._tell_removed(known, "replaced by the client's")
+                self.yielded[known.key] = known.spec
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         if known is not None:

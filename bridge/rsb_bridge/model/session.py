@@ -90,6 +90,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         use_name: prefix its topics on the server; None: the server's `Session.use_name`.
         allow: patterns (shell globs) of the topics that it may bridge; empty: all.
         deny: patterns of the topics that it may not bridge; stronger than `allow`.
+        topics: what the server proposes to it whenever it links, as the client sees them.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     use_name: bool | None = None
     allow: tuple[str, ...] = ()
     deny: tuple[str, ...] = ()
+    topics: tuple[Topic, ...] = ()
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):

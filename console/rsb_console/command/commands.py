@@ -206,6 +206,8 @@ def _summary(session: Session) -> Iterator[str]:
         allowed = ", ".join(client.allow) or "all topics"
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
         yield f"  accepts {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}{prefix}"
+        for topic in client.topics:
+            yield f"    proposes {_route(topic, session)}"
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: all topics"
 

@@ -44,8 +44,7 @@ class BridgeOperations:
             return
         draft = await self._console.ask(TopicScreen(engine))
         if draft is not None:
-            hint = "" if engine.session.role == "client" else "; to keep it, add it to the client's session file"
-            await self._console.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added{hint}")
+            await self._console.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added")
 
     async def edit_topic(self) -> None:
         from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short

@@ -12,7 +12,7 @@ from textual.widgets import Button, Static
 from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
 from rsb_console.screens.confirm import ConfirmScreen
-from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, topics_note, unsaved
+from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:
@@ -42,13 +42,12 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
     Returns:
         Whether the file holds the session and its key files are there.
     """
-    note = topics_note(session)
     if not console.temporary:
         session = moved(session, console.base, path.parent)
-        return await save_asking(console, session, path, note=note, opened=opened)
+        return await save_asking(console, session, path, opened=opened)
     try:
         session, files = rescued(session, console.base, path.parent)
-        if not await save_asking(console, session, path, note=note):
+        if not await save_asking(console, session, path):
             return False
         for file, key in files.items():
             copy_key(key, file)
@@ -59,25 +58,20 @@ async def save_elsewhere(console: Console, session: Session, path: Path, opened:
     return True
 
 
-async def save_asking(
-    console: Console, session: Session, path: Path, *, note: str = "", opened: SessionFile | None = None
-) -> bool:
+async def save_asking(console: Console, session: Session, path: Path, *, opened: SessionFile | None = None) -> bool:
     """Write a session file; ask before one is changed or replaced, and tell the operator how it went.
 
     Args:
         console: asks and tells.
         session: its key files are relative to the folder of `path`.
         path: of the file; left alone if it holds the same session already.
-        note: what else to tell.
         opened: the file that the session came from: its comments and layout are kept.
 
     Returns:
         Whether the file holds the session.
     """
-    timeout = 8 if note else 3
     if file_of(path, session) is not None:
-        message = f"nothing to save: {path} is up to date{note}"
-        console.notify(message, markup=False, timeout=timeout)
+        console.notify(f"nothing to save: {path} is up to date", markup=False, timeout=3)
         return True
     try:
         if path.exists():  # noqa: ASYNC240 -- one stat
@@ -88,7 +82,7 @@ async def save_asking(
     except SessionError as error:
         console.notify(str(error), title="Not saved", severity="error", markup=False, timeout=15)
         return False
-    console.notify(f"saved: {path}{note}", markup=False, timeout=timeout)
+    console.notify(f"saved: {path}", markup=False, timeout=3)
     return True
 
 

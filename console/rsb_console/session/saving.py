@@ -13,6 +13,7 @@ import msgspec
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, read_text, same
+from rsb_bridge.model.session import Client
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,7 +38,13 @@ def _parts(session: Session) -> dict[tuple[str, str], object]:
         (name, ""): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
     }
     parts |= {(topic.topic, topic.direction): topic for topic in session.topics}
-    return parts | {(f"client {client.name}", ""): client for client in session.clients}
+    clients = session.clients
+    if session.role == "server" and not clients:
+        clients = (Client(session.name),)
+    for client in clients:
+        parts[f"client {client.name}", ""] = msgspec.structs.replace(client, topics=())
+        parts |= {(f"{topic.topic} for {client.name}", topic.direction): topic for topic in client.topics}
+    return parts
 
 
 def difference(before: str, after: str) -> list[str]:
@@ -148,13 +155,6 @@ def path_problem(text: str) -> str:
         return "" if path.parent.is_dir() else f"there is no folder {path.parent}"
     except OSError as error:  # a name that is too long, or a folder without permission
         return f"cannot be written: {error.strerror}"
-
-
-def topics_note(session: Session) -> str:
-    """Say what a saved session lacks although the console shows it; empty: nothing."""
-    if session.role == "client":
-        return ""
-    return "\nIt holds no topics: those are in the clients' files, and topics added here last until this server ends."
 
 
 def file_of(path: Path, session: Session) -> SessionFile | None:

@@ -1,0 +1,101 @@
+"""What an operator adds on a server: kept in its session, and proposed to the client whenever that links."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+from tests.support.bridge import carries, find, happened, heard, linked, route
+from tests.support.domain import text
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.session_file import load_file, save
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Topic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+CHAT = Topic("/chat", "transmit")
+
+
+def test_it_comes_back_when_either_side_is_started_again(
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+) -> None:
+    """Saved to a file that listed no clients, and loaded from it."""
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    path = tmp_path / "pc.yaml"
+    save(bridge.server_session(), path)
+    opened = load_file(path)
+    server = bridge.start(opened.session)
+    assert server.session == opened.session
+    client = bridge.client()
+    server.add_topic(CHAT).result(60)
+    carries([out], server, ["/chat"])
+    assert server.session.clients == (Client("robot1", topics=(CHAT,)),)
+    assert client.session.topics == (), "the client's file is not concerned"
+    save(server.session, path, opened)
+
+    client.stop()
+    eventually(lambda: not linked(server))
+    bridge.client()
+    carries([out], server, ["/chat"])
+    out.publish(text("after the client"))
+    heard(there, 1)
+
+    server.stop()
+    bridge.move()
+    client.stop()
+    server = bridge.start(replace(load_file(path).session, server_port=bridge.port))
+    bridge.client()
+    carries([out], server, ["/chat"])
+    out.publish(text("after the server"))
+    assert heard(there, 2) == [text("after the client"), text("after the server")]
+    assert server.session.clients == (Client("robot1", topics=(CHAT,)),)
+
+
+def test_each_client_has_its_own_and_the_rest_of_the_session_stays(bridge: Bridge) -> None:
+    clients = (Client("robot1", allow=("/chat",)), Client("robot2", topics=(Topic("/map", "transmit"),)))
+    server = bridge.server(clients=clients)
+    assert server.session.clients == clients
+    server.add_topic(CHAT, "robot1").result(60)
+    assert server.session.clients == (replace(clients[0], topics=(CHAT,)), clients[1])
+
+
+def test_removed_on_either_side_it_is_gone_on_both(bridge: Bridge) -> None:
+    server = bridge.server(clients=(Client("robot1", topics=(CHAT, Topic("/map", "transmit"))),))
+    client = bridge.client()
+    eventually(lambda: find(client, "/chat") and find(client, "/map"))
+    server.remove_topic(route(server, "/chat").key).result(60)
+    eventually(lambda: not find(client, "/chat"))
+    client.remove_topic(route(client, "/map").key).result(60)
+    eventually(lambda: not find(server, "/map"))
+    assert server.session.clients == (Client("robot1"),)
+
+
+def test_the_clients_own_takes_its_place_and_it_stays_in_the_session(bridge: Bridge) -> None:
+    clients = (Client("robot1", topics=(replace(CHAT, protocol="udp"),)),)
+    server = bridge.server(clients=clients)
+    client = bridge.client(CHAT)
+    eventually(lambda: find(server, "/chat") and route(server, "/chat").transport == "tcp")
+    eventually(lambda: route(client, "/chat").transport == "tcp")
+    assert happened(server, EventCode.ROUTE_REPLACED, "/chat: replaced by the other side's")
+    assert server.session.clients == clients
+    assert client.session.topics == (CHAT,)
+    client.remove_topic(route(client, "/chat").key).result(60)
+    eventually(lambda: not find(server, "/chat"))
+    assert server.session.clients == (Client("robot1"),), "removed by an operator"
+
+
+def test_what_the_client_refuses_is_said_on_both_sides(bridge: Bridge) -> None:
+    halt = Topic("/halt", "receive")
+    server = bridge.server(clients=(Client("robot1", topics=(halt,)),), shutdown_topic=None)
+    client = bridge.client(shutdown_topic="/halt")
+    eventually(lambda: find(server, "/halt") and "/halt is this side's shutdown topic" in route(server, "/halt").reason)
+    assert "refused by the other side" in route(server, "/halt").reason
+    assert happened(client, EventCode.ROUTE_REFUSED, "refused /halt: /halt is this side's shutdown topic")
+    assert find(client, "/halt") is None
+    assert server.session.clients == (Client("robot1", topics=(halt,)),)
