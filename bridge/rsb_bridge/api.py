@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
 
+    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
 
@@ -96,4 +97,23 @@ class EngineApi(Protocol):
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
         """The topics that can be bridged: of this side's graph, or with `link` of that peer's."""
+        ...
+
+    def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
+        """Wait for a topic's next message. Cancelling the future ends the waiting.
+
+        A topic shows a message every half second at most. Nothing is copied, and nothing added to the messages' way,
+        while nobody waits.
+
+        Args:
+            key: of the route.
+            kept: of a latched topic, take the message that a late joiner gets.
+
+        Returns:
+            The message; None: none has passed within some seconds. Ask again to look on.
+        """
+        ...
+
+    def describe(self, key: str) -> Future[str]:
+        """The text of the description of a topic's type (`rsb_bridge.cdr.description`), wherever it is known."""
         ...

@@ -21,6 +21,7 @@ from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
+from rsb_bridge.route.peeking import PeekError, Peeking
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
@@ -62,6 +64,7 @@ class Bridge:
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
         self.graph_watch = GraphWatch(context, self._role.links)
         self._tasks = Tasks(context.loop, lambda: None)
+        self._peeking = Peeking(context)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
         self._errors_logged: dict[str, float] = {}
@@ -135,6 +138,7 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
+        self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
@@ -241,6 +245,22 @@ class Bridge:
                 if candidate.name == link:
                     return await candidate.remote_topics()
             raise LinkError(f"there is no link {link!r}")
+
+    async def peek(self, key: str, *, kept: bool) -> PeekedMessage | None:
+        """Wait for a topic's next message; nothing that this does changes the snapshot."""
+        try:
+            _, route = self._find(key)
+            return await self._peeking.peek(route, kept=kept)
+        except (LinkError, PeekError) as error:
+            raise EngineError(str(error)) from None
+
+    async def describe(self, key: str) -> str:
+        """The text of the description of a route's type."""
+        try:
+            link, route = self._find(key)
+            return await link.describe(route)
+        except LinkError as error:
+            raise EngineError(str(error)) from None
 
     @contextlib.contextmanager
     def _command(self) -> Iterator[None]:

@@ -11,6 +11,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
+from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
 
@@ -40,6 +41,7 @@ class Context:
         transports: what links and routes run over.
         limited: the way to `events` for what a peer may be the cause of.
         announcements: what this bridge and the others in its domain tell each other.
+        descriptions: of the message types that somebody looks at.
     """
 
     session: Session
@@ -53,10 +55,12 @@ class Context:
     transports: Transports = field(default_factory=default_transports)
     limited: RateLimitedEventLog = field(init=False)
     announcements: Announcements = field(init=False)
+    descriptions: TypeDescriptions = field(init=False)
 
     def __post_init__(self) -> None:
         self.limited = RateLimitedEventLog(self.events, self.now)
         self.announcements = Announcements(self.ros, self.loop, self._warn)
+        self.descriptions = TypeDescriptions(self.ros, self.now)
 
     def log(
         self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "", link_status: bool = False

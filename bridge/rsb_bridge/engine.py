@@ -30,6 +30,7 @@ from rsb_bridge.transport.registry import Transports, default_transports
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Session, Topic
 
 _STOP_WITHIN = 5.0
@@ -190,6 +191,12 @@ class Engine(EngineApi):
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
         return self._command(lambda bridge: bridge.topics(link))
+
+    def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
+        return self._command(lambda bridge: bridge.peek(key, kept=kept))
+
+    def describe(self, key: str) -> Future[str]:
+        return self._command(lambda bridge: bridge.describe(key))
 
     def _command(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
         """Run on the I/O thread."""

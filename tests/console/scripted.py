@@ -5,8 +5,9 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import (
@@ -20,6 +21,9 @@ from rsb_bridge.model.snapshot import (
     State,
     TopicInfo,
 )
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.peek import PeekedMessage
 
 T = TypeVar("T")
 NOW = 1_800_000_000.0
@@ -150,6 +154,8 @@ class ScriptedEngine:
         self.commands: list[tuple[object, ...]] = []
         self.running = False
         self.unreachable = ""
+        self.peeked: list[PeekedMessage] = []
+        self.described: str | None = None
 
     def start(self) -> None:
         self.running = True
@@ -205,3 +211,13 @@ class ScriptedEngine:
             TopicInfo("/camera/depth", "sensor_msgs/msg/Image", "", Qos(reliability="best_effort", depth=5), 1, 0)
         ]
         return self._done(suggestions, "topics", link)
+
+    def peek(self, key: str, *, kept: bool = False) -> "Future[PeekedMessage | None]":
+        return self._done(self.peeked.pop(0) if self.peeked else None, "peek", key, kept)
+
+    def describe(self, key: str) -> "Future[str]":
+        if self.described is not None:
+            return self._done(self.described, "describe", key)
+        future: Future[str] = Future()
+        future.set_exception(EngineError("neither side knows it"))
+        return future

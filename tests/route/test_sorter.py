@@ -50,6 +50,12 @@ class Graph(NoRos):
         self.asked += 1
         return [Endpoint(node, TYPE, TYPE_HASH, Qos(), gid) for gid, node in self.nodes.items()]
 
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
     def installed_hash(self, type_name: str) -> str | None:
         return TYPE_HASH
 

@@ -81,6 +81,12 @@ class Node:
         self._check_running()
         return [_endpoint(each) for each in self._domain.readers(topic) if each.node != self._name]
 
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
     def installed_hash(self, type_name: str) -> str | None:
         return self._domain.installed.get(type_name)
 

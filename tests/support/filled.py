@@ -5,7 +5,14 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from rosidl_parser.definition import AbstractGenericString, AbstractNestedType, Array, BasicType, NamespacedType
+from rosidl_parser.definition import (
+    AbstractGenericString,
+    AbstractNestedType,
+    Array,
+    BasicType,
+    BoundedSequence,
+    NamespacedType,
+)
 
 _SPECIAL = {"octet": b"\x07", "boolean": True, "float": 1.5, "double": 1.5}
 
@@ -18,10 +25,16 @@ def filled(message_class: Any) -> Any:
 
 def _value(slot: Any) -> Any:
     if isinstance(slot, AbstractNestedType):
-        return [_value(slot.value_type) for _ in range(slot.size if isinstance(slot, Array) else 3)]
+        return [_value(slot.value_type) for _ in range(_length(slot))]
     if isinstance(slot, NamespacedType):
         return filled(getattr(importlib.import_module(".".join(slot.namespaces)), slot.name))
     if isinstance(slot, AbstractGenericString):
         return "größer"
     assert isinstance(slot, BasicType)
     return _SPECIAL.get(slot.typename, 7)
+
+
+def _length(slot: AbstractNestedType) -> int:
+    if isinstance(slot, Array):
+        return int(slot.size)
+    return min(3, slot.maximum_size) if isinstance(slot, BoundedSequence) else 3

@@ -57,6 +57,12 @@ class NoRos:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
 
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
     def installed_hash(self, type_name: str) -> str | None:
         return None
 

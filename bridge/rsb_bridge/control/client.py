@@ -17,6 +17,7 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.folders import ControlError, NotServedError, try_connect
 from rsb_bridge.control.protocol import (
     AddTopic,
+    Describe,
     EditTopic,
     Events,
     Failed,
@@ -25,6 +26,7 @@ from rsb_bridge.control.protocol import (
     Hello,
     Look,
     Pause,
+    Peek,
     ProtocolError,
     Refused,
     RemoveTopic,
@@ -42,6 +44,7 @@ from rsb_bridge.control.protocol import (
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.telemetry.event_log import EventLog
 
@@ -190,6 +193,12 @@ class RemoteEngine(EngineApi):
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
         return self._request(Topics(link), _topics)
 
+    def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
+        return self._request(Peek(key, kept), _peeked)
+
+    def describe(self, key: str) -> Future[str]:
+        return self._request(Describe(key), str)
+
     def stop_bridge(self) -> Future[None]:
         """End the bridge's process, as SIGTERM does; done when it has understood."""
         return self._request(Stop(), _nothing)
@@ -202,6 +211,8 @@ class RemoteEngine(EngineApi):
 
         def convert_answer(_: Future[object]) -> None:
             error = answered.exception()
+            if done.cancelled():
+                return
             if error is not None:
                 done.set_exception(error)
             else:
@@ -387,6 +398,11 @@ class RemoteEngine(EngineApi):
 
 def _nothing(_: object) -> None:
     return None
+
+
+def _peeked(value: object) -> PeekedMessage | None:
+    assert value is None or isinstance(value, PeekedMessage)
+    return value
 
 
 def _topics(value: object) -> list[TopicInfo]:

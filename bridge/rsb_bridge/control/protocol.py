@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import msgspec
 
+from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Session, Topic  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
 
@@ -164,11 +165,26 @@ class Topics(_Message, frozen=True, tag="topics"):
     link: str | None = None
 
 
+class Peek(_Message, frozen=True, tag="peek"):
+    """See `AddTopic`."""
+
+    key: str
+    kept: bool = False
+
+
+class Describe(_Message, frozen=True, tag="describe"):
+    """See `AddTopic`."""
+
+    key: str
+
+
 class Stop(_Message, frozen=True, tag="stop"):
     """End the bridge's process, as SIGTERM does."""
 
 
-Command: TypeAlias = AddTopic | EditTopic | RemoveTopic | Pause | Retry | ShutDown | Restart | Topics | Stop
+Command: TypeAlias = (
+    AddTopic | EditTopic | RemoveTopic | Pause | Retry | ShutDown | Restart | Topics | Peek | Describe | Stop
+)
 
 
 class Request(_Message, frozen=True, tag="request"):
@@ -260,11 +276,11 @@ class Reply(_Message, frozen=True, tag="reply"):
 
     Attributes:
         id: of the request.
-        value: a route's key, or topics, or nothing.
+        value: a route's key, topics, a message, the description of a type, or nothing.
     """
 
     id: int
-    value: str | tuple[TopicInfo, ...] | None = None
+    value: str | tuple[TopicInfo, ...] | PeekedMessage | None = None
 
 
 class Failed(_Message, frozen=True, tag="failed"):

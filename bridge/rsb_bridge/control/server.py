@@ -12,6 +12,7 @@ from rsb_bridge.control import protocol
 from rsb_bridge.control.folders import is_trusted
 from rsb_bridge.control.protocol import (
     AddTopic,
+    Describe,
     EditTopic,
     Events,
     Failed,
@@ -20,6 +21,7 @@ from rsb_bridge.control.protocol import (
     Hello,
     Look,
     Pause,
+    Peek,
     ProtocolError,
     Refused,
     RemoveTopic,
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.folders import Listener
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.snapshot import TopicInfo
 
 _TICK = 0.25
@@ -275,11 +278,11 @@ class _Console:
             reply = Failed(request.id, str(error))
         finally:
             self._requests -= 1
-        if self._sender.sent is not None and self._buffered == 0:
+        if isinstance(request.command, protocol.CHANGING) and self._sender.sent is not None and self._buffered == 0:
             await self._send_state()  # whoever waits for the command wants to see its effect
         self.send(reply)
 
-    async def _run(self, request: Request) -> str | tuple[TopicInfo, ...] | None:
+    async def _run(self, request: Request) -> str | tuple[TopicInfo, ...] | PeekedMessage | None:
         """Have the engine do it.
 
         Raises:
@@ -302,6 +305,10 @@ class _Console:
             case Topics():
                 found = await _done(engine.topics(command.link))
                 return tuple(found)
+            case Peek():
+                return await asyncio.wrap_future(engine.peek(command.key, kept=command.kept))
+            case Describe():
+                return await asyncio.wrap_future(engine.describe(command.key))
             case Restart():
                 await _done(engine.restart(lambda text: self._step(request.id, text)))
             case Stop():

@@ -19,6 +19,7 @@ from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.topic_lists import TopicLists
+from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.link.udp_channels import UdpChannels
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State, TopicInfo
@@ -32,7 +33,7 @@ from rsb_bridge.telemetry.meters import ClockOffset
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.budget import Budget
 from rsb_bridge.wire.framing import UNFINISHED_LIMIT, ProtocolError
-from rsb_bridge.wire.messages import ListTopics, Neighbours, Ping, Pong, Shutdown, TopicList
+from rsb_bridge.wire.messages import AskType, ListTopics, Neighbours, Ping, Pong, Shutdown, TopicList, TypeText
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -106,6 +107,7 @@ class Link(ABC):
         self.udp_channels = UdpChannels(context.loop, self.log)
         self.table = RouteTable(context, self)
         self._topic_lists = TopicLists(self._local_topics, self.send, self.spawn)
+        self._type_questions = TypeQuestions(context.descriptions, self.table.open_route, self.send, self.spawn)
 
     # --- what client and server do differently
 
@@ -213,6 +215,7 @@ class Link(ABC):
         self.udp_channels.close()
         self.shared_streams.clear()
         self._topic_lists.disconnected()
+        self._type_questions.disconnected()
         level = Level.INFO if code in (EventCode.LINK_CLOSED, EventCode.LINK_REPLACED) else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link {how}: {reason}", link_status=True)
@@ -262,6 +265,8 @@ class Link(ABC):
                 self._topic_lists.handle(message)
             case Neighbours():
                 self.neighbourhood.heard(message)
+            case AskType() | TypeText():
+                self._type_questions.handle(message)
             case Shutdown():
                 self.on_shutdown(message)
             case _:
@@ -279,6 +284,14 @@ class Link(ABC):
             return await self._topic_lists.ask()
         except LinkError as error:
             raise LinkError(f"{self.name}: {error}") from None
+
+    async def describe(self, route: Route) -> str:
+        """The text of the description of a route's type.
+
+        Raises:
+            LinkError: neither side knows it.
+        """
+        return await self._type_questions.describe(route, linked=self.linked)
 
     async def _local_topics(self) -> list[TopicInfo]:
         def shown() -> list[TopicInfo]:

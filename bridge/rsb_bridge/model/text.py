@@ -13,12 +13,34 @@ if TYPE_CHECKING:
 UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u2028-\\u202e\\u2066-\\u2069"
 """Control characters, and the marks that turn the direction of text; for a regular expression's brackets."""
 
+INVISIBLE = "\u00ad\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\ufe00-\ufe0f\uffa0\U000e0000-\U000e0fff"
+"""Characters that Python calls printable though they take no place on a screen, or seem not to; for brackets, too."""
+
 _unprintable = re.compile(f"[{UNPRINTABLE}]")
+_escaped = re.compile(f'[{INVISIBLE}\\\\"]')
 
 
 def sanitize_text(text: str, limit: int = REASON_LENGTH) -> str:
     """Replace each unprintable character by U+FFFD, and cut what is longer than `limit` characters."""
     return _unprintable.sub("\N{REPLACEMENT CHARACTER}", text[:limit])
+
+
+def escape_text(text: str) -> str:
+    """Write text in such a way that every character of it is seen, and none does anything to a terminal.
+
+    What is not printable, has no width or turns the direction of text stands as an escape sequence of Python's, as do
+    quotation marks and backslashes, so that what is shown between quotation marks is clear.
+    """
+    if text.isprintable() and not _escaped.search(text):
+        return text
+    return "".join(
+        character if character.isprintable() and not _escaped.match(character) else _escape(character)
+        for character in text
+    )
+
+
+def _escape(character: str) -> str:
+    return f"\\{character}" if character in '"\\' else character.encode("unicode_escape").decode()
 
 
 def join_first(parts: Sequence[str], most: int) -> str:

@@ -150,6 +150,28 @@ class RosInterface(Protocol):
         """The type hash of a message type that is installed here, else None."""
         ...
 
+    def installed_description(self, type_name: str) -> str | None:
+        """The text of the description (`rsb_bridge.cdr.description`) of a type that is installed here, else None."""
+        ...
+
+    def ask_description(
+        self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
+    ) -> str | None:
+        """What a node tells of a message type that it uses; None: it tells nothing.
+
+        This may wait some seconds; no other thread's work does.
+
+        Args:
+            node: its full name.
+            type_name: ``pkg/msg/Name``.
+            type_hash: ``RIHS01_...``.
+            still_wanted: asked several times a second; False ends the waiting.
+
+        Raises:
+            RosError: it could not be asked.
+        """
+        ...
+
     def subscribe(
         self,
         topic: str,

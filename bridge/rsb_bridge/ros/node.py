@@ -51,6 +51,8 @@ class RosNode:
         self._domain_id = domain_id
         self.node_name = f"rsb_{re.sub(r'[^A-Za-z0-9_]', '_', name)[:64]}_{self.instance_id}"
         self._lock = threading.Lock()
+        self._asking = threading.Lock()
+        """Held by whoever asks another node something: the domain is not left meanwhile."""
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
         self._subscriptions: dict[int, _Subscription] = {}  # by reader's address; replaced, never changed
@@ -125,6 +127,25 @@ class RosNode:
         except ValueError:
             return None
         return None if installed is None else hash_of(installed)
+
+    def installed_description(self, type_name: str) -> str | None:
+        """The text of the description of a message type that is installed here, else None."""
+        from rsb_bridge.ros.descriptions import installed_description  # noqa: PLC0415  as in `start`
+
+        try:
+            return installed_description(type_name)
+        except ValueError:
+            return None
+
+    def ask_description(
+        self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
+    ) -> str | None:
+        """Ask a node for a type's description; see `rsb_bridge.ros.api.RosInterface.ask_description`."""
+        with self._asking:
+            participant = self._joined()
+            return participant.ask_description(
+                node, type_name, type_hash, lambda: self._participant is participant and still_wanted()
+            )
 
     def subscribe(
         self,
@@ -220,7 +241,8 @@ class RosNode:
             reader.close()
         for publisher in publishers:
             publisher.writer.close()
-        participant.leave()
+        with self._asking:
+            participant.leave()
 
 
 class _Subscription:

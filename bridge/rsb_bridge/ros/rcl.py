@@ -22,9 +22,10 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.anytype import message_class
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
 from rsb_bridge.ros.conversions import endpoint_of, rcl_profile, safe_type_name
+from rsb_bridge.ros.descriptions import ask_node
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
 _ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
 """ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
@@ -158,6 +159,20 @@ class Participant:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         """The subscriptions on a topic, our own left out."""
         return self._others(self._ask(_rclpy.rclpy_get_subscriptions_info_by_topic, topic))
+
+    def ask_description(
+        self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
+    ) -> str | None:
+        """What another node tells of a type that it uses; see `rsb_bridge.ros.descriptions.ask_node`.
+
+        Raises:
+            RosError: rcl failed.
+        """
+        try:
+            return ask_node(self._node, self._context.handle, node, type_name, type_hash, still_wanted)
+        except RuntimeError as error:
+            _reset_error()
+            raise RosError(f"{node} cannot be asked: {_reason(error)}") from error
 
     def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
         """A raw subscription.

@@ -43,6 +43,9 @@ FIND = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)
 GET_HASH = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
 """``TypeSupport.get_hash``: a type support in, the address of its `TypeHash` out."""
 
+FIND_DESCRIPTION = ctypes.PYFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
+"""``TypeSupport.get_description``: a type support in, the address of its type's description out."""
+
 _capsule_get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
 _capsule_get_pointer.restype = ctypes.c_void_p
 _capsule_get_pointer.argtypes = [ctypes.py_object, ctypes.c_char_p]

@@ -19,6 +19,7 @@ from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.outputs import Outputs, Subject
+from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.route import Owner, Route
 from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, SOURCE_SHIFT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
@@ -173,7 +174,7 @@ class IncomingRoute(Route):
         now = self.context.wall_ns()
         count = size = 0
         stamp = now
-        for payload, stamp, flags in messages:  # noqa: B007 — the last one's stamp is the batch's latency sample
+        for payload, stamp, flags in messages:  # noqa: B007 — the last one's is the batch's latency sample
             self._received += 1
             try:
                 self._publish(payload, flags)
@@ -186,8 +187,11 @@ class IncomingRoute(Route):
                 size += len(payload)
         self._delivered += count
         if count:
-            if (offset := self.peer.clock_offset) is not None:
-                self.latency.add((now - stamp) / 1e9 + offset)
+            latency = None if (offset := self.peer.clock_offset) is None else (now - stamp) / 1e9 + offset
+            if latency is not None:
+                self.latency.add(latency)
+            if self.peek_slot.wanted:
+                self._show(payload, flags, now, latency)
             self.count(count, size)
 
     def _publish(self, payload: bytes, flags: int) -> None:
@@ -209,6 +213,17 @@ class IncomingRoute(Route):
             raise _NotPublishedError("latched full", EventCode.ROUTE_LATCHED_FULL, str(error)) from None
         except (RosError, zstandard.ZstdError, ProtocolError) as error:
             raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
+
+    def _show(self, payload: bytes, flags: int, now_ns: int, latency: float | None) -> None:
+        """Show a message to whoever looks, unless it is one that was not published."""
+        try:
+            if flags & HISTORY:
+                _, payload = split_history(payload)
+            content = self._decompress(payload) if flags & ZSTD else payload
+        except (_NotPublishedError, zstandard.ZstdError, ProtocolError):
+            return
+        clock = (self.peer.clock_offset, self.peer.clock_uncertainty)
+        self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
 
     def _failed_later(self, error: Exception) -> None:
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))

@@ -16,6 +16,7 @@ from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.outbox import Outbox
+from rsb_bridge.route.peeking import peeked
 from rsb_bridge.route.resolving import MessageType, UnresolvedError, resolve
 from rsb_bridge.route.route import Owner, Route
 from rsb_bridge.route.sorter import Sorter
@@ -264,6 +265,8 @@ class OutgoingRoute(Route):
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
+        if self.peek_slot.wanted:
+            self._show(batch[-1])
         self._ledger.offered += len(batch)
         passes, pack, flags = self._throttle.passes, self._outbox.pack, self._sorter.table.flags
         messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
@@ -272,10 +275,15 @@ class OutgoingRoute(Route):
 
     def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic."""
+        if self.peek_slot.wanted and samples:
+            self._show(samples[-1].message)
         self._ledger.offered += new
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
         self._send_latched(admitted)
+
+    def _show(self, message: RawMessage) -> None:
+        self.peek_slot.put(peeked(self, message.payload, message.stamp), self.context.now())
 
     def _send_latched(self, samples: Sequence[Sample]) -> None:
         for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):

@@ -19,6 +19,7 @@ from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.lifecycle import Event, Lifecycle
 from rsb_bridge.route.notices import Notices
 from rsb_bridge.route.pause import PauseState
+from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.peer import Peer
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.wire.messages import Close, Propose
@@ -67,6 +68,7 @@ class Route:
         closed_at: s, when its last opening ended; 0: it had none.
         warning: what an operator should know although messages flow; empty: nothing.
         loop: why nothing is sent, which would close a loop of bridges, for an operator; empty: it would not.
+        peek_slot: takes the next message for whoever looks at the topic.
     """
 
     outgoing: ClassVar[bool]
@@ -101,6 +103,7 @@ class Route:
         self.latency = LatencyMeter()
         self.stale = StaleWatch(0.0, 0, context.now())
         self.set_stale_after()
+        self.peek_slot = PeekSlot()
         self.release_port: Callable[[], None] | None = None
         self._loss: asyncio.TimerHandle | None = None  # reports that the channel was lost
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening

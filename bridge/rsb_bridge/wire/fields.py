@@ -9,6 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from msgspec import Meta
 
+from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
@@ -19,6 +20,7 @@ Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=_PRINTABLE
 Reason: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=_PRINTABLE)]
 
 RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
+DescriptionText: TypeAlias = Annotated[bytes, Meta(max_length=DESCRIPTION_LIMIT)]
 PublisherId: TypeAlias = Annotated[bytes, Meta(min_length=16, max_length=16)]
 MessageNumber: TypeAlias = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 LinkId: TypeAlias = Annotated[bytes, Meta(min_length=8, max_length=8)]

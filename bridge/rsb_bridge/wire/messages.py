@@ -14,6 +14,7 @@ from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annot
     Bridges,
     Compression,
     Count,
+    DescriptionText,
     Features,
     Hertz,
     LinkId,
@@ -302,6 +303,28 @@ class TopicList(_Message, frozen=True):
     topics: tuple[TopicEntry, ...]
 
 
+class AskType(_Message, frozen=True):
+    """Either side asks for the description of a route's type. Answered by a `TypeText`.
+
+    Attributes:
+        route: route id.
+    """
+
+    route: RouteId
+
+
+class TypeText(_Message, frozen=True):
+    """The answer to `AskType`.
+
+    Attributes:
+        route: route id.
+        text: the description, zstd-compressed (`rsb_bridge.cdr.description`); empty: this side does not know it.
+    """
+
+    route: RouteId
+    text: DescriptionText = b""
+
+
 class Shutdown(_Message, frozen=True):
     """Either side: this link ends on purpose.
 
@@ -330,6 +353,8 @@ ControlMessage: TypeAlias = (
     | Report
     | ListTopics
     | TopicList
+    | AskType
+    | TypeText
     | Shutdown
 )
 

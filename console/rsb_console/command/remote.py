@@ -14,6 +14,7 @@ from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError, hidden_services
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_console.command.echo import echo
 from rsb_console.command.reports import (
     clock,
     faults_first,
@@ -250,6 +251,15 @@ def _why_not(engine: RemoteEngine, wanted: list[str]) -> str:
     return f": {'; '.join(found)}" if found else ""
 
 
+def _echo(arguments: Namespace) -> int:
+    with _attached(arguments, read_only=True) as engine:
+        route = _route(engine, arguments)
+        if echo(engine, route, arguments):
+            return OK
+        why = f": {route.reason}" if (route := _route(engine, arguments)).reason else ""
+    return _failed(arguments, f"no more messages of {arguments.topic} within {arguments.timeout:g} s{why}", FAILURE)
+
+
 # --- changing
 
 
@@ -371,5 +381,6 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "restart": _restart,
     "events": _events,
     "wait": _wait,
+    "echo": _echo,
     "stop": _stop,
 }

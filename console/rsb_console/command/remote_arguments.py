@@ -74,6 +74,15 @@ def add_remote_commands(
         help="flowing TOPIC, linked [CLIENT], or stopped",
     )  # fmt: skip
     wait.add_argument("--timeout", type=float, metavar="N", help="s; default: wait for ever")
+    echo = remote(
+        "echo", "print a topic's messages, two a second at most, decoded where the type is known", bridge_first=True
+    )
+    _route(echo)
+    echo.add_argument("--once", action="store_true", help="one message")
+    echo.add_argument("--count", type=_count, metavar="N", help="so many messages; default: until interrupted")
+    echo.add_argument("--timeout", type=float, metavar="N", help="s; exit code 1 if they have not come by then")
+    echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
+    echo.add_argument("--full-length", action="store_true", help="all elements of arrays, not only the first 128")
     remote("stop", "end a running bridge", bridge_first=True)
 
 
@@ -91,6 +100,18 @@ def _route(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("topic", metavar="TOPIC", help="its name on the bridge's side")
     parser.add_argument("--link", default="", metavar="CLIENT", help="where several clients have the topic")
     parser.add_argument("--direction", choices=("transmit", "receive"), help="where it goes both ways")
+
+
+def _count(text: str) -> int:
+    """Parse a number of messages.
+
+    Raises:
+        ValueError: it is none.
+    """
+    count = int(text)
+    if count < 1:
+        raise ValueError
+    return count
 
 
 def _topic_keys(parser: argparse.ArgumentParser) -> None:

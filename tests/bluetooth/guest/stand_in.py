@@ -101,6 +101,12 @@ class StandIn:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
 
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
     def installed_hash(self, type_name: str) -> str | None:
         return HASH if type_name == TYPE else None
 

@@ -1,0 +1,1 @@
+"""Serialized messages, read by the descriptions of their types. Sans-IO, without ROS."""

@@ -1,0 +1,228 @@
+"""Reads serialized messages (XCDR1, OMG DDS-XTYPES 1.3 section 7.4.3) by the descriptions of their types.
+
+Nothing is believed: whatever the bytes and the description are, reading ends after a bounded number of steps, and what
+cannot be read is said in `Decoded.problem`, beside all that came before it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias, Union
+
+if TYPE_CHECKING:
+    from rsb_bridge.cdr.description import FieldType, TypeDescription
+
+HEADER_LENGTH = 4
+"""Bytes of the encapsulation header (DDSI-RTPS 2.5 section 10.2); alignment counts from behind it."""
+DEPTH = 64
+"""Messages within messages."""
+
+_BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # CDR_BE, CDR_LE
+_KINDS = 48  # type ids of each container (type_description_interfaces/msg/FieldType)
+_CONTAINERS = _PLAIN, _ARRAY, _BOUNDED, _ = range(4)
+_NESTED = 1
+_STRINGS, _WIDE_STRINGS = frozenset({17, 19, 21}), frozenset({18, 20, 22})
+_BOUNDED_STRINGS = frozenset({19, 20, 21, 22})
+_PRIMITIVES = {
+    2: ("b", "int8"),
+    3: ("B", "uint8"),
+    4: ("h", "int16"),
+    5: ("H", "uint16"),
+    6: ("i", "int32"),
+    7: ("I", "uint32"),
+    8: ("q", "int64"),
+    9: ("Q", "uint64"),
+    10: ("f", "float32"),
+    11: ("d", "float64"),
+    13: ("B", "char"),
+    15: ("?", "bool"),
+    16: ("B", "byte"),
+}
+"""By type id: code of `struct`, and name."""
+_WIDE_CHARACTER = 4  # bytes: rosidl_typesupport_fastrtps_cpp/serialization_helpers.hpp
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """An array or a sequence.
+
+    Attributes:
+        element: the name of its elements' type.
+        total: how many elements there are.
+        shown: the first ones.
+    """
+
+    element: str
+    total: int
+    shown: list[Value] = field(default_factory=list)
+
+
+Value: TypeAlias = Union[bool, int, float, str, Items, "Message"]
+Message: TypeAlias = dict[str, Value]
+"""A message's values by its fields' names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What was read of a message.
+
+    Attributes:
+        message: its values, up to where the problem is.
+        problem: why no more was read; empty: all was.
+    """
+
+    message: Message
+    problem: str = ""
+
+
+class _UnreadableError(Exception):
+    """What comes next cannot be read; the message says why."""
+
+
+def decode(description: TypeDescription, payload: bytes, *, items: int = 128, steps: int = 50_000) -> Decoded:
+    """Read a message.
+
+    Args:
+        description: of its type.
+        payload: the message with its encapsulation header, or the beginning of it.
+        items: elements of an array that are kept.
+        steps: values that are read at most.
+    """
+    message: Message = {}
+    try:
+        reader = _Reader(payload, description, items, steps)
+        reader.read_message(description.type_description.type_name, message, DEPTH)
+    except _UnreadableError as error:
+        return Decoded(message, str(error))
+    return Decoded(message)
+
+
+class _Reader:
+    """Reads from the beginning to the end. What fails in it is an _UnreadableError."""
+
+    def __init__(self, payload: bytes, description: TypeDescription, items: int, steps: int) -> None:
+        order = _BYTE_ORDERS.get(payload[:2])
+        if order is None or len(payload) < HEADER_LENGTH:
+            raise _UnreadableError(f"it does not begin as XCDR1: {payload[:HEADER_LENGTH].hex(' ') or 'no bytes'}")
+        self._order = order
+        self._payload = payload
+        self._at = HEADER_LENGTH
+        self._items = items
+        self._steps = steps
+        types = (description.type_description, *description.referenced_type_descriptions)
+        self._fields = {each.type_name: each.fields for each in types}
+
+    def read_message(self, type_name: str, message: Message, depth: int) -> None:
+        """Read the fields of a message into `message`, one by one."""
+        if depth == 0:
+            raise _UnreadableError(f"its type has more than {DEPTH} levels")
+        fields = self._fields.get(type_name)
+        if fields is None:
+            raise _UnreadableError(f"its description lacks {type_name}")
+        for each in fields:
+            try:
+                self._read_field(each.name, each.type, message, depth)
+            except _UnreadableError as error:
+                raise _UnreadableError(f"{each.name}: {error}" if depth == DEPTH else str(error)) from None
+
+    def _read_field(self, name: str, kind: FieldType, message: Message, depth: int) -> None:
+        container, base = divmod(kind.type_id - 1, _KINDS)
+        base += 1
+        if container not in _CONTAINERS:
+            raise _UnreadableError(f"a value of type {kind.type_id} is not decoded")
+        if container == _PLAIN:
+            if base == _NESTED:
+                inner: Message = {}
+                message[name] = inner
+                self._step()
+                self.read_message(kind.nested_type_name, inner, depth - 1)
+            else:
+                message[name] = self._value(base, kind)
+            return
+        total = kind.capacity if container == _ARRAY else self._length()
+        if container == _BOUNDED and total > kind.capacity:
+            raise _UnreadableError(f"{total:,} elements in a sequence of at most {kind.capacity:,}")
+        if base in _PRIMITIVES:
+            items = message[name] = Items(_PRIMITIVES[base][1], total)
+            self._primitives(base, items)
+            return
+        strings = "wstring" if base in _WIDE_STRINGS else "string"
+        items = message[name] = Items(kind.nested_type_name if base == _NESTED else strings, total)
+        for number in range(total):
+            if base == _NESTED:
+                element: Message = {}
+                if number < self._items:
+                    items.shown.append(element)
+                self._step()
+                self.read_message(kind.nested_type_name, element, depth - 1)
+            else:
+                value = self._value(base, kind)
+                if number < self._items:
+                    items.shown.append(value)
+
+    def _value(self, base: int, kind: FieldType) -> Value:
+        self._step()
+        if base in _PRIMITIVES:
+            code, _ = _PRIMITIVES[base]
+            size = struct.calcsize(f"={code}")
+            start = self._take(size, size)
+            value: bool | int | float = struct.unpack_from(self._order + code, self._payload, start)[0]
+            return value
+        if base in _STRINGS or base in _WIDE_STRINGS:
+            return self._string(kind.string_capacity if base in _BOUNDED_STRINGS else None, wide=base in _WIDE_STRINGS)
+        raise _UnreadableError(f"a value of type {kind.type_id} is not decoded")
+
+    def _primitives(self, base: int, items: Items) -> None:
+        """Read the elements of an array; where some are missing, those that are there."""
+        code, _ = _PRIMITIVES[base]
+        size = struct.calcsize(f"={code}")
+        self._step()
+        if items.total == 0:
+            return
+        start = self._aligned(size)
+        kept = min(items.total, self._items, self._steps, (len(self._payload) - start) // size)
+        if kept > 0:
+            self._steps -= kept
+            items.shown.extend(struct.unpack_from(f"{self._order}{kept}{code}", self._payload, start))
+        self._take(size, items.total * size)
+
+    def _string(self, capacity: int | None, *, wide: bool) -> str:
+        length = self._length()
+        size = length * _WIDE_CHARACTER if wide else length
+        content = self._payload[(start := self._take(1, size)) : start + size]
+        if wide:
+            units = struct.unpack(f"{self._order}{length}I", content)
+            if any(unit > 0xFFFF for unit in units):
+                raise _UnreadableError("a wide string has characters beyond 16 bits")
+            text = struct.pack(f"<{length}H", *units).decode("utf-16-le", "replace")
+        else:
+            if content[-1:] not in (b"", b"\x00"):
+                raise _UnreadableError("a string without its end")
+            length = max(0, length - 1)
+            text = content[:-1].decode("utf-8", "replace")
+        if capacity is not None and length > capacity:
+            raise _UnreadableError(f"a string of {length:,} in a field of at most {capacity:,}")
+        return text
+
+    def _length(self) -> int:
+        start = self._take(4, 4)
+        length: int = struct.unpack_from(f"{self._order}I", self._payload, start)[0]
+        return length
+
+    def _take(self, alignment: int, size: int) -> int:
+        """Pass over `size` bytes behind the padding; where they begin."""
+        start = self._aligned(alignment)
+        left = len(self._payload) - start
+        if size > left:
+            raise _UnreadableError(f"{size:,} bytes are expected, and {max(0, left):,} are there")
+        self._at = start + size
+        return start
+
+    def _aligned(self, alignment: int) -> int:
+        return self._at + (HEADER_LENGTH - self._at) % alignment
+
+    def _step(self) -> None:
+        if self._steps <= 0:
+            raise _UnreadableError("it has more values than are read")
+        self._steps -= 1

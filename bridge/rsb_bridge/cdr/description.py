@@ -1,0 +1,97 @@
+"""Descriptions of message types (REP 2016), as the text whose SHA-256 is the type's hash.
+
+So a description shows by itself that it is the right one, wherever it came from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+HASH_PREFIX = "RIHS01_"
+DESCRIPTION_LIMIT = 64 << 10
+"""Bytes of a description; the longest of the common interfaces has 10 kB."""
+_NAME_LENGTH = 255
+
+
+class DescriptionError(ValueError):
+    """A text is no description of the type that it should describe; the message says why."""
+
+
+_Name: TypeAlias = Annotated[str, Meta(max_length=_NAME_LENGTH)]
+_Capacity: TypeAlias = Annotated[int, Meta(ge=0, le=2**32 - 1)]
+
+
+class FieldType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The type of a field, as type_description_interfaces/msg/FieldType.
+
+    Attributes:
+        type_id: what it is, and whether it is an array or a sequence of that.
+        capacity: elements of an array, or of a bounded sequence at most.
+        string_capacity: characters of a bounded string at most.
+        nested_type_name: ``pkg/msg/Name`` where it is a message.
+    """
+
+    type_id: Annotated[int, Meta(ge=0, le=255)]
+    capacity: _Capacity
+    string_capacity: _Capacity
+    nested_type_name: _Name
+
+
+class Field(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A field of a message."""
+
+    name: _Name
+    type: FieldType
+
+
+class MessageType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One message type, without those that it refers to."""
+
+    type_name: _Name
+    fields: tuple[Field, ...]
+
+
+class TypeDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A message type, and all that it refers to.
+
+    Attributes:
+        type_description: the type.
+        referenced_type_descriptions: the others.
+    """
+
+    type_description: MessageType
+    referenced_type_descriptions: tuple[MessageType, ...]
+
+
+_decoder = msgspec.json.Decoder(TypeDescription)
+
+
+def text_of(description: TypeDescription) -> str:
+    """The text of a description, as rosidl writes it for the hash."""
+    return json.dumps(msgspec.to_builtins(description), separators=(", ", ": "))
+
+
+def hash_of_text(text: str) -> str:
+    """The hash of the type that a text describes: ``RIHS01_`` and 64 hex digits."""
+    return HASH_PREFIX + hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_description(text: str, type_hash: str) -> TypeDescription:
+    """Read the text of a type's description.
+
+    Raises:
+        DescriptionError: it is none, or another type's.
+    """
+    if len(text) > DESCRIPTION_LIMIT:
+        raise DescriptionError(f"the description has {len(text):,} characters; at most {DESCRIPTION_LIMIT:,} are read")
+    try:
+        if hash_of_text(text) != type_hash:
+            raise DescriptionError("the description has another hash than the type")
+        return _decoder.decode(text)
+    except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
+        raise DescriptionError(f"the description is invalid: {error}") from None

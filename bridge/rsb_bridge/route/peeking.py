@@ -1,0 +1,194 @@
+"""Looking at a route's messages: the next one that passes is copied for whoever waits for it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import msgspec
+
+from rsb_bridge.model.peek import PEEK_LIMIT, PeekedMessage
+from rsb_bridge.ros.api import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.peer import Peer
+
+LOOKERS = 32
+"""Who may look at the same time."""
+EVERY = 0.5
+"""s between two messages of one route that are shown."""
+BYTES_A_SECOND = 16 << 20
+"""For all lookers together; who would exceed it waits."""
+WAITS_AT_MOST = 10.0
+"""s: who wants to look on asks again, so that whoever has gone holds no place for longer."""
+
+
+_LATE_JOINER = ("late joiner",)
+"""Differs from the names of all links."""
+
+
+class PeekError(Exception):
+    """There is no looking now; the message says why."""
+
+
+class PeekSlot:
+    """Where the next message of a route is put if somebody wants it.
+
+    Attributes:
+        wanted: somebody does. All that a route looks at while messages pass.
+        free_at: s, when the next one may be shown.
+    """
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self.free_at = float("-inf")
+        self._waiting: set[asyncio.Future[PeekedMessage]] = set()
+
+    def put(self, message: PeekedMessage, now: float) -> None:
+        """Hand a message to all who wait."""
+        waiting, self._waiting = self._waiting, set()
+        self.wanted = False
+        self.free_at = now + EVERY
+        for future in waiting:
+            if not future.done():
+                future.set_result(message)
+
+    async def next(self) -> PeekedMessage:
+        """The next message that passes."""
+        future: asyncio.Future[PeekedMessage] = asyncio.get_running_loop().create_future()
+        self._waiting.add(future)
+        self.wanted = True
+        try:
+            return await future
+        finally:
+            self._waiting.discard(future)
+            self.wanted = bool(self._waiting)
+
+
+class Peekable(Protocol):
+    """What looking asks of a route, whose members these are."""
+
+    outgoing: ClassVar[bool]
+    peek_slot: PeekSlot
+    qos: Qos | None
+    type_name: str
+    type_hash: str
+
+    @property
+    def peer(self) -> Peer:
+        """The other side of its link."""
+        ...
+
+    @property
+    def local_topic(self) -> str:
+        """Its topic's name on this side."""
+        ...
+
+
+class Peeking:
+    """All looking at an engine's messages, within its bounds."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._lookers = 0
+        self._free_at = float("-inf")
+
+    async def peek(self, route: Peekable, *, kept: bool) -> PeekedMessage | None:
+        """Wait for a message of a route.
+
+        Args:
+            route: whose.
+            kept: of a latched topic, take the message that a late joiner gets.
+
+        Returns:
+            The message; None: none has passed for a while.
+
+        Raises:
+            PeekError: too many look already.
+        """
+        if self._lookers >= LOOKERS:
+            raise PeekError(f"{LOOKERS} look at messages here already: close one of them")
+        self._lookers += 1
+        try:
+            async with asyncio.timeout(WAITS_AT_MOST):
+                await self._wait_until(max(self._free_at, route.peek_slot.free_at))
+                if kept and route.qos is not None and route.qos.latched:
+                    message = await self._first_of(route, route.qos)
+                else:
+                    message = await route.peek_slot.next()
+        except TimeoutError:
+            return None
+        finally:
+            self._lookers -= 1
+        self._free_at = max(self._free_at, self._context.now()) + len(message.payload) / BYTES_A_SECOND
+        return message
+
+    async def _wait_until(self, moment: float) -> None:
+        if (left := moment - self._context.now()) > 0:
+            await asyncio.sleep(left)
+
+    async def _first_of(self, route: Peekable, qos: Qos) -> PeekedMessage:
+        """The first message that a late joiner on this side gets."""
+        context = self._context
+        first: asyncio.Future[PeekedMessage] = context.loop.create_future()
+
+        def take(batch: Sequence[RawMessage]) -> None:
+            newest = max(batch, key=lambda message: message.stamp)
+            context.call(lambda: show(newest))
+
+        def show(message: RawMessage) -> None:
+            if not first.done():
+                first.set_result(peeked(route, message.payload, message.stamp, is_kept=True))
+
+        # what this node publishes is what late joiners get on the receiving side, and none of theirs on the other
+        origin = route.peer.name if route.outgoing else _LATE_JOINER
+        depth_one = msgspec.structs.replace(qos, history="keep_last", depth=1)
+        try:
+            subscription = context.ros.subscribe(
+                route.local_topic, route.type_name, route.type_hash, depth_one, take, origin
+            )
+        except RosError as error:
+            raise PeekError(str(error)) from None
+        try:
+            return await first
+        finally:
+            subscription.close()
+
+
+def peeked(
+    route: Peekable,
+    payload: bytes,
+    time_ns: int,
+    *,
+    is_kept: bool = False,
+    latency: float | None = None,
+    clock: tuple[float | None, float | None] = (None, None),
+) -> PeekedMessage:
+    """A copy of a message's beginning, for who looks.
+
+    Args:
+        route: whose it is.
+        payload: the whole message.
+        time_ns: ns since the epoch, when it came here.
+        is_kept: it was kept for late joiners.
+        latency: s that it took over the link.
+        clock: s, offset of the peer's clock, and its uncertainty.
+    """
+    offset, uncertainty = clock
+    return PeekedMessage(
+        payload=bytes(payload[:PEEK_LIMIT]),
+        size=len(payload),
+        type_name=route.type_name,
+        type_hash=route.type_hash,
+        time=time_ns / 1e9,
+        outgoing=route.outgoing,
+        is_kept=is_kept,
+        latency=latency,
+        clock_offset=offset,
+        clock_uncertainty=uncertainty,
+    )

@@ -1,0 +1,259 @@
+"""Messages are read by their types' descriptions as ROS itself reads them, and nothing that comes can do harm."""
+
+from __future__ import annotations
+
+import array
+import importlib
+import pkgutil
+import struct
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from tests.support.filled import filled
+
+from rsb_bridge.cdr.decoder import Decoded, Items, decode
+from rsb_bridge.cdr.description import (
+    DescriptionError,
+    Field,
+    FieldType,
+    MessageType,
+    TypeDescription,
+    hash_of_text,
+    read_description,
+    text_of,
+)
+from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.typesupport import hash_of, installed_class
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PACKAGES = [
+    "action_msgs", "actionlib_msgs", "builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs",
+    "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "service_msgs", "shape_msgs", "std_msgs",
+    "stereo_msgs", "trajectory_msgs", "type_description_interfaces", "unique_identifier_msgs", "visualization_msgs",
+]  # fmt: skip
+EVERYTHING = 1 << 30
+
+
+def installed() -> Iterator[str]:
+    """Every message type that is installed here."""
+    for package in PACKAGES:
+        for module in pkgutil.iter_modules(importlib.import_module(f"{package}.msg").__path__):
+            found = importlib.import_module(f"{package}.msg.{module.name}")
+            yield from (f"{package}/msg/{name}" for name in vars(found) if isinstance(vars(found)[name], type))
+
+
+TYPES = sorted({name for name in installed() if "Metaclass" not in name and installed_class(name)})
+
+
+def described(name: str) -> TypeDescription:
+    """The description of an installed type."""
+    text = installed_description(name)
+    assert text is not None
+    return read_description(text, hash_of(installed_class(name)))  # type: ignore[arg-type]
+
+
+def tree(value: Any) -> Any:
+    """What rclpy made of a message, in plain values."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {field: tree(getattr(value, field)) for field in value.get_fields_and_field_types()} or {
+            "structure_needs_at_least_one_member": 0
+        }
+    if isinstance(value, np.generic | np.ndarray | array.array):
+        return value.tolist()
+    if isinstance(value, bytes):
+        return value[0]
+    if isinstance(value, list):
+        return [tree(each) for each in value]
+    return value
+
+
+def plain(value: Any) -> Any:
+    """What was decoded, likewise."""
+    if isinstance(value, Items):
+        assert len(value.shown) == value.total
+        return [plain(each) for each in value.shown]
+    if isinstance(value, dict):
+        return {name: plain(each) for name, each in value.items()}
+    return value
+
+
+def test_all_of_them_are_there() -> None:
+    assert len(TYPES) > 150
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_every_installed_type_reads_as_rclpy_reads_it(name: str) -> None:
+    message_class: Any = installed_class(name)
+    description = described(name)
+    for message in (message_class(), filled(message_class)):
+        payload = serialize_message(message)
+        decoded = decode(description, payload, items=EVERYTHING, steps=EVERYTHING)
+        assert decoded.problem == ""
+        assert plain(decoded.message) == tree(deserialize_message(payload, message_class))
+
+
+# --- kinds of fields that no installed type has
+
+
+def test_every_kind_of_field() -> None:
+    """Against a message of a package that was built for this, as rclpy of Jazzy on x86-64 serialized it."""
+    text, *digits = Path(__file__).with_name("everything.txt").read_text(encoding="utf-8").splitlines()
+    description = read_description(text, hash_of_text(text))
+    inner = {n: {"a": n, "b": n / 2, "w": "é" * n} for n in range(5)}
+    decoded = decode(description, bytes.fromhex("".join(digits)))
+    assert decoded.problem == ""
+    assert plain(decoded.message) == {
+        "flag": True, "i8": -8, "wide": "größer 漢", "wide_bounded": "12345", "brief": "0123456789",
+        "briefs": ["a", "", "ccc"], "wides": ["x", "yz"], "some": [-1, 2, -3], "three": [1.5, 2.5, -0.0],
+        "inner": inner[1], "inners": [inner[2], inner[0], inner[3]], "pair": [inner[1], inner[2]], "few": [inner[4]],
+        "bytes": [1, 255], "c": 65, "bools": [True, False, True], "two": ["", "two"], "last": -(2**62),
+    }  # fmt: skip
+
+
+INNER = MessageType(
+    "t/msg/Inner",
+    (
+        Field("a", FieldType(3, 0, 0, "")),
+        Field("b", FieldType(11, 0, 0, "")),
+        Field("w", FieldType(18, 0, 0, "")),
+    ),
+)
+
+
+def of(*fields: tuple[str, int, int, int, str]) -> TypeDescription:
+    """A description with fields of (name, type id, capacity, capacity of strings, nested type)."""
+    return TypeDescription(MessageType("t/msg/T", tuple(Field(f[0], FieldType(*f[1:])) for f in fields)), (INNER,))
+
+
+def test_big_endian() -> None:
+    description = of(("a", 3, 0, 0, ""), ("b", 8, 0, 0, ""), ("w", 18, 0, 0, ""), ("s", 148, 0, 0, ""))
+    payload = b"\x00\x00\x00\x00" + struct.pack(">B7xqI2IIhh", 1, -2, 2, ord("h"), ord("é"), 2, -5, 6)
+    assert plain(decode(description, payload).message) == {"a": 1, "b": -2, "w": "hé", "s": [-5, 6]}
+
+
+# --- large messages
+
+
+def test_a_long_array_is_shortened_and_what_follows_it_is_read() -> None:
+    cloud: Any = installed_class("sensor_msgs/msg/PointCloud2")
+    payload = serialize_message(cloud(data=array.array("B", bytes(range(256)) * 4000), is_dense=True))
+    message = decode(described("sensor_msgs/msg/PointCloud2"), payload, items=5).message
+    assert message["data"] == Items("uint8", 1_024_000, [0, 1, 2, 3, 4])
+    assert message["is_dense"] is True
+
+
+def test_the_beginning_of_a_message_shows_what_is_in_it() -> None:
+    image: Any = installed_class("sensor_msgs/msg/Image")
+    payload = serialize_message(
+        image(height=1080, width=1920, encoding="rgb8", data=array.array("B", bytes(6_220_800)))
+    )
+    decoded = decode(described("sensor_msgs/msg/Image"), payload[:100_000], items=5)
+    assert (decoded.message["height"], decoded.message["width"]) == (1080, 1920)
+    assert decoded.message["data"] == Items("uint8", 6_220_800, [0, 0, 0, 0, 0])
+    assert decoded.problem.startswith("data: 6,220,800 bytes are expected, and 99,")
+
+
+# --- hostile
+
+
+def header(*parts: bytes) -> bytes:
+    return b"\x00\x01\x00\x00" + b"".join(parts)
+
+
+ENDLESS = TypeDescription(MessageType("t/msg/T", (Field("again", FieldType(1, 0, 0, "t/msg/T")),)), ())
+EMPTY_ELEMENTS = TypeDescription(
+    MessageType("t/msg/T", (Field("many", FieldType(145, 0, 0, "t/msg/E")),)), (MessageType("t/msg/E", ()),)
+)
+
+
+@pytest.mark.parametrize(
+    ("description", "payload", "problem"),
+    [
+        (of(("a", 6, 0, 0, "")), b"", "does not begin as XCDR1: no bytes"),
+        (of(("a", 6, 0, 0, "")), b"\x00\x07\x00\x00" + bytes(8), "does not begin as XCDR1: 00 07 00 00"),
+        (of(("a", 6, 0, 0, "")), header(b"\x01\x02"), "a: 4 bytes are expected, and 2 are there"),
+        (of(("a", 153, 0, 0, "")), header(b"\xff\xff\xff\x7f"), "a: 17,179,869,176 bytes"),
+        (of(("s", 17, 0, 0, "")), header(b"\xff\xff\xff\xff"), "s: 4,294,967,295 bytes"),
+        (of(("s", 18, 0, 0, "")), header(b"\xff\xff\xff\xff"), "s: 17,179,869,180 bytes"),
+        (of(("s", 17, 0, 0, "")), header(b"\x02\x00\x00\x00ab"), "s: a string without its end"),
+        (of(("s", 18, 0, 0, "")), header(b"\x01\x00\x00\x00\x00\x00\x01\x00"), "beyond 16 bits"),
+        (of(("s", 21, 0, 3, "")), header(b"\x05\x00\x00\x00abcd\x00"), "a string of 4 in a field of at most 3"),
+        (of(("a", 102, 2, 0, "")), header(b"\x03\x00\x00\x00" + bytes(12)), "3 elements in a sequence of at most 2"),
+        (of(("n", 1, 0, 0, "t/msg/None")), header(), "n: its description lacks t/msg/None"),
+        (of(("x", 12, 0, 0, "")), header(bytes(16)), "x: a value of type 12 is not decoded"),
+        (of(("x", 0, 0, 0, "")), header(bytes(16)), "x: a value of type 0 is not decoded"),
+        (of(("x", 250, 0, 0, "")), header(bytes(16)), "x: a value of type 250 is not decoded"),
+        (ENDLESS, header(bytes(8)), "more than 64 levels"),
+        (EMPTY_ELEMENTS, header(b"\xff\xff\xff\xff"), "more values than are read"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_said(description: TypeDescription, payload: bytes, problem: str) -> None:
+    began = time.process_time()
+    assert problem in decode(description, payload).problem
+    assert time.process_time() - began < 1.0
+
+
+def test_what_was_read_before_stays() -> None:
+    description = of(("a", 3, 0, 0, ""), ("n", 1, 0, 0, "t/msg/Inner"))
+    decoded = decode(description, header(b"\x05\x06"))
+    assert decoded == Decoded({"a": 5, "n": {"a": 6}}, "n: 8 bytes are expected, and 0 are there")
+
+
+kinds = st.builds(
+    FieldType,
+    st.integers(0, 255),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["", "t/msg/T", "t/msg/Inner", "t/msg/E"]),
+)
+descriptions = st.builds(
+    lambda fields: TypeDescription(
+        MessageType("t/msg/T", tuple(Field(f"f{n}", kind) for n, kind in enumerate(fields))),
+        (INNER, MessageType("t/msg/E", ())),
+    ),
+    st.lists(kinds, max_size=6),
+)
+
+
+@given(descriptions, st.one_of(st.just(b"\x00\x01\x00\x00"), st.just(b"\x00\x00\x00\x00")), st.binary(max_size=200))
+def test_whatever_comes_it_ends_and_raises_nothing(
+    description: TypeDescription, encapsulation: bytes, content: bytes
+) -> None:
+    decode(description, encapsulation + content, steps=2000)
+
+
+# --- descriptions
+
+
+def test_a_description_shows_by_its_hash_that_it_is_the_right_one() -> None:
+    text = installed_description("sensor_msgs/msg/LaserScan")
+    assert text is not None
+    scan_hash = hash_of_text(text)
+    assert scan_hash == hash_of(installed_class("sensor_msgs/msg/LaserScan"))  # type: ignore[arg-type]
+    assert text_of(read_description(text, scan_hash)) == text
+    with pytest.raises(DescriptionError, match="another hash"):
+        read_description(text.replace("range_min", "range_max"), scan_hash)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", "\ud800", "[" * 60_000, '{"type_description": 3}', "x" * 70_000], ids=range(7)
+)
+def test_what_is_no_description_is_refused(text: str) -> None:
+    try:
+        type_hash = hash_of_text(text)
+    except UnicodeEncodeError:
+        type_hash = ""
+    with pytest.raises(DescriptionError):
+        read_description(text, type_hash)
+
+
+def test_what_is_not_installed_has_no_description() -> None:
+    assert installed_description("no_such_msgs/msg/Name") is None
