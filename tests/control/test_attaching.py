@@ -148,6 +148,7 @@ def test_requests_that_wait_are_limited(machine: Machine) -> None:
     requests = [remote.retry() for _ in range(protocol.REQUESTS_WAITING + 1)]
     with pytest.raises(EngineError, match="wait for an answer already"):
         requests[-1].result(10)
+    eventually(lambda: len(engine.waiting) == protocol.REQUESTS_WAITING)
     for each in engine.waiting:
         each.set_result(None)
     for request in requests[:-1]:

@@ -13,6 +13,7 @@ from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import (
     Accept,
     Amend,
+    AskType,
     Close,
     ControlMessage,
     Describe,
@@ -29,6 +30,7 @@ from rsb_bridge.wire.messages import (
     Report,
     Shutdown,
     TopicList,
+    TypeText,
     Welcome,
     decode,
     decode_hello,
@@ -82,6 +84,8 @@ EXAMPLES = [
     ),
     ListTopics(request=1),
     TopicList(request=1, topics=(TopicEntry("/scan", "", "", None, 0, 1), TopicEntry("/a", "b", "c", Qos(), 1, 0))),
+    AskType(route=1),
+    TypeText(route=1, text=b"\x28\xb5\x2f\xfd"),
     Shutdown(reason="stopped"),
 ]
 HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
