@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Callable
     from concurrent.futures import Future
+    from pathlib import Path
 
     from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
 
@@ -93,6 +95,22 @@ class EngineApi(Protocol):
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         """Close the links on both sides and open them again; `step` is told of each step, on the engine's thread."""
+        ...
+
+    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
+        """Read the session file again, and change what differs; links and topics that do not differ go on.
+
+        What operators have changed since and not saved becomes what the file says, too. A file with mistakes changes
+        nothing. With `dry_run` nothing changes anyway.
+        """
+        ...
+
+    def use_file(self, path: Path | None) -> None:
+        """Have `reload` read this session file; None: the session is in no file. An attached engine keeps its own."""
+        ...
+
+    def told_to_stop(self) -> None:
+        """Record that an operator ends the process that this engine is in."""
         ...
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:

@@ -12,17 +12,20 @@ import logging
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.difference import changes, described
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
+from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.route.peeking import PeekError, Peeking
-from rsb_bridge.tasks import Tasks
+from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
@@ -67,6 +70,7 @@ class Bridge:
         self._peeking = Peeking(context)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
+        self._reloading = asyncio.Lock()
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -185,22 +189,18 @@ class Bridge:
     async def add_topic(self, topic: Topic, link: str = "") -> str:
         """Bridge one more topic; its route's key."""
         with self._command():
-            return self._role.add(topic, link).key
+            route = self._role.add(topic, link)
+            self._did(EventCode.OPERATOR_ADDED, "added", route, new=described(topic))
+            return route.key
 
     async def edit_topic(self, key: str, topic: Topic) -> str:
         """Put another topic in a route's place; the new route's key."""
         with self._command():
             link, route = self._find(key)
-            if link.amend_topic(route, topic):
-                return key
-            at = list(link.routes).index(key)
-            link.table.remove(route, "edited")
-            try:
-                new = self._role.add(topic, link.name)
-            except (LinkError, ValueError):
-                link.table.move(self._role.add(route.spec, link.name), at)
-                raise
-            link.table.move(new, at)
+            old = route.spec
+            new = link.replace_topic(route, topic)
+            what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
+            self._did(EventCode.OPERATOR_EDITED, what, new, old=described(old), new=described(topic))
             return new.key
 
     async def remove_topic(self, key: str) -> None:
@@ -208,21 +208,27 @@ class Bridge:
         with self._command():
             link, route = self._find(key)
             link.table.remove(route, "removed by an operator")
+            self._did(EventCode.OPERATOR_REMOVED, "removed", route, old=described(route.spec))
 
     async def pause(self, key: str, *, paused: bool) -> None:
         """Stop or resume carrying a topic's messages."""
         with self._command():
             link, route = self._find(key)
+            old = _pause_word(paused=route.paused)
             link.table.pause(route, paused=paused)
+            code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
+            self._did(code, "paused" if paused else "resumed", route, old=old, new=_pause_word(paused=paused))
 
     async def retry(self, link: str = "") -> None:
         """Connect now, and open refused topics again."""
         with self._command():
             self._role.retry(link)
+            self._did(EventCode.OPERATOR_RETRIED, "tried again", link=link)
 
     async def shut_down(self) -> None:
         """Close the sockets on both sides until an operator restarts."""
         with self._command():
+            self._did(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
             self._role.shut_down("an operator shut it down")
 
     async def restart(self, step: Callable[[str], None] | None = None) -> None:
@@ -234,7 +240,76 @@ class Bridge:
                 step(message)
 
         with self._command():
+            self._did(EventCode.OPERATOR_RESTARTED, "restarted: all links are closed and opened again")
             await self._role.restart(report)
+
+    async def reload(self, session: Session, keys: Keys, *, dry_run: bool) -> tuple[list[str], list[str]]:
+        """Do what another session says.
+
+        Args:
+            session: differs from the present one in nothing that is fixed while the bridge runs.
+            keys: of each client.
+            dry_run: only say what would change.
+
+        Returns:
+            What has changed, and what failed, in words.
+        """
+        with self._command():
+            if dry_run:
+                return [step.text for step in self._steps_to(session, keys)], []
+            async with self._reloading:
+                return await self._reload(session, keys)
+
+    async def _reload(self, session: Session, keys: Keys) -> tuple[list[str], list[str]]:
+        steps = self._steps_to(session, keys)
+        self.context.session = session
+        done: list[str] = []
+        failed: list[str] = []
+
+        def take(step: Step) -> None:
+            try:
+                step.apply()
+            except (LinkError, ListenError, RosError, ValueError) as error:
+                failed.append(f"{step.text}: {error}")
+                self.context.events.add(
+                    Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, f"reload: not done: {failed[-1]}", who=operator()
+                )
+            else:
+                done.append(step.text)
+                self.context.events.add(Level.INFO, EventCode.OPERATOR_RELOADED, f"reload: {step.text}", who=operator())
+
+        await in_slices(steps, take)
+        return done, failed
+
+    def _steps_to(self, session: Session, keys: Keys) -> list[Step]:
+        old = self.context.session
+        steps = []
+        if stale := changes(old, session, only=("stale_after", "stale_warnings")):
+            steps.append(Step(", ".join(stale), self._set_stale_after))
+        if shutdown := changes(old, session, only=("shutdown_topic",)):
+            steps.append(Step(shutdown[0], self._change_shutdown_topic))
+        return steps + self._role.steps_to(session, keys)
+
+    def _set_stale_after(self) -> None:
+        for link in self.links():
+            for route in link.routes.values():
+                route.set_stale_after()
+
+    def _change_shutdown_topic(self) -> None:
+        before, self._shutdown_watch = self._shutdown_watch, self._watch_shutdown()
+        if before is not None:
+            before.close()
+
+    def _did(
+        self, code: EventCode, what: str, route: Route | None = None, *, link: str = "", old: str = "", new: str = ""
+    ) -> None:
+        """Record what an operator has done."""
+        who, topic = operator(), ""
+        text = f"{what} by {who}"
+        if route is not None:
+            topic, link = route.local_topic, route.peer.name
+            text = f"{topic}: {text}"
+        self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
 
     async def topics(self, link: str | None = None) -> list[TopicInfo]:
         """The topics that can be bridged, on this side or on a peer's."""
@@ -277,3 +352,7 @@ class Bridge:
             if key in link.routes:
                 return link, link.routes[key]
         raise LinkError(f"there is no route {key!r} any more")
+
+
+def _pause_word(*, paused: bool) -> str:
+    return "paused" if paused else "not paused"

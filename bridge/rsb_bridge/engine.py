@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.bridge import Bridge
+from rsb_bridge.config.difference import is_another, kept
 from rsb_bridge.config.keys import KeyFileError, key_path, read_key
-from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.link.roles import Keys, clients_of
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import operator
+from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.ros.api import RosError, RosInterface
 from rsb_bridge.ros.queue import RosToLoopQueue
@@ -66,6 +70,7 @@ class Engine(EngineApi):
     ) -> None:
         self._session = session
         self._base = base
+        self._file: Path | None = None
         self._ros = ros
         self._clock = clock or Clock()
         self._random = random or Random()  # noqa: S311 — jitter, no secret
@@ -127,7 +132,11 @@ class Engine(EngineApi):
         except ValueError as error:
             raise EngineError(str(error)) from None
         self._snapshots.latest = dataclasses.replace(self._snapshots.latest, domain_id=domain)
-        keys = self._load_keys()
+        if not self._session.use_encryption:
+            text = "encryption is off: everything crosses in the clear"
+            self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
+        keys = _load_keys(self._session, self._base)
+        self._warn_of(keys)
         ros = self._ros or _ros_node(domain, self._session.name)
         try:
             ros.start()
@@ -189,6 +198,16 @@ class Engine(EngineApi):
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         return self._command(lambda bridge: bridge.restart(step))
 
+    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
+        return self._command(lambda bridge: self._reload(bridge, dry_run=dry_run))
+
+    def use_file(self, path: Path | None) -> None:
+        self._file = path
+
+    def told_to_stop(self) -> None:
+        who = operator()
+        self._events.add(Level.INFO, EventCode.OPERATOR_STOPPED, f"told to end by {who}", who=who)
+
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
         return self._command(lambda bridge: bridge.topics(link))
 
@@ -246,32 +265,71 @@ class Engine(EngineApi):
             started.set_result(None)
             await bridge.run()
 
-    # --- before starting
+    async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:
+        who = operator()
+        try:
+            path, session, left = await asyncio.to_thread(self._read_again)
+            keys = await asyncio.to_thread(_load_keys, session, path.parent)
+        except EngineError as error:
+            if not dry_run:
+                text = f"not reloaded, nothing is changed: {str(error).replace(chr(10), '; ')}"
+                self._events.add(Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, text, who=who)
+            raise
+        if not dry_run:
+            self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, f"{path} is read again by {who}", who=who)
+            self._warn_of(keys)
+        done, failed = await bridge.reload(session, keys, dry_run=dry_run)
+        if not dry_run:
+            self._session = session
+            for text in left:
+                self._events.add(Level.WARNING, EventCode.ENGINE_RELOAD_INCOMPLETE, f"reload: {text}", who=who)
+        return Reloaded(tuple(done), tuple(left), tuple(failed))
 
-    def _load_keys(self) -> Keys:
-        session = self._session
-        clients = clients_of(session) if session.role == "server" else ()
-        files = {client.name: client.key_file or session.key_file for client in clients} or {
-            session.name: session.key_file
-        }
-        if not session.use_encryption:
-            self._events.add(
-                Level.WARNING, EventCode.KEY_UNENCRYPTED, "encryption is off: everything crosses in the clear"
+    def _read_again(self) -> tuple[Path, Session, list[str]]:
+        """The session file as it is now: its path, the session to change to, and what cannot change, in words.
+
+        Raises:
+            EngineError: there is none, or it has mistakes.
+        """
+        if self._file is None:
+            raise EngineError("this session is in no file: save it first")
+        try:
+            wanted = load(self._file)
+        except SessionError as error:
+            raise EngineError(str(error)) from None
+        if problem := is_another(self._session, wanted):
+            raise EngineError(f"{self._file}: {problem}")
+        session, left = kept(self._session, wanted)
+        if problems := validate(session):  # what is left as it is may not go with what is new
+            raise EngineError("; ".join([*left, *map(str, problems)]))
+        return self._file, session, left
+
+    def _warn_of(self, keys: Keys) -> None:
+        for warning in (warning for key in keys.values() if key is not None for warning in key.warnings):
+            self._events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
+
+
+def _load_keys(session: Session, base: Path) -> Keys:
+    """The key of each client.
+
+    Raises:
+        EngineError: there is none.
+    """
+    clients = clients_of(session) if session.role == "server" else ()
+    files = {client.name: client.key_file or session.key_file for client in clients} or {session.name: session.key_file}
+    if not session.use_encryption:
+        return dict.fromkeys(files)
+    keys = {}
+    for name, file in files.items():
+        if file is None:
+            raise EngineError(
+                f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
             )
-            return dict.fromkeys(files)
-        keys = {}
-        for name, file in files.items():
-            if file is None:
-                raise EngineError(
-                    f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
-                )
-            try:
-                keys[name] = read_key(key_path(self._base, file))
-            except KeyFileError as error:
-                raise EngineError(str(error)) from None
-            for warning in keys[name].warnings:
-                self._events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
-        return keys
+        try:
+            keys[name] = read_key(key_path(base, file))
+        except KeyFileError as error:
+            raise EngineError(str(error)) from None
+    return keys
 
 
 def _ros_node(domain: int, name: str) -> RosInterface:

@@ -199,6 +199,7 @@ class ConsoleApp(App[None]):
         self.main.reset()
         self.attached_to = ""
         engine = self._make_engine(session, self.base)
+        engine.use_file(self.path)
         if self._serve is not None:
             try:
                 self._server, running = await asyncio.to_thread(self._serve, engine, session, self.path)
@@ -256,6 +257,8 @@ class ConsoleApp(App[None]):
         from rsb_console.session.saving import file_of  # noqa: PLC0415 -- keeps the start short
 
         self.path, self.saved = path, session
+        if self.engine is not None:
+            self.engine.use_file(path)
         self.file = None if path is None else file_of(path, session)
         if path is not None and path.is_file():
             try:

@@ -19,6 +19,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
+from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import Ledger, State
 from rsb_console.command.arguments import parser_and_commands
@@ -127,6 +128,23 @@ def test_what_is_not_valid_is_said_in_words(
     assert refused.json["ok"] is False
     assert words in refused.json["error"]
     assert engine.commands == []
+
+
+def test_reload_says_what_has_changed_and_what_has_not(ran: Any, engine: ScriptedEngine) -> None:
+    fine = ran("reload")
+    assert (fine.code, fine.out, fine.err) == (0, "/scan (transmit): max_rate none → 5.0\n", "")
+    engine.reloads = Reloaded(("/a: x",), ("server_port 1 → 2: restart",), ("/b: y",))
+    partly = ran("reload", "--dry-run")
+    assert (partly.code, partly.out) == (1, "/a: x\n")
+    assert partly.err == "rsb-console: server_port 1 → 2: restart\nrsb-console: /b: y\n"
+    assert ran("reload", "--json").json == {
+        "ok": False,
+        "dry_run": False,
+        "changed": ["/a: x"],
+        "left": ["server_port 1 → 2: restart"],
+        "failed": ["/b: y"],
+    }
+    assert engine.commands == [("reload", False), ("reload", True), ("reload", False)]
 
 
 def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any, engine: ScriptedEngine) -> None:

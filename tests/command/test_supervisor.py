@@ -27,11 +27,13 @@ def test_what_systemd_hears(tmp_path: Path, abstract: bool) -> None:
         supervisor.show(now)
         supervisor.show(now)  # the engine has not renewed it: it may hang
         supervisor.show(replace(now, time=now.time + 1))
+        supervisor.reloading(1_234_567_890)
         supervisor.stopping()
-        assert [systemd.recv(1000).decode() for _ in range(4)] == [
+        assert [systemd.recv(1000).decode() for _ in range(5)] == [
             "READY=1",
             f"WATCHDOG=1\n{status}",
             "WATCHDOG=1",
+            "RELOADING=1\nMONOTONIC_USEC=1234567",
             "STOPPING=1",
         ]
         systemd.setblocking(False)

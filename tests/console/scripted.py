@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.model.snapshot import (
     Event,
@@ -156,6 +157,7 @@ class ScriptedEngine:
         self.unreachable = ""
         self.peeked: list[PeekedMessage] = []
         self.described: str | None = None
+        self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
 
     def start(self) -> None:
         self.running = True
@@ -205,6 +207,15 @@ class ScriptedEngine:
             if step is not None:
                 step(words)
         return self._done(None, "restart")
+
+    def reload(self, *, dry_run: bool = False) -> "Future[Reloaded]":
+        return self._done(self.reloads, "reload", dry_run)
+
+    def use_file(self, path: Path | None) -> None:
+        self.file = path
+
+    def told_to_stop(self) -> None:
+        self.commands.append(("told to stop",))
 
     def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
         suggestions = [

@@ -18,6 +18,7 @@ def test_the_document_lists_every_code_in_order() -> None:
 def test_an_events_source_is_its_codes_first_part() -> None:
     assert {Event(1, 0.0, Level.INFO, code, "").source for code in EventCode} == {
         "engine",
+        "operator",
         "attach",
         "log",
         "key",

@@ -29,6 +29,7 @@ from rsb_bridge.control.protocol import (
     Peek,
     ProtocolError,
     Refused,
+    Reload,
     RemoveTopic,
     Reply,
     Request,
@@ -45,6 +46,7 @@ from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.peek import PeekedMessage
+from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.telemetry.event_log import EventLog
 
@@ -189,6 +191,15 @@ class RemoteEngine(EngineApi):
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
         return self._request(Restart(), _nothing, step)
+
+    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
+        return self._request(Reload(dry_run), _reloaded)
+
+    def use_file(self, path: Path | None) -> None:
+        return  # the bridge keeps to its own
+
+    def told_to_stop(self) -> None:
+        return  # the bridge records it where it is told
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
         return self._request(Topics(link), _topics)
@@ -388,7 +399,7 @@ class RemoteEngine(EngineApi):
         if isinstance(answer, Failed):
             answered.set_exception(EngineError(answer.reason))
         else:
-            answered.set_result(answer.value)
+            answered.set_result(answer.value if answer.reloaded is None else answer.reloaded)
 
     def _fail_requests(self, reason: str) -> None:
         requests, self._requests = self._requests, {}
@@ -402,6 +413,11 @@ def _nothing(_: object) -> None:
 
 def _peeked(value: object) -> PeekedMessage | None:
     assert value is None or isinstance(value, PeekedMessage)
+    return value
+
+
+def _reloaded(value: object) -> Reloaded:
+    assert isinstance(value, Reloaded)
     return value
 
 

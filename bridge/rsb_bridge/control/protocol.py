@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 import msgspec
 
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Session, Topic  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
 
@@ -159,6 +160,12 @@ class Restart(_Message, frozen=True, tag="restart"):
     """See `AddTopic`. Its steps come as `Step`."""
 
 
+class Reload(_Message, frozen=True, tag="reload"):
+    """See `AddTopic`."""
+
+    dry_run: bool = False
+
+
 class Topics(_Message, frozen=True, tag="topics"):
     """See `AddTopic`."""
 
@@ -183,7 +190,7 @@ class Stop(_Message, frozen=True, tag="stop"):
 
 
 Command: TypeAlias = (
-    AddTopic | EditTopic | RemoveTopic | Pause | Retry | ShutDown | Restart | Topics | Peek | Describe | Stop
+    AddTopic | EditTopic | RemoveTopic | Pause | Retry | ShutDown | Restart | Reload | Topics | Peek | Describe | Stop
 )
 
 
@@ -277,10 +284,12 @@ class Reply(_Message, frozen=True, tag="reply"):
     Attributes:
         id: of the request.
         value: a route's key, topics, a message, the description of a type, or nothing.
+        reloaded: the answer to `Reload`; `value` has room for one kind of object only.
     """
 
     id: int
     value: str | tuple[TopicInfo, ...] | PeekedMessage | None = None
+    reloaded: Reloaded | None = None
 
 
 class Failed(_Message, frozen=True, tag="failed"):
@@ -307,7 +316,7 @@ class Goodbye(_Message, frozen=True, tag="goodbye"):
 
 ToConsole: TypeAlias = Welcome | Refused | State | Events | Step | Reply | Failed | Goodbye
 
-CHANGING = (AddTopic, EditTopic, RemoveTopic, Pause, Retry, ShutDown, Restart, Stop)
+CHANGING = (AddTopic, EditTopic, RemoveTopic, Pause, Retry, ShutDown, Restart, Reload, Stop)
 """The commands that are refused to those who only watch."""
 
 _encoder = msgspec.msgpack.Encoder()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.folders import is_trusted
+from rsb_bridge.control.folders import is_trusted, name_of_peer
 from rsb_bridge.control.protocol import (
     AddTopic,
     Describe,
@@ -24,6 +24,7 @@ from rsb_bridge.control.protocol import (
     Peek,
     ProtocolError,
     Refused,
+    Reload,
     RemoveTopic,
     Reply,
     Request,
@@ -36,6 +37,7 @@ from rsb_bridge.control.protocol import (
     Welcome,
 )
 from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.model.operators import acting
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
@@ -191,6 +193,7 @@ class _Console:
         self._looked_at = 0.0
         self._after: int | None = None
         self._read_only = False
+        self._operator = ""
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
         self._requests = 0
@@ -259,6 +262,7 @@ class _Console:
             self._writer.close()
             return
         self._welcomed = True
+        self._operator = name_of_peer(self._writer.get_extra_info("socket"))
         self._read_only = hello.read_only
         self.send(Welcome(info, hello.read_only))
 
@@ -273,7 +277,8 @@ class _Console:
 
     async def _answer(self, request: Request) -> None:
         try:
-            reply: ToConsole = Reply(request.id, await self._run(request))
+            with acting(self._operator):
+                reply: ToConsole = await self._reply(request)
         except EngineError as error:
             reply = Failed(request.id, str(error))
         finally:
@@ -281,6 +286,12 @@ class _Console:
         if isinstance(request.command, protocol.CHANGING) and self._sender.sent is not None and self._buffered == 0:
             await self._send_state()  # whoever waits for the command wants to see its effect
         self.send(reply)
+
+    async def _reply(self, request: Request) -> Reply:
+        if isinstance(request.command, Reload):
+            reloaded = await _done(self._engine.reload(dry_run=request.command.dry_run))
+            return Reply(request.id, reloaded=reloaded)
+        return Reply(request.id, await self._run(request))
 
     async def _run(self, request: Request) -> str | tuple[TopicInfo, ...] | PeekedMessage | None:
         """Have the engine do it.
@@ -312,6 +323,7 @@ class _Console:
             case Restart():
                 await _done(engine.restart(lambda text: self._step(request.id, text)))
             case Stop():
+                engine.told_to_stop()
                 self._server.stop_process()
         return None
 

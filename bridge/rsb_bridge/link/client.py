@@ -39,6 +39,7 @@ _MOVED_AND_QUIET = 1.5
 longer has."""
 _LONGEST_DELAY = 10.0
 """s between attempts while the server refuses: its answer seldom changes soon."""
+_KEY_CHANGED = "the client has another key now"
 _UDP_RETRIED_AFTER = 1.0
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
@@ -56,7 +57,7 @@ class ClientLink(Link):
         super().__init__(context, session.name, is_client=True, fingerprint=mark, encrypted=key is not None)
         self.host, self.port = session.server_ip, session.server_port
         self._hello = hello
-        self._key = key
+        self.key = key
         self._suite = suite
         self._ended = asyncio.Event()
         self._retry = asyncio.Event()
@@ -103,9 +104,10 @@ class ClientLink(Link):
 
     async def _call(self) -> None:
         """One attempt; returns when it failed or when the link it made is over."""
+        key = self.key
         if not self.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.address}", link_status=True)
-        secret = self._key.secret if self._key else None
+        secret = key.secret if key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
         host = self.transport.host(self.context.session)
         failure = await self._open(self.transport, host, self.port, connection, partial(self._linked, connection))
@@ -116,6 +118,8 @@ class ClientLink(Link):
         self._backoff.reset()
         if self._stays_down and self.control is not None:  # decided during the handshake
             self.control.shut_down("shut down", retry_after=None)
+        elif key is not self.key and self.control is not None:  # likewise
+            self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
         await self._ended.wait()
 
     async def _open(
@@ -181,10 +185,18 @@ class ClientLink(Link):
         if self.control is not None:
             self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
+    def change_key(self, key: Key | None) -> None:
+        """Use another key from now on: a link that is up connects again."""
+        self.key, self.encrypted = key, key is not None
+        self.fingerprint = fingerprint(key) if key is not None else ""
+        if self.control is not None:
+            self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
+        self._retry.set()
+
     def _refusal_message(self, code: RefusalCode, message: str) -> str:
         """What the operator of this side is told."""
         match code:
-            case RefusalCode.WRONG_KEY if self._key is not None:
+            case RefusalCode.WRONG_KEY if self.key is not None:
                 return (
                     f"{message}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
                 )

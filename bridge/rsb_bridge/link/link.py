@@ -324,16 +324,33 @@ class Link(ABC):
         """
         return self.table.add(topic, self._proposal(topic), proposed_here=True)
 
-    def amend_topic(self, route: Route, topic: Topic) -> bool:
-        """Put another topic in a route's place where only limits differ, so that the route can go on.
-
-        Returns:
-            Whether that was possible.
+    def can_amend(self, route: Route, topic: Topic) -> bool:
+        """Whether a route can go on, with its counts, if another topic takes its place.
 
         Raises:
             LinkError: the topic has a mistake.
         """
-        return self.table.amend(route, topic, self._proposal(topic))
+        return self.table.can_amend(route, self._proposal(topic))
+
+    def replace_topic(self, route: Route, topic: Topic) -> Route:
+        """Put another topic in a route's place; the route goes on if only limits differ, else there is a new one.
+
+        Raises:
+            LinkError: the topic has a mistake, or there is such a route; the old one stays.
+        """
+        proposal = self._proposal(topic)
+        if self.table.can_amend(route, proposal):
+            self.table.amend(route, topic, proposal)
+            return route
+        at = list(self.routes).index(route.key)
+        self.table.remove(route, "edited")
+        try:
+            new = self.table.add(topic, proposal, proposed_here=True)
+        except LinkError:
+            self.table.move(self.add_topic(route.spec), at)
+            raise
+        self.table.move(new, at)
+        return new
 
     def _proposal(self, topic: Topic) -> Propose:
         session = self.context.session

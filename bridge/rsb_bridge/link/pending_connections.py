@@ -111,6 +111,12 @@ class PendingConnections:
             if not self._of_host[pending.host]:
                 del self._of_host[pending.host]
 
+    def expel(self, name: str, message: str) -> None:
+        """Reject those who have begun to authenticate as this client: what they prove counts no more."""
+        for pending in tuple(self._present):
+            if pending.name == name:
+                pending.reject(message)
+
     def penalty(self, host: str) -> float:
         """The delay (s) of a host's handshake: failures cost time, but lock nobody out (many share an address)."""
         return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
@@ -167,7 +173,7 @@ class _PendingConnection(StreamHandler):
         self._admission = pending.admission
         self._connection: ServerConnection = pending.admission.connection(self._identify)
         self._stream: Stream | None = None
-        self._name = ""
+        self.name = ""
         self._deadline: asyncio.TimerHandle | None = None
         self._held_back = bytearray()
         self._penalty: asyncio.TimerHandle | None = None
@@ -202,7 +208,7 @@ class _PendingConnection(StreamHandler):
         stream.close(message)
 
     def _identify(self, name: str) -> Credential:
-        self._name = name
+        self.name = name
         return self._admission.credential(name)
 
     def _serve_penalty(self) -> None:
@@ -250,7 +256,7 @@ class _PendingConnection(StreamHandler):
 
     def _for_operator(self, code: RefusalCode, message: str) -> str:
         if code is RefusalCode.WRONG_KEY:
-            fingerprint = self._admission.fingerprint_of(self._name)
+            fingerprint = self._admission.fingerprint_of(self.name)
             return f"{message}; this side's key has the fingerprint {fingerprint}: compare it with the client's"
         if code is RefusalCode.UNKNOWN_NAME:
             return f"{message}: {self._admission.remedy_for_unknown()}"

@@ -13,6 +13,7 @@ from rsb_bridge.config.keys import Key
 from rsb_bridge.link.cipher_preference import preferred_suite
 from rsb_bridge.link.client import ClientLink
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server import Entry, Server, ServerLink
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -36,7 +37,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, Key | None]
 """By client's name; None: without encryption."""
-Step = Callable[[str], None]
+ReportStep = Callable[[str], None]
 """Is told each step of a restart, as text for an operator."""
 
 
@@ -68,6 +69,10 @@ class BridgeRole(Protocol):
         """Bridge one more topic; LinkError where that can't be."""
         ...
 
+    def steps_to(self, session: Session, keys: Keys) -> list[Step]:
+        """What to do so that the topics or clients are a session's."""
+        ...
+
     def retry(self, link: str) -> None:
         """Call at once, and open refused routes anew."""
         ...
@@ -76,7 +81,7 @@ class BridgeRole(Protocol):
         """Close every link on both sides until an operator restarts."""
         ...
 
-    async def restart(self, step: Step) -> None:
+    async def restart(self, step: ReportStep) -> None:
         """Close every link on both sides, then begin anew."""
         ...
 
@@ -84,6 +89,13 @@ class BridgeRole(Protocol):
 def clients_of(session: Session) -> tuple[Client, ...]:
     """The clients that a server accepts."""
     return session.clients or (Client(name=session.name),)
+
+
+def _entries(session: Session, keys: Keys) -> list[Entry]:
+    return [
+        Entry(client, keys[client.name], session.use_name if client.use_name is None else client.use_name)
+        for client in clients_of(session)
+    ]
 
 
 class ClientRole:
@@ -119,13 +131,16 @@ class ClientRole:
     def add(self, topic: Topic, link: str) -> Route:
         return self._link.add_topic(topic)
 
+    def steps_to(self, session: Session, keys: Keys) -> list[Step]:
+        return list(client_steps(self._link, session, keys[session.name]))
+
     def retry(self, link: str) -> None:
         self._link.retry()
 
     def shut_down(self, reason: str) -> None:
         self._link.stay_down(reason)
 
-    async def restart(self, step: Step) -> None:
+    async def restart(self, step: ReportStep) -> None:
         if self._link.control is not None:
             step(f"closing the link with {self._link.address} on both sides")
             self._link.control.shut_down("restart", retry_after=0.0)
@@ -150,7 +165,7 @@ class ServerRole:
         self._context = context
         self._server = Server(
             context,
-            [Entry(client, keys[client.name]) for client in clients_of(session)],
+            _entries(session, keys),
             lambda link_id, use_name: Welcome(
                 __version__, session.name, link_id, context.ros.instance_id, context.domain_id, use_name=use_name
             ),
@@ -193,6 +208,9 @@ class ServerRole:
     def add(self, topic: Topic, link: str) -> Route:
         return self._chosen(link).add_topic(topic)
 
+    def steps_to(self, session: Session, keys: Keys) -> list[Step]:
+        return list(server_steps(self._server, _entries(session, keys)))
+
     def _chosen(self, name: str) -> ServerLink:
         links = self._server.links
         if name in links:
@@ -211,13 +229,13 @@ class ServerRole:
             if link.control is not None:
                 link.control.shut_down(reason, retry_after=None)
 
-    async def restart(self, step: Step) -> None:
+    async def restart(self, step: ReportStep) -> None:
         if self._restarting.locked():
             raise LinkError("a restart is under way already")
         async with self._restarting:
             await self._restart(step)
 
-    async def _restart(self, step: Step) -> None:
+    async def _restart(self, step: ReportStep) -> None:
         linked = [link for link in self.links() if link.linked]
         step(f"closing {len(linked)} links on both sides")
         if self._binding is not None:

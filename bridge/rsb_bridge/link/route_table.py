@@ -155,6 +155,12 @@ class RouteTable:
         self._tell_removed(route, reason)
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
+    def deny(self, route: Route, reason: str) -> None:
+        """End a route that the peer proposed and may not have any more; the peer goes on asking for it."""
+        if route.id:
+            self._owner.send(Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
+        self._forget(route, EventCode.ROUTE_REFUSED, reason)
+
     def _tell_removed(self, route: Route, reason: str) -> None:
         """Tell the peer, by the last id that the route had where it is closed for now."""
         if route_id := route.id or next(reversed(route.closed_ids), 0):
@@ -170,19 +176,18 @@ class RouteTable:
             del self._closed[route_id]
         route.log(Level.INFO, code, reason)
 
-    def amend(self, route: Route, spec: Topic, proposal: Propose) -> bool:
+    def can_amend(self, route: Route, proposal: Propose) -> bool:
+        """Whether a route can go on as this is proposed: nothing but limits change, and its proposer can be asked."""
+        return same_route(route.proposal, proposal) and bool(route.proposed_here or route.id)
+
+    def amend(self, route: Route, spec: Topic, proposal: Propose) -> None:
         """Change the limits of a route on both sides, while it stays open.
 
         Args:
             route: to change.
             spec: the topic as it is wanted, validated.
             proposal: of it, with this side's names.
-
-        Returns:
-            Whether that is possible: it is not where other things change, or where the proposer cannot be asked now.
         """
-        if not same_route(route.proposal, proposal) or not (route.proposed_here or route.id):
-            return False
         changed = amended(route.proposal, proposal)
         if route.proposed_here:
             route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
@@ -190,7 +195,6 @@ class RouteTable:
             self._owner.send(amendment(changed, route.id))
         if spec.paused != route.paused:
             self.pause(route, paused=spec.paused)
-        return True
 
     def _amended(self, message: Amend) -> None:
         """The peer has changed the limits of a route, or asks for that."""

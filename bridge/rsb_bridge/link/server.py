@@ -39,16 +39,24 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach, Established
 
 _UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
+_SESSION_CHANGED = "the server's session has changed: try again"
 _REPLACED_PAUSE = 10.0
 """s that a replaced client waits: otherwise two clients of one name would replace each other for ever."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A client that the server accepts: its entry in the session, and its key (None: unencrypted)."""
+    """A client that the server accepts.
+
+    Attributes:
+        client: its entry in the session.
+        key: None: unencrypted.
+        use_name: whether its topics have its name before them here.
+    """
 
     client: Client
     key: Key | None
+    use_name: bool
 
 
 class ServerLink(Link):
@@ -70,8 +78,7 @@ class ServerLink(Link):
 
     @property
     def use_name(self) -> bool:
-        own = self.entry.client.use_name
-        return self.context.session.use_name if own is None else own
+        return self.entry.use_name
 
     def on_shutdown(self, message: Shutdown) -> None:
         if self.control is not None:
@@ -83,24 +90,41 @@ class ServerLink(Link):
         ours = proposal.remote_topic if proposal.from_client else proposal.topic
         if self.use_name and client_topic(ours, client.name) is None:
             ours = server_topic(ours, client.name)
-        if denial := self._denial(ours):
+        if denial := _denial(client, ours):
             raise LinkError(denial)
         field = "remote_topic" if proposal.from_client else "topic"
         return msgspec.structs.replace(proposal, **{field: ours})
 
     def shows(self, topic: str) -> bool:
         reachable = not self.use_name or client_topic(topic, self.name) is not None
-        return reachable and not self._denial(topic)
+        return reachable and not _denial(self.entry.client, topic)
 
-    def _denial(self, topic: str) -> str:
-        """Why the client may not have a topic of this side, for its operator; empty: it may."""
-        client = self.entry.client
-        names = (topic, client_topic(topic, client.name) or topic)
-        if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
-            return f"the server denies {topic} to {client.name}"
-        if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
-            return f"the server does not allow {topic} to {client.name}"
-        return ""
+    def denied_by(self, client: Client) -> dict[Route, str]:
+        """The routes that the peer proposed and another entry of it would deny, each with the reason."""
+        found = {route: _denial(client, route.local_topic) for route in self.routes.values() if not route.proposed_here}
+        return {route: reason for route, reason in found.items() if reason}
+
+    def change_entry(self, entry: Entry) -> None:
+        """Go on with another entry of the session. The link ends where the key or the names of topics change."""
+        old, self.entry = self.entry, entry
+        self.encrypted = entry.key is not None
+        self.fingerprint = fingerprint(entry.key) if entry.key is not None else ""
+        if old.key != entry.key and self.control is not None:
+            self.control.shut_down(f"the server has another key for {self.name} now", retry_after=0.0)
+        if old.use_name != entry.use_name:
+            self._rename_topics()
+        for route, reason in self.denied_by(entry.client).items():
+            self.table.deny(route, reason)
+
+    def _rename_topics(self) -> None:
+        """Open everything anew, under other names on this side."""
+        if self.control is not None:
+            self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
+        own = self.proposed_topics
+        self.table.destroy()
+        self.table.yielded.clear()
+        for topic in own:
+            self.add_topic(topic)
 
     def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """The client opens it."""
@@ -168,11 +192,22 @@ class ServerLink(Link):
         return udp_channel
 
 
+def _denial(client: Client, topic: str) -> str:
+    """Why a client may not have a topic of this side, for its operator; empty: it may."""
+    names = (topic, client_topic(topic, client.name) or topic)
+    if any(fnmatch.fnmatchcase(name, pattern) for pattern in client.deny for name in names):
+        return f"the server denies {topic} to {client.name}"
+    if client.allow and not any(fnmatch.fnmatchcase(name, pattern) for pattern in client.allow for name in names):
+        return f"the server does not allow {topic} to {client.name}"
+    return ""
+
+
 class Server:
     """The server's end of all its links.
 
     Attributes:
-        links: by the client's name; a client that the session lists has one before it ever came.
+        entries: of the clients that are let in, by their names.
+        links: likewise; a client that the session lists has one before it ever came.
     """
 
     def __init__(
@@ -186,7 +221,7 @@ class Server:
         datagrams = UdpDemultiplexer(self._new_udp_channel).received
         acceptor = Acceptor(self._pending.arrive, datagrams, self._pending.shortage)
         self._ports = Ports(context.session, context.transports, acceptor)
-        self._entries = {entry.client.name: entry for entry in entries}
+        self.entries = {entry.client.name: entry for entry in entries}
         self.links = {entry.client.name: ServerLink(context, entry, self._ports) for entry in entries}
 
     async def start(self) -> None:
@@ -211,6 +246,29 @@ class Server:
         """Once a second."""
         self._pending.tick()
 
+    # --- other clients than before
+
+    def add_client(self, entry: Entry) -> None:
+        """Let one more client in."""
+        self.entries[entry.client.name] = entry
+        self.links[entry.client.name] = ServerLink(self.context, entry, self._ports)
+
+    def remove_client(self, name: str) -> None:
+        """Let a client in no more, and end its link."""
+        del self.entries[name]
+        link = self.links.pop(name)
+        self._pending.expel(name, _SESSION_CHANGED)
+        if link.control is not None:
+            link.control.shut_down(f"the server lets {name} in no more", retry_after=0.0)
+        link.destroy()
+
+    def change_client(self, entry: Entry) -> None:
+        """Go on with another entry of a client."""
+        name = entry.client.name
+        self.entries[name] = entry
+        self._pending.expel(name, _SESSION_CHANGED)
+        self.links[name].change_entry(entry)
+
     # --- inbound connections
 
     def streams_awaited(self, host: str = "") -> int:
@@ -227,7 +285,7 @@ class Server:
 
     def credential(self, name: str) -> Credential:
         """What a client of that name has to prove; raises Refusal where there is none."""
-        entry = self._entries.get(name)
+        entry = self.entries.get(name)
         if entry is None:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"the server knows no client of the name {name!r}")
         return Credential(entry.key.secret if entry.key else None)
@@ -262,7 +320,7 @@ class Server:
 
     def fingerprint_of(self, name: str) -> str:
         """Of the key that a client of that name should have; empty: none, or no such client."""
-        entry = self._entries.get(name)
+        entry = self.entries.get(name)
         return fingerprint(entry.key) if entry is not None and entry.key is not None else ""
 
     def remedy_for_unknown(self) -> str:

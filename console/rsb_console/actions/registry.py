@@ -87,6 +87,8 @@ ACTIONS: tuple[Action, ...] = (
     Action("retry", "r", "retry", "Try to connect again now", Group.OPERATE, changes=True),
     Action("restart", "R", "restart", "Close all links on both sides and open them again",
            Group.OPERATE, changes=True, in_footer=True),
+    Action("reload", "f6", "reload", "Read the session file again, and change what differs",
+           Group.OPERATE, changes=True),
     Action("links", "c", "links", "Show the links; a server has one per robot", Group.SESSION, in_footer=True),
     Action("bluetooth", "b", "bluetooth", "Find Bluetooth adapters, devices and free channels",
            Group.SESSION, in_footer=True),

@@ -26,7 +26,7 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
         The exit code; headless, 0 only if every topic crossed.
     """
     try:
-        with Signals(ignore_hangup=False) as signals, running_demo() as demo:
+        with Signals(ignore_hangup=False, has_terminal=True) as signals, running_demo() as demo:
             if signals.caught:
                 return INTERRUPTED
             if ui:

@@ -14,6 +14,7 @@ from rsb_bridge.control.bridges import AlreadyRunningError, serve
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import acting
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_console.command.log_writer import LogWriter
 from rsb_console.command.reports import clock, json_event, json_line, json_status, text_event, text_status
@@ -22,10 +23,12 @@ from rsb_console.command.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from concurrent.futures import Future
     from pathlib import Path
     from types import FrameType
 
     from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Snapshot
 
@@ -53,7 +56,12 @@ def run_headless(
     """
     keep_output_clean()
     engine = Engine(session, base=path.parent)
-    with Signals(ignore_hangup=on_hangup == "continue") as signals, contextlib.ExitStack() as resources:
+    engine.use_file(path)
+    ignore_hangup = on_hangup == "continue"
+    with (
+        Signals(ignore_hangup=ignore_hangup, has_terminal=_has_terminal()) as signals,
+        contextlib.ExitStack() as resources,
+    ):
         try:
             server = serve(engine, session, file=path, control=control)
             resources.callback(server.close)
@@ -85,7 +93,7 @@ def bridge_on(engine: EngineApi, *, crashed: bool) -> int:
         print_error(
             "the console has crashed; the bridge goes on without it until it is told to stop (Ctrl-C or SIGTERM)"
         )
-    with Signals(ignore_hangup=True) as signals:
+    with Signals(ignore_hangup=True, has_terminal=True) as signals:
         code = bridge_until_told(engine, signals)
     return FAILURE if crashed else code
 
@@ -121,11 +129,13 @@ def bridge_until_told(
 
     ends = None if seconds is None else time.monotonic() + seconds
     next_status = time.monotonic() + status_every
+    reloading = Reloading(engine, supervisor)
     seen, reason = 0, ""
     while not reason:
         if events := engine.wait_for_events(seen, _LOOK_EVERY):
             seen = events[-1].number
             log(events)
+        reloading.go_on(wanted=signals.takes_reload())
         now = time.monotonic()
         snapshot = engine.snapshot()
         if supervisor is not None:
@@ -144,22 +154,73 @@ def bridge_until_told(
     return FAILURE if failed else OK
 
 
+def _has_terminal() -> bool:
+    """Whether the process has a controlling terminal (tty(4)): what it reads and writes may be something else."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
+    except OSError:
+        return False
+    return True
+
+
 def _over(engine: EngineApi, snapshot: Snapshot) -> str:
     if not snapshot.running:
         return "the engine has ended by itself"
     return "the link was shut down on purpose" if engine.waits_for_operator else ""
 
 
-class Signals:
-    """Catches the signals that end a bridge, for as long as it is entered.
+class Reloading:
+    """Has an engine reload on SIGHUP, one reload at a time, and tells systemd. The outcome is in the engine's events.
 
-    Attributes:
-        caught: the first one's name, or empty.
+    Args:
+        engine: reloads.
+        supervisor: is told; None: nobody is.
     """
 
-    def __init__(self, *, ignore_hangup: bool) -> None:
+    def __init__(self, engine: EngineApi, supervisor: Supervisor | None) -> None:
+        self._engine = engine
+        self._supervisor = supervisor
+        self._wanted = False
+        self._done: Future[Reloaded] | None = None
+
+    def go_on(self, *, wanted: bool) -> None:
+        """Begin a reload, or note that one has ended.
+
+        Args:
+            wanted: one more is wanted.
+        """
+        self._wanted = self._wanted or wanted
+        if self._done is not None and self._done.done():
+            self._done = None
+            if self._supervisor is not None:
+                self._supervisor.ready()
+        if self._wanted and self._done is None:
+            self._wanted = False
+            if self._supervisor is not None:
+                self._supervisor.reloading(time.monotonic_ns())
+            with acting(signal.SIGHUP.name):
+                self._done = self._engine.reload()
+
+
+class Signals:
+    """Catches the signals to a bridge, for as long as it is entered.
+
+    SIGHUP says that the terminal has gone. A process that never had one, as a service, gets it from whoever wants it to
+    reload.
+
+    Args:
+        ignore_hangup: a terminal that goes does not end the bridge.
+        has_terminal: whether the process has a terminal that can go.
+
+    Attributes:
+        caught: the name of the first signal that ends the bridge, or empty.
+    """
+
+    def __init__(self, *, ignore_hangup: bool, has_terminal: bool) -> None:
         self.caught = ""
-        self._ignore_hangup = ignore_hangup
+        self._reload = False
+        self._hangup_reloads = not has_terminal
+        self._ignore_hangup = ignore_hangup and has_terminal
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
 
     def __enter__(self) -> Self:
@@ -172,7 +233,15 @@ class Signals:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def takes_reload(self) -> bool:
+        """Whether a reload was asked for since this was called last."""
+        wanted, self._reload = self._reload, False
+        return wanted
+
     def _catch(self, number: int, _: FrameType | None) -> None:
+        if number == signal.SIGHUP and self._hangup_reloads:
+            self._reload = True
+            return
         self.caught = self.caught or signal.Signals(number).name
 
 

@@ -6,6 +6,7 @@ import contextlib
 import difflib
 import sys
 import time
+from dataclasses import asdict
 from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.api import EngineError
@@ -308,6 +309,20 @@ def _restart(arguments: Namespace) -> int:
         return _done(arguments)
 
 
+def _reload(arguments: Namespace) -> int:
+    with _attached(arguments) as engine:
+        reloaded = _result(engine.reload(dry_run=arguments.dry_run))
+    if arguments.json:
+        is_done = not (reloaded.left or reloaded.failed)
+        print_line(json_line({"ok": is_done, "dry_run": arguments.dry_run, **asdict(reloaded)}))
+    else:
+        for line in reloaded.changed or ["nothing that can change in place differs"]:
+            print_line(line)
+        for line in (*reloaded.left, *reloaded.failed):
+            print_error(line)
+    return FAILURE if reloaded.left or reloaded.failed else OK
+
+
 def _stop(arguments: Namespace) -> int:
     with _attached(arguments) as engine:
         _result(engine.stop_bridge())
@@ -379,6 +394,7 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "resume": _resume,
     "retry": _retry,
     "restart": _restart,
+    "reload": _reload,
     "events": _events,
     "wait": _wait,
     "echo": _echo,

@@ -66,6 +66,8 @@ def add_remote_commands(
     retry = remote("retry", "connect now, and open refused topics again", bridge_first=True)
     retry.add_argument("--link", default="", metavar="CLIENT", help="only this one")
     remote("restart", "close the links on both sides and open them again", bridge_first=True)
+    reload = remote("reload", "read the session file again, and change only what differs", bridge_first=True)
+    reload.add_argument("--dry-run", action="store_true", help="only print what would change")
     events = remote("events", "print what a running bridge reports", bridge_first=True)
     events.add_argument("--follow", action="store_true", help="go on with what happens from now on")
     wait = remote("wait", "wait until something is so; exit code 1 if it is not within the time")

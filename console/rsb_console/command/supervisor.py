@@ -28,8 +28,16 @@ class Supervisor:
         self._status = ""
 
     def ready(self) -> None:
-        """The bridge has started."""
+        """The bridge has started, or has reloaded."""
         self._tell("READY=1")
+
+    def reloading(self, monotonic_ns: int) -> None:
+        """The session file is about to be read again; `ready` says when that is done.
+
+        Args:
+            monotonic_ns: now, on the clock CLOCK_MONOTONIC.
+        """
+        self._tell(f"RELOADING=1\nMONOTONIC_USEC={monotonic_ns // 1000}")
 
     def show(self, now: Snapshot) -> None:
         """Tell how the bridge is. It works as long as its snapshots are renewed, which its I/O thread does."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
@@ -11,6 +13,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
+
+
+_LINES_SHOWN = 12
 
 
 class BridgeOperations:
@@ -66,6 +71,31 @@ class BridgeOperations:
         message = f"It stops crossing at once, on both sides of the link with {self._console.peer_of(route)}."
         if await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
             await self._console.command(engine.remove_topic(route.key))
+
+    async def reload(self) -> None:
+        """Have the session file read again, after showing what differs."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine = self._console.engine
+        if engine is None:
+            return
+        try:
+            differs = await asyncio.wrap_future(engine.reload(dry_run=True))
+        except EngineError as error:
+            self._console.notify(str(error), title="Not reloaded", severity="error", markup=False, timeout=15)
+            return
+        if not differs.changed and not differs.left:
+            self._console.notify("the bridge does what the session file says", timeout=3)
+        elif not differs.changed:
+            self._console.notify("\n".join(differs.left), title="Not in place", markup=False, timeout=15)
+        else:
+            lines = [*differs.changed, *differs.left]
+            more = [f"… and {len(lines) - _LINES_SHOWN} more"] if len(lines) > _LINES_SHOWN else []
+            message = "\n".join(lines[:_LINES_SHOWN] + more)
+            agreed = await self._console.ask(ConfirmScreen("Reload the session file?", message, "Reload"))
+            path = self._console.path
+            if agreed and await self._console.command(engine.reload(), "reloaded") and path is not None:
+                self._console.saved_to(engine.session, path)
 
     async def restart(self) -> None:
         """Close all links on both sides and open them again, after a question; start an engine that has ended."""

@@ -1,0 +1,64 @@
+"""How two sessions differ, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rsb_bridge.config.yaml_text import inline
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from rsb_bridge.model.session import Session, Topic
+
+RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
+_OTHER_SESSION = ("name", "role")
+_FIXED = ("server_ip", "server_port", "bluetooth_address", "domain_id", "use_encryption")
+_FIXED_ON_CLIENT = (*_FIXED, "use_name")
+
+
+def is_another(old: Session, new: Session) -> str:
+    """Why one session cannot become the other at all; empty: it can, as far as single values can."""
+    differences = changes(old, new, only=_OTHER_SESSION)
+    return f"{'; '.join(differences)}: that is another session; {RESTART}" if differences else ""
+
+
+def kept(old: Session, new: Session) -> tuple[Session, list[str]]:
+    """The session that a running bridge can change to, and in words what it leaves as it is.
+
+    Args:
+        old: what runs.
+        new: what is wanted.
+    """
+    fixed = _FIXED_ON_CLIENT if old.role == "client" else _FIXED
+    left = [f"{change}: cannot change while the bridge runs; {RESTART}" for change in changes(old, new, only=fixed)]
+    return msgspec.structs.replace(new, **{name: getattr(old, name) for name in fixed}), left
+
+
+def changes(
+    old: msgspec.Struct, new: msgspec.Struct, *, only: Collection[str] = (), leave_out: Collection[str] = ()
+) -> list[str]:
+    """The fields that differ: ``max_rate none → 5.0``.
+
+    Args:
+        old: a session, a topic or a client.
+        new: likewise.
+        only: the fields to look at; empty: all.
+        leave_out: fields not to look at.
+    """
+    return [
+        f"{name} {_value(getattr(old, name))} → {_value(getattr(new, name))}"
+        for name in only or new.__struct_fields__
+        if name not in leave_out and getattr(old, name) != getattr(new, name)
+    ]
+
+
+def described(entry: Topic) -> str:
+    """A topic as one would write it into a session file: ``{topic: /scan, direction: transmit, max_rate: 5.0}``."""
+    return inline(msgspec.to_builtins(entry))
+
+
+def _value(value: Any) -> str:
+    return "none" if value is None else inline(msgspec.to_builtins(value))

@@ -1,0 +1,36 @@
+"""Who gives the command that is being carried out."""
+
+from __future__ import annotations
+
+import contextlib
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+OWN_CONSOLE = "the bridge's own console"
+
+_operator = ContextVar("operator", default=OWN_CONSOLE)
+
+
+def operator() -> str:
+    """Whoever gives the present command, in words.
+
+    A task has the operator of the code that started it, on another thread, too.
+    """
+    return _operator.get()
+
+
+@contextlib.contextmanager
+def acting(who: str) -> Iterator[None]:
+    """Give commands in somebody's name.
+
+    Args:
+        who: in words: ``anna (uid 1000)``.
+    """
+    token = _operator.set(who)
+    try:
+        yield
+    finally:
+        _operator.reset(token)

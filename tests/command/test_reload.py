@@ -1,0 +1,175 @@
+"""A bridge in a process of its own reads its session file again: by command, and by SIGHUP where it has no terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import load, save
+from rsb_bridge.model.session import Session, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.control import Machine
+
+COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+ENDS_WITHIN = 60.0
+
+
+@pytest.fixture(autouse=True)
+def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A client's session file, whose server does not run."""
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    write_key(tmp_path / "robot1.key")
+    made = tmp_path / "robot1.yaml"
+    common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "domain_id": 85}
+    topics = (Topic("/scan", "transmit"),)
+    save(Session(name="robot1", role="client", key_file="robot1.key", topics=topics, **common), made)
+    return made
+
+
+class Systemd:
+    """The socket that systemd listens on."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "notify"
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(self.path))
+        self.socket.settimeout(ENDS_WITHIN)
+
+    def hear(self, beginning: str) -> str:
+        """The next message that begins so."""
+        while not (heard := self.socket.recv(4096).decode()).startswith(beginning):
+            pass
+        return heard
+
+
+@pytest.fixture
+def systemd(tmp_path: Path) -> Iterator[Systemd]:
+    made = Systemd(tmp_path)
+    with made.socket:
+        yield made
+
+
+TAKE_TERMINAL = (
+    "import fcntl, os, sys, termios; fcntl.ioctl({}, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+def start(path: Path, environ: dict[str, str], terminal: int | None = None) -> subprocess.Popen[str]:
+    """The program, in a session of its own: without a terminal, unless it is given one's descriptor."""
+    first = [] if terminal is None else [sys.executable, "-c", TAKE_TERMINAL.format(terminal)]
+    return subprocess.Popen(
+        [*first, COMMAND, "run", "--no-ui", "--log-format", "json", "--status-every", "3600", str(path)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        pass_fds=() if terminal is None else (terminal,),
+        env=os.environ | environ,
+    )
+
+
+def says(process: subprocess.Popen[str], code: str) -> Any:
+    """The next event of a code."""
+    assert process.stdout
+    return next(event for line in process.stdout if (event := json.loads(line)).get("code") == code)
+
+
+def topics() -> list[str]:
+    """What the bridge bridges, as another process sees it."""
+    done = command("topics", "--json")
+    return [each["topic"] for each in json.loads(done.stdout)["topics"]]
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_sighup_without_a_terminal_reloads(path: Path, systemd: Systemd) -> None:
+    with start(path, {"NOTIFY_SOCKET": str(systemd.path)}) as process:
+        try:
+            systemd.hear("READY=1")
+            session = load(path)
+            save(msgspec.structs.replace(session, topics=(*session.topics, Topic("/map", "receive"))), path)
+            before = time.monotonic_ns() // 1000
+            process.send_signal(signal.SIGHUP)
+            reloading = systemd.hear("RELOADING=1\n")
+            name, _, moment = reloading.splitlines()[1].partition("=")
+            assert name == "MONOTONIC_USEC"
+            assert before <= int(moment) <= time.monotonic_ns() // 1000
+            systemd.hear("READY=1")
+            assert topics() == ["/scan", "/map"]
+            event = says(process, "operator.reloaded")
+            assert (event["who"], event["text"]) == ("SIGHUP", f"{path} is read again by SIGHUP")
+
+            path.write_text(path.read_text() + "nonsense: 1\n")
+            process.send_signal(signal.SIGHUP)
+            systemd.hear("RELOADING=1\n")
+            systemd.hear("READY=1")
+            failed = says(process, "engine.reload_failed")
+            assert failed["level"] == "ERROR"
+            assert "robot1.yaml:" in failed["text"]
+            assert "nonsense" in failed["text"]
+            assert topics() == ["/scan", "/map"]
+            process.terminate()
+            systemd.hear("STOPPING=1")
+            assert process.wait(ENDS_WITHIN) == 0
+        finally:
+            process.kill()
+
+
+def test_sighup_with_a_terminal_ends_the_bridge(path: Path, systemd: Systemd) -> None:
+    """It says that the terminal has gone."""
+    here, there = pty.openpty()
+    environ = {"NOTIFY_SOCKET": str(systemd.path)}
+    with start(path, environ, there) as process:
+        try:
+            systemd.hear("READY=1")
+            os.close(here)
+            os.close(there)
+            assert process.wait(ENDS_WITHIN) == 0
+        finally:
+            process.kill()
+
+
+def test_the_command_reloads(path: Path, systemd: Systemd) -> None:
+    with start(path, {"NOTIFY_SOCKET": str(systemd.path)}) as process:
+        try:
+            systemd.hear("READY=1")
+            session = load(path)
+            save(msgspec.structs.replace(session, topics=(Topic("/scan", "transmit", max_rate=2.0),)), path)
+            done = command("reload")
+            assert (done.returncode, done.stdout) == (0, "/scan (transmit): max_rate none → 2.0\n")
+            assert f"(uid {os.getuid()}, pid " in says(process, "operator.reloaded")["who"]
+            path.write_text(path.read_text().replace("2.0", "fast"))
+            bad = command("reload", "--json")
+            assert bad.returncode == 1
+            assert "robot1.yaml:" in json.loads(bad.stdout)["error"]
+            assert "max_rate" in json.loads(bad.stdout)["error"]
+            assert command("stop").returncode == 0
+            assert says(process, "operator.stopped")["text"].startswith("told to end by ")
+            assert process.wait(ENDS_WITHIN) == 0
+        finally:
+            process.kill()
+    eventually(lambda: command("status").returncode == 3)

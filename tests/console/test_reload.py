@@ -1,0 +1,46 @@
+"""F6 shows how the session file differs from what runs, and has the bridge do what it says if the operator agrees."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.console.driving import drive, engine_of, scripted_app, shown
+
+from rsb_bridge.model.reloaded import Reloaded
+
+if TYPE_CHECKING:
+    from textual.pilot import Pilot
+
+
+def test_what_differs_is_shown_before_anything_changes() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("f6")
+        await shown(pilot, "/scan (transmit): max_rate none → 5.0")
+        assert engine_of(app).commands == [("reload", True)]
+        await pilot.press("n")
+        await pilot.press("f6")
+        await shown(pilot, "/scan (transmit): max_rate none → 5.0")
+        await pilot.press("y")
+        await shown(pilot, "reloaded")
+        assert engine_of(app).commands == [("reload", True), ("reload", True), ("reload", False)]
+
+    drive(app, steps)
+
+
+def test_what_cannot_change_is_said() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).reloads = Reloaded((), ("server_port 1 → 2: restart",))
+        await pilot.press("f6")
+        await shown(pilot, "server_port 1 → 2: restart")
+        engine_of(app).reloads = Reloaded()
+        await pilot.press("f6")
+        await shown(pilot, "the bridge does what the session file says")
+        assert engine_of(app).commands == [("reload", True), ("reload", True)]
+
+    drive(app, steps)

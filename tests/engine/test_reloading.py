@@ -1,0 +1,324 @@
+"""A session file that is read again: what differs changes, what does not goes on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.support.bridge import carries, find, happened, heard, link, linked, route
+from tests.support.domain import text
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import OWN_CONSOLE, acting
+from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.snapshot import Level
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.reloaded import Reloaded
+
+
+class Edited:
+    """An engine whose session file is edited."""
+
+    def __init__(self, engine: Engine, path: Path) -> None:
+        self.engine = engine
+        self.path = path
+        self.session: Session = engine.session
+        save(self.session, path)
+        engine.use_file(path)
+
+    def reload(self, *, dry_run: bool = False, **changes: Any) -> Reloaded:
+        """Change the file, and have it read again."""
+        self.session = msgspec.structs.replace(self.session, **changes)
+        save(self.session, self.path)
+        return self.engine.reload(dry_run=dry_run).result(60)
+
+
+def codes(engine: Engine, code: EventCode) -> list[str]:
+    return [event.text for event in engine.events() if event.code == code]
+
+
+def test_only_the_topics_that_differ_change(bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path) -> None:
+    kept_there, kept = pc.listener("/kept"), robot.publisher("/kept")
+    robot.publisher("/gone")
+    added_there, added = pc.listener("/added"), robot.publisher("/added")
+    server, client = bridge.both(Topic("/kept", "transmit"), Topic("/gone", "transmit"), Topic("/map", "transmit"))
+    carries([kept], server, ["/kept"])
+    kept.publish(text("one"))
+    heard(kept_there, 1)
+    eventually(lambda: route(client, "/kept").ledger.delivered == 1)
+    since = link(client).since
+    file = Edited(client, tmp_path / "robot1.yaml")
+    wanted: dict[str, Any] = {"topics": (Topic("/kept", "transmit"), Topic("/map", "transmit", protocol="udp"),
+                         Topic("/added", "transmit"))}  # fmt: skip
+    would = file.reload(dry_run=True, **wanted)
+    assert client.session.topics[1].topic == "/gone", "nothing has changed yet"
+    reloaded = file.reload(**wanted)
+    assert reloaded == would
+    assert (reloaded.left, reloaded.failed) == ((), ())
+    assert reloaded.changed == (
+        "/gone (transmit): removed (it was {topic: /gone, direction: transmit})",
+        "/map (transmit): protocol none → udp; opened anew, counted from 0",
+        "/added (transmit): added: {topic: /added, direction: transmit}",
+    )
+    assert set(client.session.topics) == set(wanted["topics"])
+    carries([added], server, ["/added"])
+    added.publish(text("two"))
+    heard(added_there, 1)
+    eventually(lambda: find(server, "/gone") is None)
+    assert route(client, "/kept").ledger.delivered == 1
+    assert link(client).since == since
+    assert len(codes(client, EventCode.LINK_UP)) == 1
+    assert codes(client, EventCode.OPERATOR_RELOADED) == [
+        f"{file.path} is read again by {OWN_CONSOLE}",
+        *(f"reload: {change}" for change in reloaded.changed),
+    ]
+    assert happened(server, EventCode.ROUTE_REMOVED, "/gone: removed by the other side: removed from the session file")
+    assert file.reload() == type(reloaded)(), "nothing differs any more"
+
+
+def test_another_rate_limit_keeps_the_counts_and_the_link(
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+) -> None:
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    carries([out], server, ["/chat"])
+    out.publish(text("one"))
+    heard(there, 1)
+    eventually(lambda: route(client, "/chat").ledger.delivered == 1)
+    before = [link(side).since for side in (client, server)]
+    file = Edited(client, tmp_path / "robot1.yaml")
+    reloaded = file.reload(topics=(Topic("/chat", "transmit", max_rate=0.01),))
+    assert reloaded.changed == ("/chat (transmit): max_rate none → 0.01",)
+    out.publish(text("two"))
+    out.publish(text("three"))
+    ledger = eventually(lambda: now if (now := route(client, "/chat").ledger).offered == 3 else None)
+    assert ledger.throttled == 1
+    eventually(lambda: route(server, "/chat").spec.max_rate == 0.01)
+    eventually(lambda: route(server, "/chat").ledger.delivered == 2)
+    assert [link(side).since for side in (client, server)] == before
+    assert [len(codes(side, EventCode.ROUTE_CONNECTED)) for side in (client, server)] == [1, 1]
+
+
+def test_what_operators_changed_and_did_not_save_becomes_what_the_file_says(bridge: Bridge, tmp_path: Path) -> None:
+    _, client = bridge.both(Topic("/chat", "transmit"))
+    file = Edited(client, tmp_path / "robot1.yaml")
+    with acting("anna (uid 1000, pid 1)"):
+        client.add_topic(Topic("/extra", "receive", max_rate=2.0)).result(60)
+        client.pause(route(client, "/chat").key, True).result(60)
+    assert set(file.reload().changed) == {
+        "/extra (receive): removed (it was {topic: /extra, direction: receive, max_rate: 2.0})",
+        "/chat (transmit): paused true → false",
+    }
+    assert client.session.topics == (Topic("/chat", "transmit"),)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name: robot1\nrole: client\ntopics: {", "robot1.yaml:3"),
+        ("name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 5\nkey_file: none.key\n", "no such key file"),
+        ("name: robot1\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 0\nkey_file: robot1.key\n", "server_port"),
+        ("name: robot2\nrole: client\nserver_ip: 127.0.0.1\nserver_port: 5\nkey_file: robot1.key\n",
+         "name robot1 → robot2: that is another session; restart"),
+        (None, "no such file"),
+    ],
+    ids=["no YAML", "no key", "mistake", "another", "gone"],
+)  # fmt: skip
+def test_a_bad_file_changes_nothing(bridge: Bridge, tmp_path: Path, text: str | None, said: str) -> None:
+    _, client = bridge.both(Topic("/chat", "transmit"))
+    file = Edited(client, tmp_path / "robot1.yaml")
+    before = client.session
+    if text is None:
+        file.path.unlink()
+    else:
+        file.path.write_text(text)
+    with pytest.raises(EngineError, match=said):
+        client.reload().result(60)
+    assert client.session == before
+    (failed,) = [event for event in client.events() if event.code == EventCode.ENGINE_RELOAD_FAILED]
+    assert failed.level is Level.ERROR
+    assert failed.text.startswith("not reloaded, nothing is changed: ")
+    assert "\n" not in failed.text
+    assert link(client).state == "ok"
+
+
+def test_what_cannot_change_while_it_runs_is_said_and_the_rest_is_done(bridge: Bridge, tmp_path: Path) -> None:
+    _, client = bridge.both(Topic("/chat", "transmit"))
+    file = Edited(client, tmp_path / "robot1.yaml")
+    port, domain = client.session.server_port, client.session.domain_id
+    reloaded = file.reload(server_port=port + 1, domain_id=100, topics=(), stale_after=3.0, shutdown_topic="/halt")
+    assert reloaded.changed == (
+        "stale_after 15.0 → 3.0",
+        "shutdown_topic /shutdown → /halt",
+        "/chat (transmit): removed (it was {topic: /chat, direction: transmit})",
+    )
+    assert [left.partition(":")[0] for left in reloaded.left] == [
+        f"server_port {port} → {port + 1}",
+        f"domain_id {domain} → 100",
+    ]
+    assert all("restart the bridge's process" in left for left in reloaded.left)
+    assert (client.session.server_port, client.session.stale_after) == (port, 3.0)
+    assert len(codes(client, EventCode.ENGINE_RELOAD_INCOMPLETE)) == 2
+    assert file.reload().left == reloaded.left, "it is said as long as it is so"
+
+
+def test_clients_are_added_changed_and_removed_without_the_others_noticing(
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+) -> None:
+    for name in ("robot2", "robot3", "new"):
+        bridge.make_key(name)
+    clients = (Client("robot1", key_file="robot1.key"), Client("robot2", key_file="robot2.key"))
+    server = bridge.server(clients=clients, name="pc")
+    file = Edited(server, tmp_path / "pc.yaml")
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    robot.publisher("/secret")
+    first = bridge.client(Topic("/chat", "transmit"), Topic("/secret", "transmit"))
+    second = bridge.client(name="robot2", key_file="robot2.key")
+    third = bridge.client(name="robot3", key_file="robot3.key")
+    eventually(lambda: linked(first) and linked(second, "robot2"))
+    carries([out], server, ["/chat"])
+    eventually(lambda: happened(third, EventCode.LINK_REFUSED, "knows no client of the name 'robot3'"))
+    since = link(first).since
+
+    reloaded = file.reload(
+        clients=(
+            Client("robot1", key_file="robot1.key", deny=("/secret",)),
+            Client("robot3", key_file="robot3.key"),
+        )
+    )
+    assert [change.partition(" (")[0] for change in reloaded.changed] == [
+        "client robot1: deny [] → [/secret]: /secret may not cross any more",
+        "client robot2: removed: its link is closed, and it is let in no more",
+        next(change for change in reloaded.changed if change.startswith("client robot3: added, key ")),
+    ]
+    third.retry().result(60)
+    eventually(lambda: linked(third, "robot3"))
+    eventually(lambda: happened(second, EventCode.LINK_REFUSED, "knows no client of the name 'robot2'"))
+    assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server lets robot2 in no more")
+    assert {each.name for each in server.snapshot().links} == {"robot1", "robot3"}
+    assert find(server, "/secret") is None
+    eventually(lambda: "the server denies /secret to robot1" in route(first, "/secret").reason)
+
+    out.publish(text("still there"))
+    heard(there, 1)
+    assert link(first).since == since
+    assert len(codes(first, EventCode.LINK_UP)) == 1
+
+    file.reload(clients=(*file.session.clients, Client("robot2", key_file="robot2.key")))
+    second.retry().result(60)
+    eventually(lambda: linked(second, "robot2"))
+    assert link(first).since == since
+
+
+def test_a_client_whose_key_changes_comes_back_with_the_new_one(bridge: Bridge, tmp_path: Path) -> None:
+    bridge.make_key("robot2")
+    clients = (Client("robot1", key_file="robot1.key"), Client("robot2", key_file="robot2.key"))
+    server = bridge.server(clients=clients, name="pc")
+    there = Edited(server, tmp_path / "pc.yaml")
+    first, second = bridge.client(), bridge.client(name="robot2", key_file="robot2.key")
+    here = Edited(second, tmp_path / "robot2.yaml")
+    eventually(lambda: linked(first) and linked(second, "robot2"))
+    since = link(first).since
+    old = link(second, "robot2").fingerprint
+    (tmp_path / "robot2.key").unlink()
+    bridge.make_key("robot2")  # the same file name: the session file does not differ
+
+    (change,) = there.reload().changed
+    new = link(server, "robot2").fingerprint
+    closed = "its link is closed, and comes back once the client has the new key"
+    assert change == f"client robot2: key {old} → {new}: {closed}"
+    eventually(lambda: happened(second, EventCode.LINK_REFUSED, f"this side's key has the fingerprint {old}"))
+    assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server has another key for robot2 now")
+    assert happened(server, EventCode.LINK_WRONG_KEY, "robot2")
+
+    assert here.reload().changed == (f"key {old} → {new}: the link is closed, and connects again with the new key",)
+    eventually(lambda: linked(second, "robot2"))
+    assert link(second, "robot2").fingerprint == new
+    assert link(first).since == since
+
+
+def test_topics_get_other_names_where_use_name_changes(bridge: Bridge, robot: Domain, tmp_path: Path) -> None:
+    robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit"))
+    file = Edited(server, tmp_path / "pc.yaml")
+    eventually(lambda: find(server, "/chat"))
+    assert file.reload(use_name=True).changed == (
+        "client robot1: use_name false → true: its link is closed, and comes back at once",
+    )
+    eventually(lambda: find(server, "/robot1/chat"))
+    assert find(server, "/chat") is None
+    assert linked(client)
+
+
+def test_topics_that_a_server_proposes_follow_its_file(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
+    pc.publisher("/goal")
+    robot1 = Client("robot1", key_file="robot1.key", topics=(Topic("/goal", "receive"), Topic("/old", "receive")))
+    server = bridge.server(clients=(robot1,))
+    client = bridge.client()
+    file = Edited(server, tmp_path / "pc.yaml")
+    eventually(lambda: find(client, "/goal"))
+    since = link(client).since
+    topics = (Topic("/goal", "receive", max_rate=2.0), Topic("/new", "receive"))
+    assert file.reload(clients=(msgspec.structs.replace(robot1, topics=topics),)).changed == (
+        "client robot1: /old (receive): removed (it was {topic: /old, direction: receive})",
+        "client robot1: /goal (receive): max_rate none → 2.0",
+        "client robot1: /new (receive): added: {topic: /new, direction: receive}",
+    )
+    eventually(lambda: {each.topic for each in client.snapshot().routes} == {"/goal", "/new"})
+    eventually(lambda: route(client, "/goal").spec.max_rate == 2.0)
+    assert link(client).since == since
+    assert server.session.clients == file.session.clients
+    renamed = file.reload(use_name=True, clients=(msgspec.structs.replace(robot1, topics=topics[:1]),))
+    assert len(renamed.changed) == 2
+    eventually(lambda: {each.topic for each in server.snapshot().routes} == {"/robot1/goal"})
+    assert server.session.clients == file.session.clients
+
+
+def test_a_session_in_no_file_is_not_reloaded(bridge: Bridge) -> None:
+    server = bridge.server()
+    with pytest.raises(EngineError, match="in no file: save it first"):
+        server.reload().result(60)
+
+
+def test_what_an_operator_does_is_recorded_with_the_old_and_the_new_value(bridge: Bridge) -> None:
+    _, client = bridge.both()
+    who = "anna (uid 1000, pid 7)"
+    with acting(who):
+        key = client.add_topic(Topic("/chat", "transmit")).result(60)
+        client.edit_topic(key, Topic("/chat", "transmit", max_rate=5.0)).result(60)
+        client.pause(key, True).result(60)
+        client.pause(key, False).result(60)
+        client.remove_topic(key).result(60)
+        client.retry().result(60)
+        client.told_to_stop()
+    plain = "{topic: /chat, direction: transmit}"
+    limited = "{topic: /chat, direction: transmit, max_rate: 5.0}"
+    did = [event for event in client.events() if event.source == "operator"]
+    assert {event.who for event in did} == {who}
+    assert [(event.code, event.text, event.topic, event.old, event.new) for event in did] == [
+        ("operator.added", f"/chat: added by {who}", "/chat", "", plain),
+        ("operator.edited", f"/chat: changed (max_rate none → 5.0) by {who}", "/chat", plain, limited),
+        ("operator.paused", f"/chat: paused by {who}", "/chat", "not paused", "paused"),
+        ("operator.resumed", f"/chat: resumed by {who}", "/chat", "paused", "not paused"),
+        ("operator.removed", f"/chat: removed by {who}", "/chat", limited, ""),
+        ("operator.retried", f"tried again by {who}", "", "", ""),
+        ("operator.stopped", f"told to end by {who}", "", "", ""),
+    ]
+    with acting(who):
+        client.restart().result(60)
+        client.shut_down().result(60)
+    assert [event.code for event in client.events() if event.source == "operator"][-2:] == [
+        "operator.restarted",
+        "operator.shut_down",
+    ]
