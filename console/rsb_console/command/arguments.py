@@ -54,6 +54,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop after N s")
+    _service_arguments(command("service", commands.service, "run a session as a service of systemd"))
     add_remote_commands(command, _complete, commands.attach, _console_options)
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
@@ -86,6 +87,22 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--control", type=Path, metavar="PATH", help="serve the control socket there")
     _console_options(parser)
+
+
+def _service_arguments(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(metavar="ACTION", required=True, dest="what")
+    for name, summary in (
+        ("install", "write the session's unit, and say what to run next"),
+        ("show", "print the session's unit"),
+        ("uninstall", "remove the session's unit"),
+    ):
+        action = actions.add_parser(name, help=summary, description=f"{summary}.")
+        _complete(action.add_argument("session", type=Path, metavar="SESSION", help="session file"), "yaml_files")
+        action.add_argument("--system", action="store_true", help="a service of the system, not of this user")
+        if name != "show":
+            action.add_argument("--force", action="store_true", help="also if the unit there is another one")
+        if name != "uninstall":
+            action.add_argument("--setup", type=Path, metavar="PATH", help="setup.bash of a workspace, sourced first")
 
 
 def _console_options(parser: argparse.ArgumentParser) -> None:

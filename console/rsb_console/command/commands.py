@@ -129,6 +129,13 @@ def bt_scan(arguments: Namespace) -> int:
     return run_bt_scan(arguments.adapter, arguments.json)
 
 
+def service(arguments: Namespace) -> int:
+    """Write, show or remove the systemd unit of a session."""
+    from rsb_console.command.service import run as run_service  # noqa: PLC0415 (not needed elsewhere)
+
+    return run_service(arguments)
+
+
 def demo(arguments: Namespace) -> int:
     """Bridge two domains of this machine."""
     allow_many_descriptors()
