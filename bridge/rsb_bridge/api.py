@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
+    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Session, Topic
@@ -111,6 +112,10 @@ class EngineApi(Protocol):
 
     def told_to_stop(self) -> None:
         """Record that an operator ends the process that this engine is in."""
+        ...
+
+    def history(self, seconds: float) -> Future[HistoryReport]:
+        """What happened in the last so many s, 24 h at most: outages, rates, and what operators did."""
         ...
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:

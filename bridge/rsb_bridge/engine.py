@@ -19,6 +19,8 @@ from rsb_bridge.config.keys import KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
+from rsb_bridge.history.disk import Disk
+from rsb_bridge.history.recorder import Recorder
 from rsb_bridge.link.roles import Keys, clients_of
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
@@ -34,11 +36,13 @@ from rsb_bridge.transport.registry import Transports, default_transports
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Session, Topic
 
 _STOP_WITHIN = 5.0
 _ROS_STOPS_WITHIN = 1.0
+_RECORDED_WITHIN = 0.5
 
 _logger = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -56,6 +60,7 @@ class Engine(EngineApi):
         clock: the wall clock; None: the machine's.
         random: for jitter; None: seeded by the system.
         transports: what the links run over; None: the kernel's sockets.
+        state: the folder in which events and the time line are kept; None: they are kept in memory only.
     """
 
     def __init__(
@@ -67,6 +72,7 @@ class Engine(EngineApi):
         clock: Clock | None = None,
         random: Random | None = None,
         transports: Transports | None = None,
+        state: Path | None = None,
     ) -> None:
         self._session = session
         self._base = base
@@ -86,6 +92,12 @@ class Engine(EngineApi):
         started = self._clock.time_ns() / 1e9
         blank = Snapshot(started, session.name, session.role, address, session.domain_id or 0, running=False)
         self._snapshots = SnapshotPublisher(blank, self._events, self._clock)
+        self._recorder = Recorder(session.name, session.role, self._events, lambda: self._snapshots.latest, self._clock)
+        self._disk = (
+            None
+            if state is None
+            else Disk(state, session.name, session.role, self._events, self._recorder, self._clock)
+        )
 
     # --- from any thread
 
@@ -154,6 +166,9 @@ class Engine(EngineApi):
             self._thread = None
             ros.stop()
             raise
+        self._recorder.start()
+        if self._disk is not None:
+            self._disk.start()
 
     def _end(self, timeout: float) -> None:
         """End what `_start` has begun; nothing happens where that is nothing."""
@@ -161,8 +176,11 @@ class Engine(EngineApi):
         if thread is None or bridge is None:
             return
         bridge.context.call(bridge.stop)
-        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN))
+        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - 2 * _RECORDED_WITHIN))
         bridge.context.ros.stop()
+        self._recorder.stop(_RECORDED_WITHIN)
+        if self._disk is not None:
+            self._disk.stop(_RECORDED_WITHIN)
         self._thread = None
 
     def snapshot(self) -> Snapshot:
@@ -174,6 +192,11 @@ class Engine(EngineApi):
 
     def wait_for_events(self, after: int, timeout: float) -> list[Event]:
         return self._events.wait(after, timeout)
+
+    def history(self, seconds: float) -> Future[HistoryReport]:
+        if self._bridge is not None:
+            return self._recorder.history(seconds)
+        return _not_running()
 
     # --- commands
 
@@ -226,9 +249,7 @@ class Engine(EngineApi):
                 return asyncio.run_coroutine_threadsafe(coroutine, bridge.context.loop)
             except RuntimeError:
                 coroutine.close()
-        failed: Future[T] = Future()
-        failed.set_exception(EngineError("the engine is not running"))
-        return failed
+        return _not_running()
 
     # --- on the I/O thread
 
@@ -330,6 +351,12 @@ def _load_keys(session: Session, base: Path) -> Keys:
         except KeyFileError as error:
             raise EngineError(str(error)) from None
     return keys
+
+
+def _not_running() -> Future[T]:
+    failed: Future[T] = Future()
+    failed.set_exception(EngineError("the engine is not running"))
+    return failed
 
 
 def _ros_node(domain: int, name: str) -> RosInterface:

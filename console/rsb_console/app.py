@@ -399,5 +399,6 @@ class ConsoleApp(App[None]):
 
 def _make_engine(session: Session, base: Path) -> EngineApi:
     from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
+    from rsb_bridge.history.folders import state_folder  # noqa: PLC0415 -- likewise
 
-    return Engine(session, base=base)
+    return Engine(session, base=base, state=state_folder(os.environ))

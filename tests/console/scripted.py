@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.history import HistoryReport, Outage, Track
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
@@ -143,6 +144,27 @@ FAULTY = ["/robot2/scan", "/robot1/map"]
 """Of these, the worst first."""
 
 
+REMEMBERED = HistoryReport(
+    "robot1", "client", NOW, 3600.0, True,
+    (
+        Track("robot1", "", False, 3370.0, 230.0, 1, (4e5,) * 40 + (None,) * 4 + (4e5,) * 4),
+        Track("robot1", "/robot1/map", False, 3100.0, 500.0, 2, (1.0,) * 48),
+        Track("robot1", "/robot1/scan", False, 3370.0, 230.0, 1, (10.0,) * 48),
+    ),
+    (
+        Outage(NOW - 3000, 230.0, "robot1", "", False, "down", "the server does not answer"),
+        Outage(NOW - 2999, 232.0, "robot1", "/robot1/map", False, "down", "no link", with_link=True),
+        Outage(NOW - 2999, 232.0, "robot1", "/robot1/scan", False, "down", "no link", with_link=True),
+        Outage(NOW - 268, 268.0, "robot1", "/robot1/map", False, "stale", "=nothing for 15 s", ongoing=True),
+    ),
+    (
+        Event(0, NOW - 1200, Level.INFO, "route.paused", "/robot1/odom: paused", "robot1", "/robot1/odom", "anna"),
+        Event(0, NOW - 600, Level.INFO, "topic.edited", "/robot1/scan: edited", "robot1", "/robot1/scan", "anna",
+              "max_rate: 5", "max_rate: 2"),
+    ),
+)  # fmt: skip
+
+
 class ScriptedEngine:
     """An `EngineApi` that answers from what it was given, and records the commands."""
 
@@ -152,6 +174,7 @@ class ScriptedEngine:
         self.session, self.base = session, base
         self.now = Snapshot(NOW, session.name, session.role, "10.0.0.20:49152", 3, True, (LINK,), routes, len(EVENTS))
         self.happened = list(EVENTS)
+        self.remembered = REMEMBERED
         self.commands: list[tuple[object, ...]] = []
         self.running = False
         self.unreachable = ""
@@ -216,6 +239,9 @@ class ScriptedEngine:
 
     def told_to_stop(self) -> None:
         self.commands.append(("told to stop",))
+
+    def history(self, seconds: float) -> "Future[HistoryReport]":
+        return self._done(replace(self.remembered, span=seconds), "history", seconds)
 
     def topics(self, link: str | None = None) -> "Future[list[TopicInfo]]":
         suggestions = [

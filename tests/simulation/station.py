@@ -54,6 +54,9 @@ class WallClock(Clock):
     def time_ns(self) -> int:
         return int((_EPOCH + self.offset + self._loop.time() * (1 + self.drift)) * 1e9)
 
+    def steady(self) -> float:
+        return self._loop.time()
+
 
 class _Queue(RosToLoopQueue):
     """Messages from the ROS side, whose thread never has to wait: it is the loop's own."""

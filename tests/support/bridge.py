@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import RosInterface
 
 STOPS_WITHIN = 15.0
+THREADS = ("rsb-io", "ros", "rsb-history", "rsb-disk")
+"""Of an engine."""
 
 
 class Bridge:
@@ -113,7 +115,7 @@ class Bridge:
             began = time.monotonic()
             engine.stop()
             assert time.monotonic() - began < STOPS_WITHIN
-        assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
+        assert [thread.name for thread in threading.enumerate() if thread.name in THREADS] == []
         assert [
             event.text for engine in engines for event in engine.events() if event.code == EventCode.ENGINE_ERROR
         ] == []

@@ -62,6 +62,10 @@ class VirtualClock(Clock):
         """As `rsb_bridge.model.clock.Clock`."""
         return int((self.epoch + self._loop.time()) * 1e9)
 
+    def steady(self) -> float:
+        """As `rsb_bridge.model.clock.Clock`."""
+        return self._loop.time()
+
 
 @contextlib.contextmanager
 def virtual_loop() -> Iterator[VirtualLoop]:

@@ -16,6 +16,7 @@ from rsb_bridge.control import folders, protocol
 from rsb_bridge.control.folders import ControlError, Listener, NotServedError, TakenError
 from rsb_bridge.control.protocol import BridgeInfo, Hello, ProtocolError, Refused, Welcome
 from rsb_bridge.control.server import ControlServer
+from rsb_bridge.model.names import file_stem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -163,7 +164,7 @@ def _claim(info: BridgeInfo, environ: Mapping[str, str]) -> Listener:
             raise AlreadyRunningError(bridge)
     folder = folders.serving_folder(environ)
     for number in itertools.count(1):
-        path = folder / f"{folders.stem_of(info.name, number)}{folders.SUFFIX}"
+        path = folder / f"{file_stem(info.name, number)}{folders.SUFFIX}"
         try:
             return Listener(path, make_folder=True)
         except TakenError:

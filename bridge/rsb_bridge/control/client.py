@@ -24,6 +24,7 @@ from rsb_bridge.control.protocol import (
     Follow,
     Goodbye,
     Hello,
+    History,
     Look,
     Pause,
     Peek,
@@ -45,6 +46,7 @@ from rsb_bridge.control.protocol import (
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
@@ -209,6 +211,9 @@ class RemoteEngine(EngineApi):
 
     def describe(self, key: str) -> Future[str]:
         return self._request(Describe(key), str)
+
+    def history(self, seconds: float) -> Future[HistoryReport]:
+        return self._request(History(seconds), _history)
 
     def stop_bridge(self) -> Future[None]:
         """End the bridge's process, as SIGTERM does; done when it has understood."""
@@ -399,7 +404,7 @@ class RemoteEngine(EngineApi):
         if isinstance(answer, Failed):
             answered.set_exception(EngineError(answer.reason))
         else:
-            answered.set_result(answer.value if answer.reloaded is None else answer.reloaded)
+            answered.set_result(answer.reloaded or answer.history or answer.value)
 
     def _fail_requests(self, reason: str) -> None:
         requests, self._requests = self._requests, {}
@@ -418,6 +423,11 @@ def _peeked(value: object) -> PeekedMessage | None:
 
 def _reloaded(value: object) -> Reloaded:
     assert isinstance(value, Reloaded)
+    return value
+
+
+def _history(value: object) -> HistoryReport:
+    assert isinstance(value, HistoryReport)
     return value
 
 

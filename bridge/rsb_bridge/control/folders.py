@@ -7,7 +7,6 @@ import errno
 import fcntl
 import os
 import pwd
-import re
 import socket
 import stat
 import struct
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 SUFFIX = ".sock"
 SERVICES = Path("/run/rsb-console")
 """The folder of bridges that systemd runs, `RuntimeDirectory=` of their unit."""
-_NAME_LENGTH = 64
 _BACKLOG = 16
 _LOCKED_WITHIN = 5.0
 _PEER = struct.Struct("iII")  # pid, uid, gid: struct ucred of unix(7)
@@ -72,12 +70,6 @@ def _user_folder(environ: Mapping[str, str]) -> Path:
 
 def _fallback_folder() -> Path:
     return Path(f"/tmp/rsb-console-{os.geteuid()}")  # noqa: S108 -- its owner and mode are checked
-
-
-def stem_of(name: str, number: int = 1) -> str:
-    """A socket's name without suffix, of a session's name; the number tells sessions of one name apart."""
-    safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_NAME_LENGTH].lstrip(".") or "_"
-    return safe if number == 1 else f"{safe}-{number}"
 
 
 def find_sockets(environ: Mapping[str, str]) -> list[Path]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import msgspec
 
+from rsb_bridge.model.history import HistoryReport  # noqa: TC001
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Session, Topic  # noqa: TC001 -- msgspec resolves the hints
@@ -185,12 +186,30 @@ class Describe(_Message, frozen=True, tag="describe"):
     key: str
 
 
+class History(_Message, frozen=True, tag="history"):
+    """See `AddTopic`."""
+
+    seconds: float
+
+
 class Stop(_Message, frozen=True, tag="stop"):
     """End the bridge's process, as SIGTERM does."""
 
 
 Command: TypeAlias = (
-    AddTopic | EditTopic | RemoveTopic | Pause | Retry | ShutDown | Restart | Reload | Topics | Peek | Describe | Stop
+    AddTopic
+    | EditTopic
+    | RemoveTopic
+    | Pause
+    | Retry
+    | ShutDown
+    | Restart
+    | Reload
+    | Topics
+    | Peek
+    | Describe
+    | History
+    | Stop
 )
 
 
@@ -285,11 +304,13 @@ class Reply(_Message, frozen=True, tag="reply"):
         id: of the request.
         value: a route's key, topics, a message, the description of a type, or nothing.
         reloaded: the answer to `Reload`; `value` has room for one kind of object only.
+        history: the answer to `History`, likewise.
     """
 
     id: int
     value: str | tuple[TopicInfo, ...] | PeekedMessage | None = None
     reloaded: Reloaded | None = None
+    history: HistoryReport | None = None
 
 
 class Failed(_Message, frozen=True, tag="failed"):

@@ -19,6 +19,7 @@ from rsb_bridge.control.protocol import (
     Follow,
     Goodbye,
     Hello,
+    History,
     Look,
     Pause,
     Peek,
@@ -291,6 +292,9 @@ class _Console:
         if isinstance(request.command, Reload):
             reloaded = await _done(self._engine.reload(dry_run=request.command.dry_run))
             return Reply(request.id, reloaded=reloaded)
+        if isinstance(request.command, History):
+            history = await _done(self._engine.history(request.command.seconds))
+            return Reply(request.id, history=history)
         return Reply(request.id, await self._run(request))
 
     async def _run(self, request: Request) -> str | tuple[TopicInfo, ...] | PeekedMessage | None:

@@ -1,4 +1,4 @@
-"""The wall clock, as one object, so that a simulation can bring another."""
+"""The machine's clocks, as one object, so that a simulation can bring another."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import time
 
 
 class Clock:
-    """The machine's wall clock. It may be set at any time: use it for time stamps, never to measure how long."""
+    """The wall clock, which may be set at any time: for time stamps; and one to measure how long."""
 
     def time_ns(self) -> int:
         """The time now, in nanoseconds since the epoch."""
         return time.time_ns()
+
+    def steady(self) -> float:
+        """Seconds on a clock that nobody sets, and that goes on while the machine sleeps."""
+        return time.clock_gettime(time.CLOCK_BOOTTIME)

@@ -39,6 +39,10 @@ class EventCode(StrEnum):
     OPERATOR_RELOADED = "operator.reloaded"
     """The session file was read again; one event says who had it read, and one each what has changed."""
     OPERATOR_STOPPED = "operator.stopped"
+    ENGINE_CLOCK_SET = "engine.clock_set"
+    """The wall clock jumped by more than 2 s."""
+    ENGINE_GAP = "engine.gap"
+    """The machine slept, or the process could not run."""
 
     ATTACH_LOST = "attach.lost"
     """An attached console has lost its bridge; it tries again."""
@@ -47,6 +51,13 @@ class EventCode(StrEnum):
 
     LOG_LINES_LOST = "log.lines_lost"
     """Standard output did not take some lines of the log; the text says how many, and why."""
+
+    LOG_FILE_FAILED = "log.file_failed"
+    """The state folder cannot be written to; told once."""
+    LOG_FILE_AGAIN = "log.file_again"
+    """It can be written to again."""
+    LOG_HISTORY_SET_ASIDE = "log.history_set_aside"
+    """The file of the time line is damaged, or of another version."""
 
     KEY_UNENCRYPTED = "key.unencrypted"
     KEY_WARNING = "key.warning"

@@ -1,4 +1,4 @@
-"""Names of topics: which ROS accepts, and what a client's topic is called on the server."""
+"""Names: which topics ROS accepts, what a client's topic is called on the server, and what a session's files are."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ import re
 _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _TOPIC = re.compile(rf"(/{_PART})+")
 _PREFIX = re.compile(rf"{_PART}(/{_PART})*")
+
+_STEM_LENGTH = 64
+
+
+def file_stem(name: str, number: int = 1) -> str:
+    """A session's name as a file's name without suffix; the number tells sessions of one name apart."""
+    safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_STEM_LENGTH].lstrip(".") or "_"
+    return safe if number == 1 else f"{safe}-{number}"
 
 
 def is_topic_name(name: str) -> bool:

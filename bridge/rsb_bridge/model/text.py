@@ -10,7 +10,7 @@ from rsb_bridge.model.limits import REASON_LENGTH
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u2028-\\u202e\\u2066-\\u2069"
+UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069"
 """Control characters, and the marks that turn the direction of text; for a regular expression's brackets."""
 
 INVISIBLE = "\u00ad\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\ufe00-\ufe0f\uffa0\U000e0000-\U000e0fff"

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
 _ANSWERED_WITHIN = 60.0
@@ -54,15 +55,15 @@ class NoBridgeError(Exception):
 
 def run(name: str, arguments: Namespace) -> int:
     """Run a command by its name. Returns the exit code."""
-    return _reported(COMMANDS[name], arguments)
+    return reported(COMMANDS[name], arguments)
 
 
 def bridge_to_attach(arguments: Namespace) -> RunningBridge | int:
     """The bridge that the arguments mean; or the exit code, after saying why there is none."""
-    return _reported(chosen_bridge, arguments)
+    return reported(chosen_bridge, arguments)
 
 
-def _reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
+def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
     """Do something; what goes wrong is said in words, and gives an exit code."""
     try:
         return work(arguments)
@@ -126,6 +127,12 @@ def _attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[Remo
         yield engine
     finally:
         engine.stop()
+
+
+def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
+    """What happened to the bridge that the arguments mean, in the last so many s."""
+    with _attached(arguments, read_only=True) as engine:
+        return _result(engine.history(seconds))
 
 
 # --- looking

@@ -70,6 +70,12 @@ def add_remote_commands(
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
     events = remote("events", "print what a running bridge reports", bridge_first=True)
     events.add_argument("--follow", action="store_true", help="go on with what happens from now on")
+    report = remote(
+        "report", "print what happened in the last hours, even of a bridge that has ended", bridge_first=True
+    )
+    report.set_defaults(command=_report)
+    report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
+    report.add_argument("--csv", action="store_true", help="for a spreadsheet")
     wait = remote("wait", "wait until something is so; exit code 1 if it is not within the time")
     wait.add_argument(
         "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "TOPIC"),
@@ -96,6 +102,11 @@ def _lazily(name: str) -> Callable[[argparse.Namespace], int]:
         return code
 
     return run
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    code: int = import_module("rsb_console.command.report").run(arguments)
+    return code
 
 
 def _route(parser: argparse.ArgumentParser) -> None:

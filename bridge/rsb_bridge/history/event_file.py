@@ -1,0 +1,140 @@
+"""Events as lines of JSON in files of a bounded size."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.model.snapshot import Event, Level
+from rsb_bridge.model.text import sanitize_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+FILE_BYTES = 2 << 20
+FILES = 5
+"""Files kept: the newest, and older ones with a number, ``NAME.1.jsonl`` and so on."""
+_TEXT_LENGTH = 2000
+
+
+class _Line(msgspec.Struct, omit_defaults=True):
+    """An event in a file; the keys are those of ``--log-format json``."""
+
+    time: float
+    level: Level
+    code: str
+    source: str
+    text: str
+    link: str = ""
+    topic: str = ""
+    who: str = ""
+    old: str = ""
+    new: str = ""
+
+
+_decoder = msgspec.json.Decoder(_Line)
+
+
+class EventFile:
+    """Appends events to a file, and begins a new one when it is full. The oldest one goes.
+
+    Args:
+        path: of the newest file; its folder exists.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._fd: int | None = None
+        self._size = 0
+
+    def write(self, events: Sequence[Event]) -> None:
+        """Append all of them, or none.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        data = b"".join(encode(event) for event in events)
+        if self._fd is not None and not self._is_there():
+            self.close()
+        if self._fd is None:
+            self._open()
+        if self._size and self._size + len(data) > FILE_BYTES:
+            self.close()
+            self._rotate()
+            self._open()
+        assert self._fd is not None
+        written = 0
+        try:
+            while written < len(data):
+                written += os.write(self._fd, data[written:])
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self._size)  # no half lines
+            self.close()
+            raise
+        self._size += written
+
+    def close(self) -> None:
+        """Close the file; the next `write` opens it again."""
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
+
+    def _is_there(self) -> bool:
+        """Whether the open file is still the one at the path; an operator may have removed it."""
+        assert self._fd is not None
+        with contextlib.suppress(OSError):
+            return os.path.samestat(os.fstat(self._fd), self.path.stat())
+        return False
+
+    def _open(self) -> None:
+        fd = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        try:
+            self._size = os.fstat(fd).st_size
+            if self._size and os.pread(fd, 1, self._size - 1) != b"\n":  # a line that a killed process began
+                self._size += os.write(fd, b"\n")
+        except OSError:
+            os.close(fd)
+            raise
+        self._fd = fd
+
+    def _rotate(self) -> None:
+        for number in range(FILES - 1, 0, -1):
+            newer = numbered(self.path, number - 1)
+            with contextlib.suppress(FileNotFoundError):
+                newer.replace(numbered(self.path, number))
+
+
+def numbered(path: Path, number: int) -> Path:
+    """An older file of events; number 0 is the newest."""
+    return path if number == 0 else path.with_name(f"{path.stem}.{number}{path.suffix}")
+
+
+def encode(event: Event) -> bytes:
+    """An event as one line."""
+    text = sanitize_text(event.text, _TEXT_LENGTH)
+    names = (sanitize_text(each) for each in (event.link, event.topic, event.who, event.old, event.new))
+    return msgspec.json.encode(_Line(event.time, event.level, event.code, event.source, text, *names)) + b"\n"
+
+
+def read(path: Path, since: float) -> Iterator[Event]:
+    """The events in the files, oldest first; what is no event is left out.
+
+    Args:
+        path: of the newest file.
+        since: no older ones, s since the epoch.
+    """
+    for number in range(FILES - 1, -1, -1):
+        with contextlib.suppress(OSError), numbered(path, number).open("rb") as file:
+            for line in file:
+                with contextlib.suppress(msgspec.DecodeError):
+                    found = _decoder.decode(line)
+                    if found.time >= since:
+                        yield Event(
+                            0, found.time, found.level, found.code, found.text, found.link, found.topic, found.who,
+                            found.old, found.new,
+                        )  # fmt: skip

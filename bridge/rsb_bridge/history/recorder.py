@@ -1,0 +1,199 @@
+"""Watches an engine once a second, on a thread of its own, and answers what happened."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, TypeVar
+
+from rsb_bridge.history.axis import Axis
+from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.history import KEPT_FOR
+from rsb_bridge.model.snapshot import Level
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.history.timeline import Saved
+    from rsb_bridge.model.clock import Clock
+    from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.telemetry.event_log import EventLog
+
+T = TypeVar("T")
+_EVERY = 1.0
+_GAP = 30.0
+"""s without a new snapshot after which nothing is known of the time between."""
+
+
+class Recorder:
+    """Remembers what an engine's snapshots and events show, from `start` to `stop`.
+
+    Args:
+        name: of the session.
+        role: ``client`` or ``server``.
+        events: of the engine.
+        latest: gives its newest snapshot; a new object each time that it is renewed.
+        clock: the machine's.
+
+    Attributes:
+        changes: grows with everything that is worth saving soon.
+    """
+
+    def __init__(self, name: str, role: str, events: EventLog, latest: Callable[[], Snapshot], clock: Clock) -> None:
+        self.changes = 0
+        self._events = events
+        self._latest = latest
+        self._clock = clock
+        self._timeline = Timeline(name, role)
+        self._name, self._role = name, role
+        self._axis = Axis(clock.steady(), clock.time_ns() / 1e9)
+        self._seen: Snapshot | None = None
+        self._observed = self._axis.now
+        self._followed = 0
+        self._work: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._ending = threading.Lock()
+        self._has_ended = False
+        self._thread = threading.Thread(target=self._run, name="rsb-history", daemon=True)
+
+    # --- from any thread
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._thread.start()
+
+    def stop(self, timeout: float) -> None:
+        """Take note of how everything is at the end, and watch no more.
+
+        Args:
+            timeout: s to wait for that, at most.
+        """
+        self._work.put(None)
+        if self._thread.is_alive():
+            self._thread.join(timeout)
+
+    def history(self, seconds: float) -> Future[HistoryReport]:
+        """What happened in the last so many s, 24 h at most."""
+        return self.ask(lambda: self.report(min(seconds, KEPT_FOR)))
+
+    def ask(self, question: Callable[[], T]) -> Future[T]:
+        """Have a method of this called on its thread; on the calling one, when that has ended.
+
+        Args:
+            question: the method; a `ValueError` of it becomes the future's exception.
+        """
+        answer: Future[T] = Future()
+
+        def work() -> None:
+            if not answer.set_running_or_notify_cancel():
+                return
+            try:
+                result = question()
+            except ValueError as error:
+                answer.set_exception(error)
+            else:
+                answer.set_result(result)
+
+        with self._ending:
+            if not self._has_ended:
+                self._work.put(work)
+                return answer
+        work()
+        return answer
+
+    # --- on the thread
+
+    def _run(self) -> None:
+        due = self._clock.steady()
+        while True:
+            try:
+                work = self._work.get(timeout=max(0.0, due - self._clock.steady()))
+            except queue.Empty:
+                self.look()
+                due = max(due + _EVERY, self._clock.steady())
+                continue
+            if work is None:
+                break
+            work()
+        self.look()
+        self._timeline.cut()
+        with self._ending:
+            while not self._work.empty():
+                if (work := self._work.get()) is not None:
+                    work()
+            self._has_ended = True
+
+    def restore(self, saved: Saved) -> None:
+        """Go on from what was saved. What was seen since is forgotten: it is of the last seconds.
+
+        Raises:
+            ValueError: it contradicts itself, or the clock is days behind it.
+        """
+        wall = self._clock.time_ns() / 1e9
+        if saved.time - wall > KEPT_FOR:
+            raise ValueError("it is from the future: the clock was wrong then, or it is now")
+        self._timeline = Timeline.restore(saved, self._name, self._role)
+        self._axis = Axis(self._clock.steady(), wall, floor=self._timeline.last)
+        self._observed = self._axis.now
+        self._followed, self._seen = 0, None
+
+    def look(self) -> None:
+        """Take note of how everything is now."""
+        axis, timeline = self._axis, self._timeline
+        wall = self._clock.time_ns() / 1e9
+        axis.advance(self._clock.steady(), wall)
+        snapshot = self._latest()
+        if axis.now - self._observed > _GAP:
+            self._slept(axis.now - self._observed)
+        if axis.jump:
+            self._clock_set(wall)
+        self._follow()
+        if snapshot is self._seen:
+            return
+        self._seen, self._observed = snapshot, axis.now
+        if snapshot.running:
+            before = timeline.changes
+            timeline.observe(snapshot, axis.now)
+            self.changes += timeline.changes - before
+        else:
+            timeline.cut()
+
+    def report(self, seconds: float) -> HistoryReport:
+        """As `history`."""
+        self.look()
+        return self._timeline.report(self._axis.now, seconds, running=True)
+
+    def save(self) -> Saved:
+        """All that is remembered, to be restored by the next process."""
+        if not self._has_ended:
+            self.look()
+        return self._timeline.save(self._axis.now)
+
+    def _follow(self) -> None:
+        for event in self._events.after(self._followed):
+            self._followed = event.number
+            self.changes += self._timeline.did(event, self._axis.of_wall(event.time))
+
+    def _slept(self, seconds: float) -> None:
+        self._timeline.cut()
+        self._observed = self._axis.now
+        text = f"nothing is known of the last {_span(seconds)}: the machine slept, or the process could not run"
+        self._events.add(Level.WARNING, EventCode.ENGINE_GAP, text)
+
+    def _clock_set(self, wall: float) -> None:
+        jump = self._axis.jump
+        moved = self._axis.set(wall, self._timeline.earliest(self._axis.now))
+        self._timeline.move(moved)
+        self._observed += moved
+        way = "forward" if jump > 0 else "back"
+        text = f"the clock was set {way} by {_span(abs(jump))}; the time line since the start moves with it"
+        self._events.add(Level.WARNING, EventCode.ENGINE_CLOCK_SET, text)
+
+
+def _span(seconds: float) -> str:
+    whole = round(seconds)
+    hours, minutes = divmod(whole // 60, 60)
+    parts = [f"{hours} h"] * bool(hours) + [f"{minutes} min"] * bool(minutes) + [f"{whole % 60} s"] * (not hours)
+    return " ".join(parts)

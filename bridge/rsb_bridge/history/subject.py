@@ -1,0 +1,266 @@
+"""One link or topic: how long it was fine, how fast, and its outages."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.history.series import MINUTE, Series
+from rsb_bridge.model.history import Outage, Track
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import sanitize_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+FINE = (State.OK, State.PAUSED)
+"""A pause is wanted; it counts neither as up nor as out."""
+OUTAGES_OF_ONE = 100
+"""Outages kept of each, so that one that flaps displaces nobody else's."""
+_OPENS_WITHIN = 30.0
+"""s in which a new topic or link may open; only then is it an outage."""
+_FOLLOWS_WITHIN = 15.0
+"""s after a link's outage in which its topics may open again."""
+_CAUSE_LENGTH = 250
+_WORST_FIRST = tuple(State)
+
+_figures = re.compile(r"\d+(\.\d+)?")
+
+
+class Ended(NamedTuple):
+    """An outage that is over; the fields are those of `Outage`."""
+
+    start: float
+    seconds: float
+    state: str
+    cause: str
+    cut_off: bool
+    with_link: bool
+
+
+class _Open:
+    """An outage that goes on."""
+
+    def __init__(self, start: float, state: State, cause: str, *, with_link: bool) -> None:
+        self.start = start
+        self.state = state
+        self.with_link = with_link
+        self._first = self._last = cause[:_CAUSE_LENGTH]
+
+    def go_on(self, state: State, cause: str) -> None:
+        """Keep the worst state, the first words and the last ones."""
+        if _WORST_FIRST.index(state) < _WORST_FIRST.index(self.state):
+            self.state = state
+        self._first = self._first or cause[:_CAUSE_LENGTH]
+        self._last = cause[:_CAUSE_LENGTH] or self._last
+
+    @property
+    def cause(self) -> str:
+        if _figures.sub("#", self._first) == _figures.sub("#", self._last):
+            return sanitize_text(self._first)
+        return sanitize_text(f"{self._first}; then: {self._last}", 2 * _CAUSE_LENGTH + 10)
+
+
+class Subject:
+    """A link, or a topic in one direction over it.
+
+    All times are s on the axis of `rsb_bridge.history.axis.Axis`.
+
+    Args:
+        link: the peer's name.
+        topic: its name on this side; empty: the link itself.
+        outgoing: this side sends it.
+
+    Attributes:
+        live: it exists at present.
+        dropped: outages that there was no room for, since `dropped_at`'s day began.
+        dropped_at: when the newest of them was dropped.
+        outages: that are over, oldest first.
+    """
+
+    def __init__(self, link: str, topic: str, outgoing: bool) -> None:
+        self.link, self.topic, self.outgoing = link, topic, outgoing
+        self.live = False
+        self.turn = 0
+        self.dropped = 0
+        self.dropped_at = 0.0
+        self.outages: deque[Ended] = deque()
+        self.series = Series()
+        self._state = State.OK
+        self._seen = self._born = 0.0
+        self._opening = False
+        self._open: _Open | None = None
+        self._minute = 0
+        self._known = self._up = self._out = self._amount = 0.0
+        self._count = 0
+        self._rate = 0.0
+
+    @property
+    def is_out(self) -> bool:
+        return self._open is not None
+
+    # --- as time goes by
+
+    def observe(self, now: float, state: State, reason: str, link: Subject | None, rate: float) -> None:
+        """Take note of how it is now. Until the next time it counts as being so.
+
+        Args:
+            now: the time.
+            state: its state.
+            reason: why it is not OK.
+            link: of a topic.
+            rate: of a link, bytes/s; what is counted by `count` comes on top.
+        """
+        if not self.live:
+            self.live, self._opening = True, True
+            self._born = self._seen = now
+            self._minute = int(now // MINUTE)
+            self._state = State.OK
+            self._amount = 0.0
+        else:
+            self._pass(now)
+        self._state, self._rate = state, rate
+        if state in FINE:
+            self._opening = False
+            self._end(now, link)
+        elif self._open is not None:
+            self._open.go_on(state, reason)
+        elif not self._opening:
+            self._open = _Open(now, state, reason, with_link=_follows(link, now))
+        elif now - self._born >= _OPENS_WITHIN:
+            self._opening = False
+            self._out += now - self._born
+            self._open = _Open(self._born, state, reason, with_link=_follows(link, now))
+
+    def count(self, total: int) -> None:
+        """Take note of how many messages there were so far; fewer than before: they are counted anew.
+
+        To be called before `observe`, which ends a minute.
+        """
+        self._amount += total - (self._count if total >= self._count else 0)
+        self._count = total
+
+    def cut(self, now: float, link: Subject | None, *, cut_off: bool) -> None:
+        """It is gone, or nobody watches any more.
+
+        Args:
+            now: the time.
+            link: of a topic.
+            cut_off: its outage does not end here; only what is known of it does.
+        """
+        if self.live:
+            self._pass(now)
+            self._end(now, link, cut_off=cut_off)
+            self._close_minute()
+            self.live = False
+
+    def _pass(self, now: float) -> None:
+        passed = now - self._seen
+        self._seen = now
+        self._known += passed
+        self._amount += self._rate * passed
+        if self._state is State.OK:
+            self._up += passed
+        elif self._state is not State.PAUSED and not self._opening:
+            self._out += passed
+        if int(now // MINUTE) != self._minute:
+            self._close_minute()
+            self._minute = int(now // MINUTE)
+
+    def _close_minute(self) -> None:
+        if self._known:
+            self.series.add(self._minute, self._amount / self._known, self._up, self._out)
+        self._known = self._up = self._out = self._amount = 0.0
+
+    def _end(self, now: float, link: Subject | None, *, cut_off: bool = False) -> None:
+        if self._open is not None:
+            self._keep(self._ended(self._open, now, link, cut_off=cut_off), now)
+            self._open = None
+
+    def _ended(self, outage: _Open, now: float, link: Subject | None, *, cut_off: bool) -> Ended:
+        with_link = outage.with_link and _follows(link, now)
+        return Ended(outage.start, now - outage.start, outage.state, outage.cause, cut_off, with_link)
+
+    def _keep(self, outage: Ended, now: float) -> None:
+        self.outages.append(outage)
+        if len(self.outages) > OUTAGES_OF_ONE:
+            self.drop(now)
+
+    def drop(self, now: float) -> None:
+        """Forget the oldest outage, because there is no room."""
+        self.outages.popleft()
+        self.dropped += 1
+        self.dropped_at = now
+
+    def forget(self, before: float) -> bool:
+        """Forget the outages that ended before a time. Whether there is anything left to know."""
+        while self.outages and self.outages[0].start + self.outages[0].seconds < before:
+            self.outages.popleft()
+        if self.dropped_at < before:
+            self.dropped = 0
+        return self.live or bool(self.outages) or self.series.end > before // MINUTE
+
+    def move(self, since: float, seconds: float) -> None:
+        """The clock was set: what happened from `since` on happened so much later."""
+        self.series.move(int(since // MINUTE), round(seconds / MINUTE))
+        self.outages = deque(
+            outage._replace(start=outage.start + seconds) if outage.start >= since else outage
+            for outage in self.outages
+        )
+        self._seen += seconds
+        self._born += seconds
+        self._minute = int(self._seen // MINUTE)
+        if self._open is not None:
+            self._open.start += seconds
+
+    # --- questions
+
+    def outages_in(self, start: float, now: float, link: Subject | None) -> Iterator[Outage]:
+        """The outages that had not ended before `start`, oldest first."""
+        for ended in self.outages:
+            if ended.start + ended.seconds >= start:
+                yield self._outage(ended)
+        if self._open is not None:
+            yield self._outage(self._ended(self._open, now, link, cut_off=False), ongoing=True)
+
+    def dropped_in(self, start: float) -> int:
+        """How many outages since `start` there was no room for; some of them may be older."""
+        return self.dropped if self.dropped_at >= start else 0
+
+    def present(self, now: float, link: Subject | None) -> Iterator[Ended]:
+        """The outages as they are to be kept on disk: the one that goes on ends where the file does."""
+        yield from self.outages
+        if self._open is not None:
+            yield self._ended(self._open, now, link, cut_off=True)
+
+    def track(self, start: float, now: float, outages: int, parts: int) -> Track:
+        """How it did from `start` to `now`, to the minute.
+
+        Args:
+            start: a time.
+            now: the time.
+            outages: how many there were.
+            parts: how many rates to give.
+        """
+        begin, end = int(start // MINUTE), int(now // MINUTE)
+        up, out = self.series.times(begin, end + 1)
+        if self.live:
+            up, out = up + self._up, out + self._out
+        rates = tuple(self.series.rates(begin, end, parts))
+        return Track(self.link, self.topic, self.outgoing, up, out, outages + self.dropped_in(start), rates)
+
+    def _outage(self, ended: Ended, *, ongoing: bool = False) -> Outage:
+        return Outage(
+            ended.start, ended.seconds, self.link, self.topic, self.outgoing, ended.state, ended.cause,
+            ongoing, ended.cut_off, ended.with_link,
+        )  # fmt: skip
+
+
+def _follows(link: Subject | None, now: float) -> bool:
+    """Whether what a topic does now comes of its link's outage, which shows first."""
+    if link is None:
+        return False
+    if link.is_out or link._opening:
+        return True
+    return bool(link.outages) and now - (link.outages[-1].start + link.outages[-1].seconds) <= _FOLLOWS_WITHIN

@@ -1,0 +1,273 @@
+"""What happened to the links and topics of one bridge in the last 24 hours. No clock, no thread, no file."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.history.series import Series
+from rsb_bridge.history.subject import OUTAGES_OF_ONE, Ended, Subject
+from rsb_bridge.model import history as model
+from rsb_bridge.model.history import KEPT_FOR, Gap, HistoryReport
+from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- msgspec resolves the hints
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_bridge.model.history import Outage, Track
+    from rsb_bridge.model.snapshot import Snapshot, State
+
+VERSION = 1
+SUBJECTS = 2000
+"""Links and topics kept, those that are gone included."""
+OUTAGES = 10_000
+"""Outages kept, of all of them."""
+_ACTIONS = 500
+"""Events kept of each of two kinds: what operators did, and what concerns the whole bridge."""
+_RUNS = 200
+_TIDIED_EVERY = 60.0
+_SHORT_GAP = 5.0
+"""s between two runs that are not worth a word."""
+
+Key = tuple[str, str, bool]
+
+
+class SavedSubject(msgspec.Struct, frozen=True, array_like=True):
+    """A `Subject` as it is kept on disk: its name, its series, its outages."""
+
+    link: str
+    topic: str
+    outgoing: bool
+    first: int
+    rates: bytes
+    up: bytes
+    out: bytes
+    outages: tuple[Ended, ...]
+
+
+class Saved(msgspec.Struct, frozen=True):
+    """A `Timeline` as it is kept on disk.
+
+    Attributes:
+        version: of this format.
+        name: of the session.
+        role: ``client`` or ``server``.
+        time: when it was saved, s since the epoch.
+        runs: beginning and end of each time in which the bridge ran.
+        subjects: the links and topics.
+        actions: events.
+    """
+
+    version: int
+    name: str
+    role: str
+    time: float
+    runs: tuple[tuple[float, float], ...]
+    subjects: tuple[SavedSubject, ...]
+    actions: tuple[Event, ...]
+
+
+class Timeline:
+    """Remembers outages, rates and operators' actions. All times are those of one `Axis`.
+
+    Args:
+        name: of the session.
+        role: ``client`` or ``server``.
+
+    Attributes:
+        changes: grows with each outage that begins or ends.
+    """
+
+    def __init__(self, name: str, role: str) -> None:
+        self.changes = 0
+        self._name, self._role = name, role
+        self._subjects: dict[Key, Subject] = {}
+        self._runs: deque[tuple[float, float]] = deque(maxlen=_RUNS)
+        self._run: tuple[float, float] | None = None
+        self._did: deque[Event] = deque(maxlen=_ACTIONS)
+        self._happened: deque[Event] = deque(maxlen=_ACTIONS)
+        self._turn = 0
+        self._tidied = 0.0
+
+    # --- as time goes by
+
+    def observe(self, snapshot: Snapshot, now: float) -> None:
+        """Take note of how everything is now. Until the next time it counts as being so."""
+        self._run = (self._run[0] if self._run else now, now)
+        self._turn += 1
+        for link in snapshot.links:
+            traffic = link.rx_bytes_per_second + link.tx_bytes_per_second
+            self._observe((link.name, "", False), now, link.state, link.reason, rate=traffic)
+        for route in snapshot.routes:
+            key, total = (route.link, route.topic, route.outgoing), route.ledger.delivered
+            self._observe(key, now, route.state, route.reason or route.last_error, total=total)
+        for subject in [each for each in self._subjects.values() if each.live and each.turn != self._turn]:
+            self.changes += subject.is_out
+            subject.cut(now, self._link_of(subject), cut_off=False)
+        if now - self._tidied >= _TIDIED_EVERY:
+            self._tidy(now)
+
+    def _observe(self, key: Key, now: float, state: State, reason: str, *, rate: float = 0.0, total: int = 0) -> None:
+        subject = self._subjects.get(key)
+        if subject is None:
+            if not self._has_room():
+                return
+            subject = self._subjects[key] = Subject(*key)
+        subject.turn = self._turn
+        was_out = subject.is_out
+        subject.count(total)
+        subject.observe(now, state, reason, self._link_of(subject), rate)
+        self.changes += was_out != subject.is_out
+
+    def did(self, event: Event, now: float) -> bool:
+        """Remember an event, if an operator caused it or it concerns the whole bridge; whether it is so.
+
+        Args:
+            event: what happened.
+            now: when.
+        """
+        if event.who or event.source == "operator":
+            kept = self._did
+        elif event.source == "engine":
+            kept = self._happened
+        else:
+            return False
+        kept.append(replace(event, time=now))
+        return True
+
+    def cut(self) -> None:
+        """Nobody watches any more: the bridge stops, or the machine has slept since the last `observe`."""
+        if self._run is None:
+            return
+        _, now = self._run
+        for subject in sorted(self._subjects.values(), key=lambda each: bool(each.topic), reverse=True):
+            subject.cut(now, self._link_of(subject), cut_off=True)  # the topics before their links
+        self._runs.append(self._run)
+        self._run = None
+
+    @property
+    def last(self) -> float:
+        """The time at which the last run ended; 0: there was none."""
+        return self._runs[-1][1] if self._runs else 0.0
+
+    def move(self, seconds: float) -> None:
+        """The clock was set: what this run has seen happened so much later."""
+        if self._run is None:
+            return
+        since, until = self._run
+        for subject in self._subjects.values():
+            subject.move(since, seconds)
+        for events in (self._did, self._happened):
+            moved = [replace(each, time=each.time + seconds) if each.time >= since else each for each in events]
+            events.clear()
+            events.extend(moved)
+        self._run = (since + seconds, until + seconds)
+
+    def earliest(self, now: float) -> float:
+        """The earliest time that it may be now instead, so that this run does not begin before the last one ended."""
+        return now + self.last - self._run[0] if self._run else self.last
+
+    def _link_of(self, subject: Subject) -> Subject | None:
+        return self._subjects.get((subject.link, "", False)) if subject.topic else None
+
+    def _has_room(self) -> bool:
+        if len(self._subjects) < SUBJECTS:
+            return True
+        gone = [key for key, each in self._subjects.items() if not each.live]
+        if not gone:
+            return False
+        del self._subjects[min(gone, key=lambda key: self._subjects[key].series.end)]
+        return True
+
+    def _tidy(self, now: float) -> None:
+        """Forget what is too old, and what there is no room for: of those first that have most."""
+        self._tidied = now
+        for key, subject in list(self._subjects.items()):
+            if not subject.forget(now - KEPT_FOR):
+                del self._subjects[key]
+        by_outages = sorted(self._subjects.values(), key=lambda each: len(each.outages))
+        excess = sum(len(each.outages) for each in by_outages) - OUTAGES
+        while excess > 0:
+            most = max(by_outages, key=lambda each: len(each.outages))
+            for _ in range(min(excess, max(1, len(most.outages) // 4))):
+                most.drop(now)
+                excess -= 1
+        for events in (self._did, self._happened):
+            while events and events[0].time < now - KEPT_FOR:
+                events.popleft()
+
+    # --- questions
+
+    def report(self, now: float, span: float, *, running: bool) -> HistoryReport:
+        """What happened.
+
+        Args:
+            now: the time.
+            span: of the last so many s.
+            running: the bridge runs.
+        """
+        start = now - span
+        tracks: list[Track] = []
+        outages: list[Outage] = []
+        for subject in sorted(self._subjects.values(), key=lambda each: (each.link, each.topic, each.outgoing)):
+            found = list(subject.outages_in(start, now, self._link_of(subject)))
+            outages += found
+            track = subject.track(start, now, len(found), model.RATES_AT_ONCE)
+            if subject.live or found or track.up or track.out:
+                tracks.append(track)
+        dropped = sum(each.dropped_in(start) for each in self._subjects.values())
+        outages.sort(key=lambda each: each.start)
+        actions = sorted(
+            (each for each in (*self._did, *self._happened) if each.time >= start), key=lambda each: each.time
+        )
+        return HistoryReport(
+            self._name, self._role, now, span, running, tuple(tracks),
+            tuple(outages[-model.OUTAGES_AT_ONCE :]), tuple(actions[-model.ACTIONS_AT_ONCE :]),
+            tuple(self._gaps(start, now)),
+            dropped + max(0, len(outages) - model.OUTAGES_AT_ONCE),
+            max(0, len(actions) - model.ACTIONS_AT_ONCE),
+        )  # fmt: skip
+
+    def _gaps(self, start: float, now: float) -> Iterator[Gap]:
+        known = start
+        for begin, end in (*self._runs, *((self._run,) if self._run else ())):
+            if begin - known > _SHORT_GAP:
+                yield Gap(known, begin - known)
+            known = max(known, end)
+        if now - known > _SHORT_GAP:
+            yield Gap(known, now - known)
+
+    # --- on disk
+
+    def save(self, now: float) -> Saved:
+        """All of it as it is now, for `restore`."""
+        subjects = tuple(
+            SavedSubject(
+                each.link, each.topic, each.outgoing, *each.series.dump(),
+                tuple(each.present(now, self._link_of(each))),
+            )
+            for each in self._subjects.values()
+        )  # fmt: skip
+        runs = (*self._runs, *((self._run,) if self._run else ()))
+        return Saved(VERSION, self._name, self._role, now, runs, subjects, (*self._did, *self._happened))
+
+    @classmethod
+    def restore(cls, saved: Saved, name: str, role: str) -> Timeline:
+        """The inverse of `save`, for a session of this name and role.
+
+        Raises:
+            ValueError: it contradicts itself.
+        """
+        timeline = cls(name, role)
+        for each in saved.subjects[:SUBJECTS]:
+            subject = Subject(each.link, each.topic, each.outgoing)
+            subject.series = Series.load(each.first, each.rates, each.up, each.out)
+            subject.outages.extend(each.outages[-OUTAGES_OF_ONE:])
+            timeline._subjects[each.link, each.topic, each.outgoing] = subject
+        timeline._runs.extend(saved.runs)
+        for event in saved.actions:
+            timeline.did(event, event.time)
+        return timeline

@@ -1,0 +1,139 @@
+"""`rsb-console report`: of a bridge that runs, of one that does not, as text, JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.command.test_remote import Ran
+from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
+from tests.history.world import World
+
+from rsb_bridge.history import history_file
+from rsb_bridge.model.history import Gap
+from rsb_bridge.model.snapshot import State
+from rsb_console.session.history import csv_report, length, parse_span, percent, text_report
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.control import Machine
+
+
+@pytest.fixture(autouse=True)
+def state(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the files."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("TZ", "UTC")
+    (tmp_path / "state" / "rsb-console").mkdir(parents=True)
+    return tmp_path / "state" / "rsb-console"
+
+
+@pytest.fixture
+def ran(capsys: pytest.CaptureFixture[str]) -> Any:
+    return lambda *arguments: Ran(capsys, *arguments)
+
+
+def test_a_hand_over_begins_with_the_totals(ran: Any, machine: Machine) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    report = ran("report", "--last", "1h")
+    assert report.code == 0
+    assert engine.commands == [("history", 3600.0)]
+    lines = report.out.splitlines()
+    assert lines[0].startswith("robot1 (client): the last 1 h, ")
+    assert lines[1:7] == [
+        "The bridge ran all the time.",
+        "robot1: linked 93.6 % of the time; 1 outage, 3 min 50 s in all.",
+        "2 topics: 0 without an outage, 2 with.",
+        "  robot1 ← /robot1/map: up 86.1 % of the time; 2 outages, 8 min 20 s in all.",
+        "  robot1 ← /robot1/scan: up 93.6 % of the time; 1 outage, 3 min 50 s in all.",
+        "",
+    ]
+    outages = [line.strip() for line in lines[7:]]
+    assert outages[:3] == ["Outages", "robot1", "link"]
+    assert outages[3].endswith("DOWN  3 min 50 s: the server does not answer (2 topics with it)")
+    assert outages[4] == "← /robot1/map"
+    assert outages[5].endswith("STALE  4 min 28 s, still so: =nothing for 15 s")
+    assert outages[7] == "Operators, and the bridge itself"
+    assert outages[8].endswith("anna: /robot1/odom: paused")
+    assert outages[9].endswith("anna: /robot1/scan: edited (max_rate: 5 → max_rate: 2)")
+
+
+def test_for_programs_and_for_a_spreadsheet(ran: Any, machine: Machine) -> None:
+    machine.serve(ScriptedEngine())
+    report = json.loads(ran("report", "--json").out)
+    assert report["span"] == 8 * 3600
+    assert report["outages"][0]["cause"] == "the server does not answer"
+    assert report["tracks"][0]["up_ratio"] == 3370 / 3600
+    rows = list(csv.DictReader(io.StringIO(ran("report", "--csv").out)))
+    assert [row["kind"] for row in rows] == ["outage"] * 3 + ["event"] * 2 + ["outage"]
+    assert rows[-1]["cause"] == "'=nothing for 15 s", "no formula"
+    assert (rows[4]["who"], rows[4]["old"], rows[4]["new"]) == ("anna", "max_rate: 5", "max_rate: 2")
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@x", "\t=1"])
+def test_a_cell_is_never_a_formula(text: str) -> None:
+    outage = replace(REMEMBERED.outages[0], cause=text)
+    (row, *_) = csv.DictReader(io.StringIO(csv_report(replace(REMEMBERED, outages=(outage,)))))
+    assert row["cause"] == f"'{text}"
+
+
+def test_of_a_bridge_that_does_not_run_it_comes_from_its_files(
+    ran: Any, state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = World("/scan")
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher of /scan")
+    world.go(60)
+    world.recorder._timeline.cut()
+    history_file.write(state / "robot1.history", world.recorder.save())
+    monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
+    report = ran("report", "robot1")
+    assert report.code == 0
+    assert "It does not run now." in report.out
+    assert "DOWN  at least 1 min: no publisher of /scan" in report.out
+    assert "The bridge ran for 11 min" in report.out
+    assert ran("report").code == 0, "it is the only one"
+    (state / "robot2.history").write_bytes((state / "robot1.history").read_bytes())
+    several = ran("report")
+    assert several.code == 2
+    assert f"robot2: {state / 'robot2.history'}" in several.err
+    (state / "robot1.history").write_bytes(b"nonsense")
+    damaged = ran("report", "robot1")
+    assert (damaged.code, "it is damaged" in damaged.err) == (3, True)
+
+
+def test_what_it_cannot_do_is_said(ran: Any, machine: Machine) -> None:
+    assert ran("report").code == 3
+    assert "no bridge named 'robot9'" in ran("report", "robot9").err
+    machine.serve(ScriptedEngine())
+    assert "--last '8' is not a time like 8h" in ran("report", "--last", "8").err
+    assert "at most 24h are remembered" in ran("report", "--last", "3d").err
+
+
+def test_words() -> None:
+    assert [parse_span(text) for text in ("90s", "30m", "30min", "8h", "1d", "1.5h")] == [
+        90, 1800, 1800, 28800, 86400, 5400,
+    ]  # fmt: skip
+    assert [length(seconds) for seconds in (0.2, 12, 60, 220, 3600, 28320)] == [
+        "under 1 s", "12 s", "1 min", "3 min 40 s", "1 h", "7 h 52 min",
+    ]  # fmt: skip
+    assert [percent(ratio) for ratio in (None, 1.0, 0.99999, 0.5)] == ["not known", "100 %", "99.9 %", "50.0 %"]
+
+
+def test_a_quiet_night_is_short() -> None:
+    fine = replace(REMEMBERED, outages=(), actions=(), tracks=(replace(REMEMBERED.tracks[0], out=0.0, outages=0),))
+    assert list(text_report(fine))[1:] == [
+        "The bridge ran all the time.",
+        "robot1: linked 100 % of the time.",
+        "",
+        "No outages.",
+    ]
+    gap = replace(fine, gaps=(Gap(NOW - 1800, 900.0),))
+    assert "The bridge ran for 45 min of it (75.0 %); nothing is known of" in "\n".join(text_report(gap))

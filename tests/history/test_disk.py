@@ -1,0 +1,379 @@
+"""What is on disk: whole lines, a bound, one warning when the disk fails, and everything again after a kill -9."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+import zstandard
+from tests.history.world import World, brief
+from tests.support.waiting import eventually
+
+from rsb_bridge.history import event_file, history_file, offline
+from rsb_bridge.history.disk import Disk
+from rsb_bridge.history.event_file import EventFile
+from rsb_bridge.history.folders import Claim, Files, kept_bridges, searched_folders, state_folder
+from rsb_bridge.history.history_file import HistoryFileError
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Event, Level, State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def disk_of(world: World, folder: Path) -> Disk:
+    """Its `turn` is called by the test, on the recorder's own thread: that has ended."""
+    world.recorder._has_ended = True
+    return Disk(folder, "robot1", "client", world.events, world.recorder, world.clock)
+
+
+def say(world: World, text: str, **fields: str) -> None:
+    world.events.add(Level.INFO, EventCode.ROUTE_PAUSED, text, **fields)
+
+
+def lines(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def codes(world: World) -> list[str]:
+    return [event.code for event in world.events.after(0)]
+
+
+def test_events_are_lines_of_json(tmp_path: Path) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path / "rsb-console")
+    say(world, "paused", link="robot1", topic="/scan", who="anna", old="flowing", new="paused")
+    world.events.add(Level.DEBUG, EventCode.LINK_UP, "of no interest")
+    say(world, "plain")
+    disk.turn()
+    first, second = lines(tmp_path / "rsb-console" / "robot1.jsonl")
+    assert first == {
+        "time": world.clock.wall, "level": "INFO", "code": "route.paused", "source": "route", "text": "paused",
+        "link": "robot1", "topic": "/scan", "who": "anna", "old": "flowing", "new": "paused",
+    }  # fmt: skip
+    assert second["text"] == "plain"
+    assert (tmp_path / "rsb-console").stat().st_mode & 0o777 == 0o700
+    assert (tmp_path / "rsb-console" / "robot1.jsonl").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
+    event = Event(1, 1.0, Level.INFO, "link.lost", "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
+    line = event_file.encode(event)
+    assert len(line) < 2500
+    decoded = json.loads(line)
+    assert decoded["text"].startswith("a�b�[31m�c�d")
+    assert decoded["link"] == "�evil"
+
+
+def test_the_files_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(event_file, "FILE_BYTES", 2000)
+    file = EventFile(tmp_path / "robot1.jsonl")
+    for number in range(1000):
+        file.write([Event(number, float(number), Level.INFO, "x.y", f"event {number}")])
+    file.close()
+    files = sorted(path.name for path in tmp_path.iterdir())
+    assert files == ["robot1.1.jsonl", "robot1.2.jsonl", "robot1.3.jsonl", "robot1.4.jsonl", "robot1.jsonl"]
+    assert all(path.stat().st_size <= 2000 for path in tmp_path.iterdir())
+    found = [event.text for event in event_file.read(tmp_path / "robot1.jsonl", 0.0)]
+    assert found == [f"event {number}" for number in range(1000 - len(found), 1000)]
+    assert len(found) > 80
+
+
+def test_a_torn_line_costs_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.jsonl"
+    path.write_bytes(event_file.encode(Event(1, 1.0, Level.INFO, "x.y", "whole")) + b'{"time": 2.0, "lev')
+    file = EventFile(path)
+    file.write([Event(2, 3.0, Level.INFO, "x.y", "after")])
+    file.close()
+    assert [event.text for event in event_file.read(path, 0.0)] == ["whole", "after"]
+
+
+def test_a_file_that_is_moved_away_is_begun_anew(tmp_path: Path) -> None:
+    file = EventFile(tmp_path / "robot1.jsonl")
+    file.write([Event(1, 1.0, Level.INFO, "x.y", "before")])
+    (tmp_path / "robot1.jsonl").rename(tmp_path / "taken.jsonl")
+    file.write([Event(2, 2.0, Level.INFO, "x.y", "after")])
+    file.close()
+    assert [line["text"] for line in lines(tmp_path / "robot1.jsonl")] == ["after"]
+
+
+@pytest.fixture
+def no_room() -> Iterator[None]:
+    """No file of this process grows beyond 4 kB: the kernel refuses, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_is_said_once_and_writing_goes_on_later(tmp_path: Path, no_room: None) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path)
+    for number in range(100):
+        say(world, f"event {number} {'x' * 100}")
+        world.go(1)
+        disk.turn()
+    assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1
+    told = next(event for event in world.events.after(0) if event.code == EventCode.LOG_FILE_FAILED)
+    assert f"{tmp_path}: File too large" in told.text
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    world.go(10)
+    disk.turn()
+    assert codes(world).count(EventCode.LOG_FILE_AGAIN) == 1
+    world.go(10)
+    disk.turn()
+    texts = [str(line["text"]) for line in lines(tmp_path / "robot1.jsonl")]
+    assert [text.split()[1] for text in texts if text.startswith("event ")] == [str(number) for number in range(100)]
+    assert texts.count(told.text) == 1
+
+
+FILLED = """
+import errno, sys
+from pathlib import Path
+from tests.history.test_disk import codes, disk_of, lines, say
+from tests.history.world import World
+from rsb_bridge.model.codes import EventCode
+folder = Path(sys.argv[1])
+world = World("/scan")
+disk = disk_of(world, folder)
+disk.turn()
+with (folder / "ballast").open("wb", buffering=0) as ballast:
+    try:
+        while True:
+            ballast.write(bytes(512))
+    except OSError as error:
+        assert error.errno == errno.ENOSPC
+for number in range(200):
+    say(world, f"event {number} {'x' * 100}")
+    world.go(1)
+    disk.turn()
+assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1, codes(world)
+assert any("No space left on device" in event.text for event in world.events.after(0))
+(folder / "ballast").unlink()
+world.go(10)
+disk.turn()
+assert codes(world)[-1] == EventCode.LOG_FILE_AGAIN
+assert sum(line["text"].startswith("event ") for line in lines(folder / "robot1.jsonl")) == 200
+print("done")
+"""
+
+
+def test_enospc(tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join(str(root / name) for name in ("", "bridge", "console"))}
+    mount = 'mount -t tmpfs -o size=64k none "$1" && exec "$2" -c "$3" "$1"'
+    shell = ["sh", "-c", mount, "sh", str(tmp_path), sys.executable, FILLED]
+    ran = subprocess.run(
+        ["unshare", "--user", "--map-root-user", "--mount", *shell],
+        check=False,
+        capture_output=True,
+        text=True,
+        env=environ,
+    )
+    if "unshare:" in ran.stderr or "mount:" in ran.stderr:
+        pytest.skip(f"no file system of its own here: {ran.stderr}")
+    assert ran.stdout == "done\n", ran.stderr
+
+
+def test_a_folder_that_cannot_be_made_is_said_once(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    world = World("/scan")
+    disk = disk_of(world, tmp_path / "file" / "rsb-console")
+    for _ in range(30):
+        disk.turn()
+        world.go(1)
+    assert codes(world).count(EventCode.LOG_FILE_FAILED) == 1
+    (tmp_path / "file").unlink()
+    world.go(10)
+    disk.turn()
+    assert codes(world).count(EventCode.LOG_FILE_AGAIN) == 1
+
+
+def test_events_that_were_lost_meanwhile_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    world = World("/scan")
+    disk = disk_of(world, tmp_path / "file" / "rsb-console")
+    for number in range(7000):
+        say(world, f"event {number}")
+    disk.turn()
+    (tmp_path / "file").unlink()
+    world.go(10)
+    disk.turn()
+    assert "2,001 events are missing" in world.events.after(0)[-1].text, "the warning among them"
+
+
+# --- the time line
+
+
+def test_the_time_line_goes_on_in_the_next_process(tmp_path: Path) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path)
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    disk.turn()
+    assert disk._claim is not None
+    disk._claim.close()
+    world.clock.go(60)
+    again = World("/scan", clock=world.clock)
+    disk_of(again, tmp_path).turn()
+    again.go(60)
+    assert brief(again.outages()) == [("/scan", 60, "down", "no publisher")]
+
+
+def test_it_is_saved_soon_after_something_happened_else_seldom(tmp_path: Path) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path)
+    path = tmp_path / "robot1.history"
+    saves: list[int] = []
+    for second in range(1000):
+        if second == 500:
+            world.put("/scan", State.DOWN, "no publisher")
+        before = path.stat().st_ino if path.exists() else 0
+        disk.turn()
+        if path.stat().st_ino != before:
+            saves.append(second)
+        world.go(1)
+    assert any(500 <= second < 516 for second in saves)
+    assert len(saves) < 14
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"nonsense", "damaged"),
+        (zstandard.compress(b"nonsense"), "damaged"),
+        (zstandard.compress(msgspec.msgpack.encode({"version": 0})), "an older version"),
+        (zstandard.compress(msgspec.msgpack.encode({"version": 99})), "a newer version"),
+        (zstandard.compress(msgspec.msgpack.encode({"version": 1, "name": 3})), "damaged"),
+    ],
+)
+def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, why: str) -> None:
+    path = tmp_path / "robot1.history"
+    path.write_bytes(content)
+    world = World("/scan")
+    disk_of(world, tmp_path).turn()
+    (warning,) = (event for event in world.events.after(0) if event.code == EventCode.LOG_HISTORY_SET_ASIDE)
+    assert str(path) in warning.text
+    assert why in warning.text
+    assert (tmp_path / "robot1.history.bad").read_bytes() == content
+    assert history_file.read(path).name == "robot1", "a new one is there already"
+
+
+def test_a_torn_file_is_noticed(tmp_path: Path) -> None:
+    world = World("/scan")
+    world.go(3000)
+    path = tmp_path / "robot1.history"
+    history_file.write(path, world.recorder.save())
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(HistoryFileError, match="damaged"):
+        history_file.read(path)
+    middle = len(whole) // 2
+    path.write_bytes(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
+    with pytest.raises(HistoryFileError, match="damaged"):
+        history_file.read(path)
+
+
+def test_a_file_that_cannot_be_replaced_is_read_all_the_same(tmp_path: Path) -> None:
+    world = World("/scan")
+    world.go(60)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    history_file.write(tmp_path / "robot1.history", world.recorder.save())
+    (tmp_path / "robot1.lock").symlink_to("/dev/full")  # as a read-only disk: no file can be opened for writing
+    again = World("/scan", clock=world.clock)
+    disk_of(again, tmp_path).turn()
+    again.go(10)
+    assert brief(again.outages())[0] == ("/scan", 60, "down", "no publisher")
+
+
+# --- whose files
+
+
+def test_two_bridges_of_one_name_have_files_of_their_own(tmp_path: Path) -> None:
+    client, server = Claim(tmp_path, "robot1", "client"), Claim(tmp_path, "robot1", "server")
+    assert (client.files.stem, server.files.stem) == ("robot1", "robot1-2")
+    client.close()
+    server.close()
+    server = Claim(tmp_path, "robot1", "server")
+    assert server.files.stem == "robot1-2", "each has its own again, whoever starts first"
+    server.close()
+
+
+def test_the_folder(tmp_path: Path) -> None:
+    assert state_folder({"STATE_DIRECTORY": "/var/lib/rsb-console:/x"}) == Path("/var/lib/rsb-console")
+    assert state_folder({"XDG_STATE_HOME": "/s"}) == Path("/s/rsb-console")
+    assert state_folder({}) == Path("~/.local/state/rsb-console").expanduser()
+    assert Path("/var/lib/rsb-console") in searched_folders({})
+
+
+# --- a process that is killed
+
+RUNS = """
+import sys, time
+from pathlib import Path
+from dataclasses import replace
+from rsb_bridge.history.disk import Disk
+from tests.history.world import World
+from tests.history.clocks import HandClock
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level, State
+clock = HandClock()
+clock.go(float(sys.argv[2]))
+world = World("/scan", clock=clock)
+world.put("/scan", State.DOWN, "no publisher")
+world.go(60)
+world.recorder.start()
+disk = Disk(Path(sys.argv[1]), "robot1", "client", world.events, world.recorder, world.clock)
+disk.start()
+number = 0
+while True:
+    number += 1
+    world.events.add(Level.INFO, EventCode.ROUTE_PAUSED, f"event {number}", who="anna")
+    world.clock.go(0.1)
+    world._renew()
+    if number == 100:
+        print("runs", flush=True)
+    time.sleep(0.001)
+"""
+
+
+def test_killed_and_started_again(tmp_path: Path) -> None:
+    root = Path(__file__).parents[2]
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join(str(root / name) for name in ("", "bridge", "console"))}
+    for number in range(3):
+        with subprocess.Popen(
+            [sys.executable, "-c", RUNS, str(tmp_path), str(1e4 * number)],
+            stdout=subprocess.PIPE,
+            env=environ,
+            cwd=root,
+        ) as process:
+            assert process.stdout
+            assert process.stdout.readline() == b"runs\n"
+            eventually(lambda: (tmp_path / "robot1.history").exists() and (tmp_path / "robot1.jsonl").exists())
+            process.send_signal(signal.SIGKILL)
+    files = Files(tmp_path, "robot1")
+    saved = history_file.read(files.history)
+    report = offline.report(files, saved.time + 100, 86400.0)
+    assert not report.running
+    assert report.outages
+    assert {each.who for each in report.actions} == {"anna"}
+    assert report.gaps[-1].seconds >= 100
+    assert all(set(line) >= {"time", "text"} for line in lines(files.events)), "whole lines only"
+
+
+def test_what_is_kept_is_found(tmp_path: Path) -> None:
+    world = World("/scan")
+    (tmp_path / "rsb-console").mkdir()
+    history_file.write(tmp_path / "rsb-console" / "robot1.history", world.recorder.save())
+    found = kept_bridges({"XDG_STATE_HOME": str(tmp_path)})
+    assert [files.stem for files in found if files.folder == tmp_path / "rsb-console"] == ["robot1"]

@@ -1,0 +1,332 @@
+"""What counts as an outage, how long it was and why; and what time does to it."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from tests.history.clocks import EPOCH, HandClock
+from tests.history.world import World, brief
+
+from rsb_bridge.history import subject, timeline
+from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.history import KEPT_FOR
+from rsb_bridge.model.snapshot import Level, State
+
+HOUR = 3600.0
+
+
+def test_an_outage_has_a_beginning_a_length_and_a_cause() -> None:
+    world = World("/scan", "/map")
+    world.go(600)
+    world.put("/scan", State.STALE, "nothing for 15 s")
+    world.go(90)
+    world.put("/scan", State.OK)
+    world.go(310)
+    (outage,) = world.outages()
+    assert (outage.start, outage.seconds) == (EPOCH + 600, 90)
+    assert (outage.link, outage.topic, outage.outgoing) == ("robot1", "/scan", False)
+    assert (outage.state, outage.cause, outage.ongoing) == ("stale", "nothing for 15 s", False)
+    scan, map_ = world.track("/scan"), world.track("/map")
+    assert (scan.up, scan.out, scan.outages) == (910, 90, 1)
+    assert (map_.up, map_.out, map_.outages) == (1000, 0, 0)
+    assert scan.up_ratio == 0.91
+    assert world.outages(200) == (), "it is longer ago"
+
+
+def test_one_that_goes_on_is_told_as_it_is() -> None:
+    world = World("/scan")
+    world.go(100)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(50)
+    (outage,) = world.outages()
+    assert (outage.seconds, outage.ongoing) == (50, True)
+
+
+def test_the_worst_state_and_the_first_and_the_last_words_count() -> None:
+    world = World("/scan")
+    world.go(100)
+    for seconds in (15, 16, 17):
+        world.put("/scan", State.STALE, f"nothing for {seconds} s")
+        world.go(1)
+    assert brief(world.outages())[0][2:] == ("stale", "nothing for 15 s"), "figures that change are no other words"
+    world.put("/scan", State.DOWN, "no publisher of /scan")
+    world.go(1)
+    world.put("/scan", State.STALE, "nothing for 20 s")
+    world.put("/scan", State.DOWN, "no publisher of /scan")
+    assert brief(world.outages())[0][2:] == ("down", "nothing for 15 s; then: no publisher of /scan")
+
+
+def test_what_opens_at_once_or_is_paused_is_no_outage() -> None:
+    world = World()
+    world.begin("/scan", State.WAITING, "asking the peer")
+    world.begin("/map", State.WAITING, "no publisher")
+    world.go(10)
+    world.put("/scan", State.OK)
+    world.go(290)
+    world.put("/scan", State.PAUSED)
+    world.go(300)
+    (outage,) = world.outages()
+    assert (outage.topic, outage.seconds) == ("/map", 600), "one that does not open is out from its beginning"
+    scan = world.track("/scan")
+    assert (scan.up, scan.out) == (290, 0)
+
+
+def test_topics_that_go_down_and_come_back_with_their_link_say_so() -> None:
+    world = World("/scan", "/map")
+    world.go(100)
+    world.put_link(State.DOWN, "the server does not answer")
+    world.go(60)
+    world.put_link(State.OK)
+    world.go(100)
+    link, scan, map_ = world.outages()
+    assert (link.topic, link.cause) == ("", "the server does not answer")
+    assert scan.with_link
+    assert map_.with_link
+    world.put_link(State.DOWN, "the server does not answer")
+    world.put_link(State.OK)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    assert [each.with_link for each in world.outages() if each.topic == "/scan"] == [True, True, False], (
+        "its own, by now"
+    )
+
+
+def test_a_removed_topic_keeps_its_history_for_a_day() -> None:
+    world = World("/scan")
+    world.go(100)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(20)
+    del world.routes["/scan"]
+    world.go(10)
+    assert brief(world.outages()) == [("/scan", 21, "down", "no publisher")]
+    world.go(KEPT_FOR + 120, step=20)
+    assert world.outages(KEPT_FOR) == ()
+    assert [each.topic for each in world.report(KEPT_FOR).tracks] == [""]
+
+
+def test_rates_are_means_of_what_crossed() -> None:
+    world = World("/scan")
+    world.go(1200, rate=10)
+    world.go(1200, rate=20)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(1200)
+    rates = world.track("/scan").rates
+    assert len(rates) == 48
+    assert [rates[0], rates[20], rates[40]] == [10, 20, 0]
+    assert world.track("").rates[30] == 1000, "a link's in bytes/s"
+    assert world.report(7200.0).tracks[1].rates[0] is None, "it did not run"
+
+
+def test_a_day_is_kept_and_no_more() -> None:
+    world = World("/scan")
+    world.go(100)
+    for _ in range(30):
+        world.put("/scan", State.DOWN, "no publisher")
+        world.go(60, step=5)
+        world.put("/scan", State.OK)
+        world.go(HOUR - 60, step=5)
+    assert len(world.outages(KEPT_FOR)) == 24
+    kept = world.recorder._timeline._subjects["robot1", "/scan", False]
+    assert len(kept.outages) <= 25
+    assert len(kept.series) <= 1500
+    track = world.track("/scan", KEPT_FOR)
+    assert abs(track.up + track.out - KEPT_FOR) <= 120
+    assert abs(track.out - 24 * 60) <= 60
+
+
+def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timeline, "OUTAGES", 120)
+    world = World("/scan", "/map", "/odom")
+    world.go(100)
+    world.put("/map", State.DOWN, "no publisher")
+    world.go(10)
+    world.put("/map", State.OK)
+    for _ in range(300):
+        for topic in ("/scan", "/odom"):
+            world.put(topic, State.STALE, "slow")
+        world.go(1)
+        for topic in ("/scan", "/odom"):
+            world.put(topic, State.OK)
+        world.go(1)
+    world.go(120)
+    report = world.report()
+    topics = [each.topic for each in report.outages]
+    assert topics.count("/map") == 1
+    assert topics.count("/scan") <= subject.OUTAGES_OF_ONE
+    assert len(topics) <= 120
+    assert len(topics) + report.outages_left_out == 601, "how many are missing is told"
+    assert world.track("/scan").outages == 300
+
+
+def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(timeline, "SUBJECTS", 20)
+    world = World()
+    for number in range(100):
+        world.routes = World(f"/t{number}", clock=world.clock).routes
+        world.go(1)
+    assert len(world.recorder._timeline._subjects) == 20
+    world.routes = World(*(f"/more{number}" for number in range(50)), clock=world.clock).routes
+    world.go(1)
+    assert len(world.recorder._timeline._subjects) == 20
+
+
+def test_operators_actions_are_remembered() -> None:
+    world = World("/scan")
+    world.go(10)
+    world.events.add(
+        Level.INFO, EventCode.ROUTE_CONNECTED, "edited", topic="/scan", who="anna", old="max_rate: 5", new="max_rate: 2"
+    )
+    world.events.add(Level.INFO, EventCode.LINK_UP, "linked", link="robot1")
+    world.events.add(Level.WARNING, EventCode.ENGINE_SHUTDOWN, "shut down")
+    world.go(10)
+    assert [(each.text, each.who, each.new) for each in world.report().actions] == [
+        ("edited", "anna", "max_rate: 2"),
+        ("shut down", "", ""),
+    ]
+
+
+# --- the clock
+
+
+@pytest.mark.parametrize("jump", [3 * HOUR, -3 * HOUR])
+def test_a_clock_that_is_set_moves_what_this_run_has_seen(jump: float) -> None:
+    world = World("/scan")
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    world.events.add(Level.WARNING, EventCode.ENGINE_SHUTDOWN, "before")
+    world.go(5)
+    world.clock.wall += jump
+    world.go(60)
+    world.put("/scan", State.OK)
+    world.go(600)
+    report = world.report()
+    (outage,) = report.outages
+    assert (outage.start, outage.seconds) == (EPOCH + jump + 600, 125), "no longer than it was"
+    assert report.time == world.clock.wall
+    shut_down, clock_set = report.actions
+    assert shut_down.time == EPOCH + jump + 660
+    assert clock_set.code == EventCode.ENGINE_CLOCK_SET
+    assert f"set {'forward' if jump > 0 else 'back'} by 3 h" in clock_set.text
+    assert [round(gap.seconds) for gap in report.gaps] == [3600 - 1325], "only what was before the start"
+    track = world.track("/scan")
+    assert (track.up, track.out) == (1200, 125)
+    assert track.rates[-1] == 10
+
+
+def test_sleep_is_a_gap_and_no_outage_goes_on_through_it() -> None:
+    world = World("/scan", "/map")
+    world.go(600)
+    world.put("/map", State.DOWN, "no publisher")
+    world.go(60)
+    world.clock.go(2 * HOUR)
+    world.go(60)
+    report = world.report(3 * HOUR)
+    assert [(gap.start, round(gap.seconds)) for gap in report.gaps][1:] == [(EPOCH + 660, 7201)]
+    before, after = report.outages
+    assert (before.seconds, before.cut_off) == (60, True)
+    assert (after.topic, after.ongoing) == ("/map", True)
+    assert "nothing is known of the last 2 h" in report.actions[0].text
+    assert world.track("/scan", 3 * HOUR).out == 0
+
+
+def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
+    world = World("/scan")
+    world.go(60)
+    for _ in range(100):
+        world.clock.go(1)
+        world.recorder.look()
+    assert round(sum(gap.seconds for gap in world.report(160).gaps)) == 100
+    world.go(60)
+    world.running = False
+    world.go(600)
+    assert world.report(700).gaps[-1].seconds >= 600
+
+
+# --- from one process to the next
+
+
+def next_process(world: World, away: float) -> World:
+    """The next one, after so many s, on what the first one saved."""
+    world.recorder._timeline.cut()
+    saved = msgspec.msgpack.decode(msgspec.msgpack.encode(world.recorder.save()), type=timeline.Saved)
+    world.clock.go(away)
+    new = World(*world.routes, clock=world.clock)
+    new.recorder.restore(saved)
+    new.recorder.look()
+    return new
+
+
+def test_a_restart_is_a_gap_and_everything_else_is_still_there() -> None:
+    world = World("/scan", "/map")
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    world.put("/scan", State.OK)
+    world.put("/map", State.STALE, "nothing for 15 s")
+    world.events.add(Level.INFO, EventCode.ROUTE_PAUSED, "paused", who="anna")
+    world.go(60)
+    world = next_process(world, 300)
+    world.go(600)
+    report = world.report()
+    assert brief(report.outages) == [
+        ("/scan", 60, "down", "no publisher"),
+        ("/map", 60, "stale", "nothing for 15 s"),
+    ]
+    assert report.outages[1].cut_off
+    assert [each.who for each in report.actions] == ["anna"]
+    assert [(gap.start, round(gap.seconds)) for gap in report.gaps][1:] == [(EPOCH + 720, 300)]
+    scan = world.track("/scan")
+    assert (scan.up, scan.out) == (660 + 600, 60)
+
+
+def test_a_machine_that_starts_with_an_old_time_is_set_right_later() -> None:
+    world = World("/scan")
+    world.go(600)
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    clock = HandClock()
+    clock.wall, clock.up = EPOCH - 5 * HOUR, 0.0
+    world.clock.__dict__.update(clock.__dict__)
+    world = next_process(world, 10)
+    world.go(300)
+    before = world.report(2 * HOUR)
+    assert before.time == EPOCH + 660 + 300, "time goes on from where it was"
+    world.put("/scan", State.DOWN, "no publisher")
+    world.go(60)
+    world.clock.wall = EPOCH + 8 * HOUR
+    world.go(60)
+    after = world.report(10 * HOUR)
+    assert [round(each.start - EPOCH) for each in after.outages] == [600, round(8 * HOUR - 60)]
+    assert abs(world.track("/scan", HOUR).up - 300) <= 60
+    assert world.track("/scan", 4 * HOUR).up < 360, "the day before is not in the last hours"
+
+
+def test_a_history_from_the_future_is_refused() -> None:
+    world = World("/scan")
+    world.go(60)
+    saved = world.recorder.save()
+    world.clock.wall -= 3 * KEPT_FOR
+    with pytest.raises(ValueError, match="future"):
+        World(clock=world.clock).recorder.restore(saved)
+
+
+def test_what_does_not_fit_together_is_refused() -> None:
+    world = World("/scan")
+    world.go(130)
+    saved = world.recorder.save()
+    first = msgspec.structs.replace(saved.subjects[0], up=b"")
+    with pytest.raises(ValueError, match="rates"):
+        Timeline.restore(msgspec.structs.replace(saved, subjects=(first,)), "robot1", "client")
+
+
+def test_actions_and_outages_are_clean_text() -> None:
+    world = World("/scan")
+    world.go(60)
+    world.put("/scan", State.DOWN, "evil\x1b[2J\u202etext" + "x" * 5000)
+    world.go(10)
+    (outage,) = world.outages()
+    assert "\x1b" not in outage.cause
+    assert "\u202e" not in outage.cause
+    assert len(outage.cause) < 600
