@@ -366,7 +366,7 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
     report = offline.report(files, saved.time + 100, 86400.0)
     assert not report.running
     assert report.outages
-    assert {each.who for each in report.actions} == {"anna"}
+    assert "anna" in {each.who for each in report.actions}
     assert report.gaps[-1].seconds >= 100
     assert all(set(line) >= {"time", "text"} for line in lines(files.events)), "whole lines only"
 

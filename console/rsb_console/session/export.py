@@ -7,9 +7,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_console.session.history import cell, csv_report, text_report
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.snapshot import Event, RouteSnapshot
 
 COLUMNS = (
@@ -49,6 +52,20 @@ def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
         table.writerow((*COLUMNS, *counts))
         for route in routes:
             table.writerow(
-                [getattr(route, name) for name in COLUMNS] + [getattr(route.ledger, name) for name in counts]
+                [cell(getattr(route, name)) for name in COLUMNS] + [getattr(route.ledger, name) for name in counts]
             )
     return path
+
+
+def export_history(report: HistoryReport) -> tuple[Path, Path]:
+    """Write what happened as text and as CSV.
+
+    Returns:
+        Both files, in the working folder.
+    """
+    text, table = _new_file("history", "txt"), _new_file("history", "csv")
+    with text.open("x", encoding="utf-8") as file:
+        file.writelines(f"{line}\n" for line in text_report(report))
+    with table.open("x", encoding="utf-8", newline="") as file:
+        file.write(csv_report(report))
+    return text, table

@@ -104,9 +104,7 @@ def why(report: HistoryReport, outage: Outage) -> str:
 
 def did(event: Event) -> str:
     """What an operator did, with the old and the new value."""
-    change = f" ({event.old or 'nothing'} → {event.new or 'nothing'})" if event.old or event.new else ""
-    who = f"{event.who}: " if event.who else ""
-    return f"{who}{event.text}{change}"
+    return event.text + (f" ({event.old or 'nothing'} → {event.new or 'nothing'})" if event.old or event.new else "")
 
 
 # --- as text
@@ -133,7 +131,8 @@ def text_report(report: HistoryReport) -> Iterator[str]:
         yield ""
         yield "Operators, and the bridge itself"
         for event in report.actions:
-            yield f"  {_day_time(event.time)}  {did(event)}"
+            who = f"{event.who}: " if event.who not in event.text else ""
+            yield f"  {_day_time(event.time)}  {who}{did(event)}"
     if report.actions_left_out:
         yield f"  {report.actions_left_out:,} more before these."
 

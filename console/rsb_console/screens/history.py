@@ -1,0 +1,316 @@
+"""The time line: what happened in the last hours."""
+
+from __future__ import annotations
+
+import asyncio
+import textwrap
+import time
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from textual.binding import Binding
+from textual.containers import Vertical
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.snapshot import State
+from rsb_console.look import formats
+from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.session import history
+from rsb_console.widgets.lines import Line, LiveLines, fit, fit_middle
+from rsb_console.widgets.prompt import Prompt
+from rsb_console.widgets.selectable_list import SelectableList
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.history import HistoryReport, Track
+    from rsb_console.console import Console
+    from rsb_console.widgets.pattern import Pattern
+
+SPANS = (3600.0, 8 * 3600.0, 24 * 3600.0)
+_RENEWED_EVERY = 5.0
+_SUMMARY_LINES = 6
+_DETAIL_LINES = 4
+_START, _LENGTH, _ROBOT, _STATE = 13, 14, 12, 9
+_TOPIC_NARROW, _TOPIC_WIDE = 18, 30
+_LABEL = 9
+HELP = "h 1, 8 or 24 hours   s by time, or by robot and topic   / filter   x export   esc close"
+
+
+class Row(NamedTuple):
+    """One thing that happened.
+
+    Attributes:
+        key: names it, from one answer to the next.
+        start: s since the epoch.
+        length: how long, in words; or empty.
+        robot: the link, or empty.
+        topic: with its direction; or ``link``; or empty.
+        state: of an outage, its state; of an action, who did it.
+        look: of that.
+        text: the cause, or what was done.
+        track: whose rates belong to it; None: nobody's.
+    """
+
+    key: str
+    start: float
+    length: str
+    robot: str
+    topic: str
+    state: str
+    look: str
+    text: str
+    track: Track | None
+
+    @property
+    def plain(self) -> str:
+        """What a filter looks at."""
+        return f"{self.robot} {self.topic} {self.state} {self.text}"
+
+
+def rows_of(report: HistoryReport) -> list[Row]:
+    """All that happened, the newest first. What only went with its link has no row of its own."""
+    tracks = {(each.link, each.topic, each.outgoing): each for each in report.tracks}
+    rows = [
+        Row(
+            f"{each.link}{history.what(each)}{each.start:.0f}", each.start,
+            f"{history.length(each.seconds)}{' …' if each.ongoing else ''}", each.link, history.what(each),
+            _state_words(each.state), each.state, history.why(report, each),
+            tracks.get((each.link, each.topic, each.outgoing)),
+        )
+        for each in history.own(report.outages)
+    ]  # fmt: skip
+    rows += [
+        Row(f"event{each.time}{each.text}", each.time, "", each.link, each.topic, each.who or "bridge", "key",
+            history.did(each), None)
+        for each in report.actions
+    ]  # fmt: skip
+    rows += [
+        Row(f"gap{gap.start:.0f}", gap.start, history.length(gap.seconds), "", "", "not known", "dim",
+            "the bridge did not run, or the machine slept", None)
+        for gap in report.gaps
+    ]  # fmt: skip
+    return sorted(rows, key=lambda row: -row.start)
+
+
+class HistoryTable(SelectableList):
+    """One line a row."""
+
+    sticky = 1
+
+    def __init__(self) -> None:
+        super().__init__(id="history")
+        self._rows: dict[str, Row] = {}
+        self._now = 0.0
+
+    def show(self, rows: list[Row], now: float) -> None:
+        self._now = now
+        self._rows = {row.key: row for row in rows}
+        self.show_keys(list(self._rows))
+
+    @property
+    def selected(self) -> Row | None:
+        return None if self.cursor_key is None else self._rows.get(self.cursor_key)
+
+    def line(self, index: int) -> Line:
+        topic = _TOPIC_WIDE if self.width >= 110 else _TOPIC_NARROW
+        if index < self.sticky:
+            heading = (
+                f" {'START':<{_START}}{'LENGTH':<{_LENGTH}}{'ROBOT':<{_ROBOT}}{'TOPIC':<{topic}}{'STATE':<{_STATE}}"
+            )
+            return fit(((f"{heading}CAUSE", "head"),), self.width)
+        row = self._rows[self.keys[index - self.sticky]]
+        robot, name = fit_middle(row.robot, _ROBOT - 1), fit_middle(row.topic, topic - 1)
+        line = (
+            ("▌" if self.is_cursor(index) else " ", "key"),
+            (f"{_moment(row.start, self._now):<{_START}}", "dim"),
+            (f"{row.length:<{_LENGTH}}", ""),
+            (f"{robot:<{_ROBOT}}", "strong"),
+            (f"{name:<{topic}}", ""),
+            (f"{fit_middle(row.state, _STATE - 1):<{_STATE}}", row.look),
+            (row.text, ""),
+        )
+        return fit(line, self.width)
+
+
+class Lines(LiveLines, can_focus=False):
+    """Some lines that are replaced as a whole, and take as much room as they need."""
+
+    def __init__(self, *, id: str) -> None:  # noqa: A002 -- Textual's name
+        super().__init__(id=id)
+        self._lines: list[Line] = []
+
+    @property
+    def line_count(self) -> int:
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return fit(self._lines[index], self.size.width)
+
+    def put(self, lines: list[Line]) -> None:
+        """Show these."""
+        self._lines = lines
+        self.styles.height = len(lines)
+        self.sync()
+
+
+class HistoryScreen(ModalScreen[None]):
+    """What happened in the last hour, 8 hours or day: outages, what operators did, and when nobody watched."""
+
+    BINDINGS: ClassVar = [
+        Binding("escape", "back", show=False),
+        Binding("q", "dismiss", show=False),
+        Binding("h", "span", show=False),
+        Binding("s", "order", show=False),
+        Binding("slash", "filter", show=False),
+        Binding("x", "export", show=False),
+    ]
+    AUTO_FOCUS = "#history"
+
+    def __init__(self, console: Console) -> None:
+        super().__init__()
+        self.console = console
+        self.summary, self.table, self.detail = Lines(id="history-summary"), HistoryTable(), Lines(id="history-detail")
+        self.prompt = Prompt()
+        self.pattern: Pattern | None = None
+        self._span = SPANS[0]
+        self._by_topic = False
+        self._report: HistoryReport | None = None
+        self._problem = ""
+
+    def compose(self) -> ComposeResult:
+        """Totals, the table, and more about the row under the cursor."""
+        with Vertical(classes="dialog -history") as dialog:
+            dialog.border_title = "What happened"
+            yield self.summary
+            yield self.table
+            yield self.detail
+            yield self.prompt
+            yield Static(HELP, classes="hint keys")
+
+    def on_mount(self) -> None:
+        self.set_interval(_RENEWED_EVERY, self._ask)
+        self._ask()
+
+    def _ask(self) -> None:
+        self.run_worker(self._fetch(), exclusive=True, group="history")
+
+    async def _fetch(self) -> None:
+        """Ask the engine, which may be in another process."""
+        engine = self.console.engine
+        if engine is None:
+            self._problem = "no session runs"
+        else:
+            try:
+                self._report = await asyncio.wrap_future(engine.history(self._span))
+                self._problem = ""
+            except EngineError as error:
+                self._problem = f"not known at present: {error}"
+        self.show()
+
+    def show(self) -> None:
+        """Show the newest answer."""
+        report = self._report
+        dialog = self.query_one(".dialog", Vertical)
+        parts = ["What happened", f"last {history.length(self._span)}", "by robot and topic" if self._by_topic else ""]
+        parts.append("" if self.pattern is None else f"/{self.pattern.text}")
+        dialog.border_title = " ▸ ".join(part for part in parts if part)
+        if report is None:
+            self.summary.put([((self._problem or "asking the bridge", "down" if self._problem else "dim"),)])
+            return
+        rows = [row for row in rows_of(report) if self.pattern is None or self.pattern.matches(row.plain)]
+        if self._by_topic:
+            rows.sort(key=lambda row: (row.robot, row.topic))
+        self.summary.put(list(self._totals(report, rows)))
+        self.table.show(rows, report.time)
+        self._show_detail()
+
+    def _totals(self, report: HistoryReport, rows: list[Row]) -> Iterator[Line]:
+        if self._problem:
+            yield ((self._problem, "down"),)
+        lines = history.totals(report)
+        yield from (((line, ""),) for line in lines[:_SUMMARY_LINES])
+        if len(lines) > _SUMMARY_LINES:
+            yield ((f"{len(lines) - _SUMMARY_LINES} more lines: rsb-console report {report.name}", "dim"),)
+        if report.outages_left_out:
+            yield ((f"at least {report.outages_left_out:,} outages more, for which there was no room", "dim"),)
+        if not rows:
+            yield (("nothing that matches" if self.pattern else "nothing else happened", "dim"),)
+
+    def _show_detail(self) -> None:
+        row = self.table.selected
+        self.detail.put([] if row is None else list(_detail(row, self.detail.size.width or 80, self._span)))
+
+    def on_selectable_list_cursor_moved(self) -> None:
+        self._show_detail()
+
+    def action_span(self) -> None:
+        """The next span."""
+        self._span = SPANS[(SPANS.index(self._span) + 1) % len(SPANS)]
+        self._report = None
+        self.show()
+        self._ask()
+
+    def action_order(self) -> None:
+        self._by_topic = not self._by_topic
+        self.show()
+
+    def action_filter(self) -> None:
+        self.prompt.open("" if self.pattern is None else self.pattern.text)
+
+    def on_prompt_changed(self, event: Prompt.Changed) -> None:
+        self.pattern = event.pattern
+        self.show()
+
+    def on_prompt_closed(self) -> None:
+        self.set_focus(self.table)
+
+    def action_back(self) -> None:
+        """Drop the filter, or close."""
+        if self.pattern is not None:
+            self.pattern = None
+            self.show()
+        else:
+            self.dismiss()
+
+    def action_export(self) -> None:
+        """Write it to files in the working folder, as text and as CSV."""
+        from rsb_console.session.export import export_history  # noqa: PLC0415 -- seldom needed
+
+        if self._report is None:
+            return
+        try:
+            paths = export_history(self._report)
+        except OSError as error:
+            self.notify(str(error), title="Not exported", severity="error", markup=False)
+        else:
+            self.notify("written to " + " and ".join(map(str, paths)), markup=False)
+
+
+def _state_words(state: str) -> str:
+    """The sign and the word of a state; a newer bridge may have another one."""
+    known = next((each for each in State if each == state), None)
+    return state.upper() if known is None else f"{STATE_SIGN[known]} {STATE_WORD[known]}"
+
+
+def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
+    """The whole text, and the rate over the span."""
+    whole = textwrap.wrap(row.text, max(20, width - _LABEL)) or [""]
+    for number, line in enumerate(whole[:_DETAIL_LINES]):
+        yield ((f"{'' if number else ('why' if row.length else 'what'):<{_LABEL}}", "dim"), (line, ""))
+    if row.track is not None:
+        rates = [rate or 0.0 for rate in row.track.rates]
+        most = max(rates, default=0.0)
+        top = f"{formats.hertz(most)} Hz" if row.track.topic else formats.byte_rate(most)
+        picture = sparkline(rates, len(rates))
+        words = f"  at most {top}; up {history.percent(row.track.up_ratio)} of {history.length(span)}"
+        yield ((f"{'rate':<{_LABEL}}", "dim"), (picture, "plot"), (words, "dim"))
+
+
+def _moment(moment: float, now: float) -> str:
+    """The time of day; with the day, if it was another one."""
+    then = time.localtime(moment)
+    return time.strftime("%H:%M:%S" if then.tm_yday == time.localtime(now).tm_yday else "%a %H:%M:%S", then)

@@ -1,0 +1,161 @@
+"""The time line: what happened, how long, why and who; filtered, ordered, exported, attached and read-only."""
+
+import csv
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.console.driving import NARROW, WIDE, drive, engine_as, engine_of, gone, scripted_app, shown, text, until
+from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
+from tests.support.control import Machine
+from textual.pilot import Pilot
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.history import Gap, HistoryReport
+from rsb_bridge.model.session import Session
+
+if TYPE_CHECKING:
+    from rsb_console.app import ConsoleApp
+
+
+@pytest.fixture(autouse=True)
+def _utc(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "UTC")
+
+
+def spans(engine: ScriptedEngine) -> list[object]:
+    """The spans that were asked for, without repetitions."""
+    asked = [command[1] for command in engine.commands if command[0] == "history"]
+    return list(dict.fromkeys(asked))
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW])
+def test_it_shows_outages_and_actions_with_cause_and_length(size: tuple[int, int]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("h")
+        await shown(pilot, "linked 93.6 % of the time; 1 outage, 3 min 50 s in all")
+        await shown(pilot, "4 min 28 s …")
+        picture = text(app)
+        assert picture.index("▲ STALE") < picture.index("anna") < picture.index("✗ DOWN"), "the newest first"
+        await shown(pilot, "=nothing for 15 s")
+        await pilot.press("G")
+        await shown(pilot, "the server does not answer (2 topics with it)")
+        await shown(pilot, "rate")
+        await pilot.press("k", "k")
+        await shown(pilot, "edited (max_rate: 5 → max_rate: 2)")
+        await pilot.press("escape")
+        await gone(pilot, "What happened")
+
+    drive(app, steps, size)
+
+
+def test_the_span_the_order_and_the_filter() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("h")
+        await shown(pilot, "What happened ▸ last 1 h")
+        await pilot.press("h")
+        await shown(pilot, "last 8 h")
+        await until(pilot, lambda: spans(engine_of(app)) == [3600.0, 28800.0], "asked for 8 h")
+        await pilot.press("h")
+        await shown(pilot, "last 24 h")
+        await pilot.press("h")
+        await shown(pilot, "last 1 h")
+        await shown(pilot, "✗ DOWN")
+        await pilot.press("s")
+        await shown(pilot, "by robot and topic")
+        await shown(pilot, "✗ DOWN")
+        assert text(app).index("✗ DOWN") > text(app).index("START")
+        await pilot.press("slash")
+        await pilot.press(*"anna", "enter")
+        await shown(pilot, "/anna")
+        await gone(pilot, "✗ DOWN")
+        await pilot.press("escape")
+        await shown(pilot, "✗ DOWN")
+
+    drive(app, steps)
+
+
+class Silent(ScriptedEngine):
+    """Does not answer any more."""
+
+    def history(self, seconds: float) -> "Future[HistoryReport]":
+        failed: Future[HistoryReport] = Future()
+        failed.set_exception(EngineError("the bridge has ended"))
+        return failed
+
+
+def test_what_is_not_known_is_said() -> None:
+    app = scripted_app(make_engine=Silent)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("h")
+        await shown(pilot, "not known at present: the bridge has ended")
+
+    drive(app, steps)
+
+
+class Slept(ScriptedEngine):
+    """Was away for half an hour, and nothing else happened."""
+
+    def __init__(self, session: Session, base: Path) -> None:
+        super().__init__(session, base)
+        self.remembered = replace(REMEMBERED, outages=(), actions=(), gaps=(Gap(NOW - 2000, 1800.0),))
+
+
+def test_a_time_that_nobody_watched_is_told() -> None:
+    app = scripted_app(make_engine=Slept)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("h")
+        await shown(pilot, "The bridge ran for 30 min of it (50.0 %)")
+        await shown(pilot, "did not run, or the machine slept")
+        assert engine_as(app, Slept).remembered.gaps
+
+    drive(app, steps)
+
+
+def test_export_as_text_and_csv(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("h")
+        await shown(pilot, "✗ DOWN")
+        await pilot.press("x")
+        await shown(pilot, "written to")
+
+    drive(app, steps)
+    (lines,) = tmp_path.glob("rsb-history-*.txt")
+    assert "anna: /robot1/scan: edited (max_rate: 5 → max_rate: 2)" in lines.read_text()
+    (table,) = tmp_path.glob("rsb-history-*.csv")
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["kind"] for row in rows].count("outage") == 4
+    assert "'=nothing for 15 s" in [row["cause"] for row in rows]
+
+
+@pytest.mark.parametrize("readonly", [False, True])
+def test_attached_and_readonly(machine: Machine, readonly: bool) -> None:
+    engine = ScriptedEngine()
+    machine.serve(engine)
+    app: ConsoleApp = scripted_app(session=None, path=None, attach_to=machine.folder / "robot1.sock", readonly=readonly)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("h")
+        await shown(pilot, "the server does not answer (2")
+        assert spans(engine) == [3600.0]
+
+    drive(app, steps)
+    app.stop()
