@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Peer
 
 _MOST_HELD = 10_000  # messages
-_MOST_HELD_BYTES = 8 << 20
+_MOST_HELD_BYTES = 32 << 20  # as many as wait to be sent: an image that comes first is not lost
 _MOST_NAMED = 5  # nodes in one sentence
 
 
