@@ -181,6 +181,7 @@ class ScriptedEngine:
         self.peeked: list[PeekedMessage] = []
         self.described: str | None = None
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
+        self.looking: Future[PeekedMessage | None] = Future()
 
     def start(self) -> None:
         self.running = True
@@ -250,7 +251,10 @@ class ScriptedEngine:
         return self._done(suggestions, "topics", link)
 
     def peek(self, key: str, *, kept: bool = False) -> "Future[PeekedMessage | None]":
-        return self._done(self.peeked.pop(0) if self.peeked else None, "peek", key, kept)
+        if self.peeked:
+            return self._done(self.peeked.pop(0), "peek", key, kept)
+        self.looking = Future()  # until a message comes
+        return self.looking
 
     def describe(self, key: str) -> "Future[str]":
         if self.described is not None:

@@ -391,19 +391,19 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
 
 def test_who_leaves_while_looking_at_a_message_looks_no_more(machine: Machine) -> None:
     class Quiet(ScriptedEngine):
-        looking: list[Future[Any]]
+        asked: list[Future[Any]]
 
         def peek(self, key: str, *, kept: bool = False) -> Future[Any]:
-            self.looking.append(Future())
-            return self.looking[-1]
+            self.asked.append(Future())
+            return self.asked[-1]
 
     engine = Quiet()
-    engine.looking = []
+    engine.asked = []
     machine.serve(engine)
     remote = machine.attach(read_only=True)
     shown = remote.peek("/scan")
-    eventually(lambda: engine.looking)
+    eventually(lambda: engine.asked)
     remote.stop()
-    eventually(engine.looking[0].cancelled)
+    eventually(engine.asked[0].cancelled)
     with pytest.raises(EngineError, match="no answer"):
         shown.result(10)

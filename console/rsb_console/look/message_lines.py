@@ -66,13 +66,21 @@ def _items(label: str, before: str, items: Items, width: int, *, arrays: bool) -
         for each in nested:
             yield from _element(each, indent, width, arrays=arrays)
         return
-    room = max(_NARROWEST, width - len(before) - len(label) - 1)
-    rows = list(_rows([scalar(each) for each in items.shown] + ["…"] * shortened, room))
+    words = [scalar(each) for each in items.shown] + ["…"] * shortened
+    room = max(_NARROWEST, width - len(before) - len(label) - 2)
+    beside = not shortened or sum(map(len, words)) + 2 * len(words) + len(note) <= room
+    if beside:
+        start: Line = ((before, ""), (label, "key"), ("[", ""))
+    else:  # the note stands above: behind the elements there would be no room for it
+        yield ((before, ""), (label.rstrip(), "key"), (note, "dim"))
+        start = ((f"{indent}{INDENT}[", ""),)
+        room = max(_NARROWEST, width - len(indent) - len(INDENT) - 2)
+    margin = " " * sum(len(text) for text, _ in start)
+    rows = list(_rows(words, room))
     for number, row in enumerate(rows):
-        start = ((before, ""), (label, "key"), ("[", "")) if number == 0 else ((indent + " " * (len(label) + 1), ""),)
         last = number == len(rows) - 1
-        end = (("]", ""), (note if shortened else "", "dim")) if last else ()
-        yield (*start, (row, ""), *end)
+        end = (("]", ""), (note if shortened and beside else "", "dim")) if last else ()
+        yield (*(start if number == 0 else ((margin, ""),)), (row, ""), *end)
 
 
 def _element(message: Message, indent: str, width: int, *, arrays: bool) -> Iterator[Line]:

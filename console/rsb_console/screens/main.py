@@ -299,10 +299,19 @@ class MainScreen(Screen[None]):
 
         if self.log_pane.has_focus and self.log_pane.selected is not None:
             self.app.push_screen(EventScreen(self.log_pane.selected))
+        elif self.detail.has_focus:
+            self.action_message()
         elif self.detail.display:
             self.detail.focus()
         else:
             self._mode("-detail")
+
+    def action_message(self) -> None:
+        """Show the topic's latest message."""
+        from rsb_console.screens.message import MessageScreen  # noqa: PLC0415 -- keeps the start short
+
+        if self.selected is not None and self.console.engine is not None:
+            self.app.push_screen(MessageScreen(self.console, self.selected))
 
     def action_zoom(self) -> None:
         """Give the focused pane the screen, or take it back."""

@@ -1,0 +1,206 @@
+"""A topic's latest message, decoded as far as its type is known."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import TYPE_CHECKING, ClassVar
+
+from textual import work
+from textual.binding import Binding
+from textual.screen import ModalScreen
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import escape_text
+from rsb_console.look import formats
+from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.look.message_lines import hex_lines, message_lines, plain
+from rsb_console.session.reading import KnownTypes, age_text, how_it_came, read_message
+from rsb_console.terminal.clipboard import copy
+from rsb_console.widgets.lines import Line, LiveLines, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console import Console
+    from rsb_console.session.reading import ReadMessage
+
+_ITEMS = 64
+_STEPS = 20_000
+"""Values that are decoded at most: about 20 ms."""
+_HEX = 1024  # bytes
+_TRIED_AGAIN_AFTER = 1.0  # s
+_KEYS = " esc back · space hold · y copy "
+
+
+class MessageLines(LiveLines, can_focus=True):
+    """The message, and above it how it came."""
+
+    BINDINGS: ClassVar = [
+        Binding("j", "scroll_down", show=False),
+        Binding("k", "scroll_up", show=False),
+        Binding("g", "scroll_home", show=False),
+        Binding("G", "scroll_end", show=False),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__(id="message", classes="dialog")
+        self._lines: list[Line] = []
+
+    @property
+    def line_count(self) -> int:
+        """As many as the message takes."""
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return self._lines[index]
+
+    def show(self, lines: Iterator[Line]) -> None:
+        """Show other lines in place of the present ones."""
+        width = self.scrollable_content_region.width
+        self._lines = [fit(line, width) for line in lines]
+        self.sync()
+
+
+class MessageScreen(ModalScreen[None]):
+    """Shows the messages of one topic, each new one in place of the one before.
+
+    Args:
+        console: the app.
+        route: the topic's, as it was when this was opened.
+    """
+
+    BINDINGS: ClassVar = [
+        Binding("escape,q,enter,v", "dismiss", show=False),
+        Binding("space", "hold", show=False),
+        Binding("y", "copy", show=False),
+    ]
+
+    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+        super().__init__()
+        self.console = console
+        self._route = route
+        self._types = KnownTypes(time.monotonic)
+        self._read: ReadMessage | None = None
+        self._goes_on = asyncio.Event()  # cleared: the message that is shown is held
+        self._goes_on.set()
+        self._problem = ""
+        self._waits_since = time.monotonic()
+
+    def compose(self) -> ComposeResult:
+        self._pane = MessageLines()
+        self._pane.border_title = f" {escape_text(self._route.topic)} "
+        self._pane.border_subtitle = _KEYS
+        yield self._pane
+
+    def on_mount(self) -> None:
+        self.set_interval(1.0, self._draw)
+        self.call_after_refresh(self._draw)
+        self._look()
+
+    def on_resize(self) -> None:
+        self.call_after_refresh(self._draw)
+
+    # -- messages -----------------------------------------------------------------------------------------------------
+
+    @work
+    async def _look(self) -> None:
+        """Take what comes, until the screen is closed."""
+        first = True
+        while True:
+            try:
+                peeked = await self._peek(kept=first)
+                await self._goes_on.wait()
+                if peeked is not None:
+                    self._read = await self._made_readable(peeked)
+                    self._waits_since = time.monotonic()
+                    first = False
+                self._problem = ""
+            except EngineError as error:
+                self._problem = str(error)
+                await asyncio.sleep(_TRIED_AGAIN_AFTER)
+            self._draw()
+
+    async def _peek(self, *, kept: bool) -> PeekedMessage | None:
+        engine = self.console.engine
+        if engine is None:
+            raise EngineError("no session runs")
+        return await asyncio.wrap_future(engine.peek(self._route.key, kept=kept))
+
+    async def _made_readable(self, peeked: PeekedMessage) -> ReadMessage:
+        known = self._types.get(peeked.type_hash)
+        if known is None:
+            known = self._types.put(peeked.type_hash, *await self._described())
+        return read_message(peeked, *known, items=_ITEMS, steps=_STEPS)
+
+    async def _described(self) -> tuple[str | None, str]:
+        try:
+            assert self.console.engine is not None
+            return await asyncio.wrap_future(self.console.engine.describe(self._route.key)), ""
+        except EngineError as error:
+            return None, str(error)
+
+    # -- the picture --------------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        if self._pane.is_attached:
+            self._pane.show(self._lines())
+
+    def _lines(self) -> Iterator[Line]:
+        routes = self.console.snapshot().routes
+        route = next((each for each in routes if each.key == self._route.key), None)
+        yield from self._state_lines(route)
+        if self._read is None:
+            return
+        peeked = self._read.peeked
+        yield ((escape_text(peeked.type_name), "strong"), (f"  {how_it_came(peeked)}", ""))
+        if route is not None and peeked.outgoing and route.latency_p50 is not None:
+            p50 = formats.latency(route.latency_p50, route.latency_uncertainty)
+            yield ((f"over the link p50 {p50}", "dim"),)
+        if self._read.age is not None:
+            yield ((age_text(self._read.age), "dim" if self._read.age.latency is not None else "stale"),)
+        yield ()
+        if self._read.decoded is not None:
+            yield from message_lines(self._read.decoded.message, self._pane.scrollable_content_region.width)
+        else:
+            yield from hex_lines(peeked.payload, _HEX)
+        if self._read.problem:
+            yield ()
+            yield ((escape_text(self._read.problem), "stale"),)
+
+    def _state_lines(self, route: RouteSnapshot | None) -> Iterator[Line]:
+        """What keeps messages from coming, and for how long none has come."""
+        if not self._goes_on.is_set():
+            yield (("HELD: space goes on", "paused"),)
+            return
+        waited = time.monotonic() - self._waits_since
+        if self._problem:
+            yield ((escape_text(self._problem), "down"),)
+        elif waited >= 1:
+            state: Line = ()
+            if route is not None and route.state is not State.OK:
+                reason = f" {route.reason}" if route.reason else ""
+                state = ((f"  {STATE_SIGN[route.state]} {STATE_WORD[route.state]}{reason}", route.state.value),)
+            yield ((f"waiting for a message, {formats.age(waited)}", "waiting"), *state)
+
+    # -- keys ---------------------------------------------------------------------------------------------------------
+
+    def action_hold(self) -> None:
+        """Keep the message that is shown, or go on."""
+        if self._goes_on.is_set():
+            self._goes_on.clear()
+        else:
+            self._goes_on.set()
+            self._waits_since = time.monotonic()
+        self._draw()
+
+    def action_copy(self) -> None:
+        """Copy the whole message, as far as it is decoded."""
+        if self._read is not None and self._read.decoded is not None:
+            text = "\n".join(plain(line) for line in message_lines(self._read.decoded.message, 1 << 20))
+            self.notify(copy(self.app, text).partition("\n")[0], timeout=3, markup=False)

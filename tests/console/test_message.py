@@ -1,0 +1,195 @@
+"""Looking at a topic's messages in the console."""
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.console.driving import NARROW, drive, engine_of, gone, put, scripted_app, shown, text, until
+from tests.console.live import COMMAND, Pair, running, talker
+from tests.console.scripted import NOW, route
+from tests.console.tmux import Tmux
+from tests.support.control import Machine
+from textual.pilot import Pilot
+
+from rsb_bridge.model.peek import PeekedMessage
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_console.look.message_lines import hex_lines, message_lines, plain
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+
+from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from rsb_bridge.cdr.decoder import Items
+from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.typesupport import hash_of
+
+CHATTER = f"/console_{os.getpid()}/message"
+SCAN = route("/robot2/scan")
+
+
+def peeked(message: Any, **changes: Any) -> PeekedMessage:
+    kind = f"{type(message).__module__.split('.')[0]}/msg/{type(message).__name__}"
+    payload = serialize_message(message)
+    shows = PeekedMessage(payload, len(payload), kind, hash_of(type(message)), NOW, outgoing=False, latency=0.0031)
+    return replace(shows, **changes)
+
+
+def odometry(frame: str = "base") -> Odometry:
+    message = Odometry(child_frame_id=frame)
+    message.header.stamp.sec, message.header.stamp.nanosec = int(NOW) - 1, 995_000_000
+    return message
+
+
+@pytest.mark.parametrize("keys", [["v"], ["enter", "enter"]])
+def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list[str]) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine = engine_of(app)
+        engine.described = installed_description("nav_msgs/msg/Odometry")
+        engine.peeked.append(peeked(odometry()))
+        await pilot.press(*keys)
+        await shown(pilot, 'child_frame_id: "base"')
+        screen = text(app)
+        assert "nav_msgs/msg/Odometry  716 B, came over the link in 3.1 ms at " in screen
+        assert "header.stamp 5.0 ms before (the stamp's publisher's clock to this machine's)" in screen
+        assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
+        engine.looking.set_result(peeked(odometry("other")))
+        await shown(pilot, 'child_frame_id: "other"')
+        assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is known"
+        engine.looking.set_result(None)
+        await shown(pilot, "waiting for a message")
+        assert 'child_frame_id: "other"' in text(app), "the last one stays"
+        await pilot.press("escape")
+        await gone(pilot, "child_frame_id")
+        await until(pilot, engine.looking.cancelled, "nobody looks any more")
+
+    drive(app, steps)
+
+
+def test_a_message_can_be_held() -> None:
+    app = scripted_app(readonly=True)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine = engine_of(app)
+        engine.described = installed_description("std_msgs/msg/String")
+        engine.peeked.append(peeked(String(data="first")))
+        await pilot.press("v")
+        await shown(pilot, 'data: "first"')
+        await pilot.press("space")
+        await shown(pilot, "HELD")
+        engine.looking.set_result(peeked(String(data="second")))
+        await pilot.press("space")
+        await shown(pilot, 'data: "second"')
+
+    drive(app, steps)
+
+
+def test_why_no_message_comes_is_said() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        put(app, route("/quiet", State.WAITING, reason="no publisher of /quiet in domain 4"))
+        await shown(pilot, "/quiet")
+        await pilot.press("v")
+        await shown(pilot, "waiting for a message")
+        await shown(pilot, "WAIT no publisher of /quiet in domain 4")
+
+    drive(app, steps, NARROW)
+
+
+def test_what_nobody_describes_is_shown_as_hex() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).peeked.append(peeked(odometry(), payload=bytes(range(64)) * 100))
+        await pilot.press("v")
+        await shown(pilot, "00000010  10 11 12 13")
+        await shown(pilot, "nav_msgs/msg/Odometry")
+        await pilot.press("G")
+        await shown(pilot, "neither side knows it")
+
+    drive(app, steps, NARROW)
+
+
+def test_nothing_in_a_message_is_obeyed_by_the_screen() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).described = installed_description("std_msgs/msg/String")
+        engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
+        await pilot.press("v")
+        await shown(pilot, 'data: "\\x1b[2J [red]markup[/] \\u202e\\u200b"')
+
+    drive(app, steps)
+
+
+def test_arrays_are_wrapped_and_shortened() -> None:
+    message = {
+        "ranges": Items("float32", 1000, [0.5] * 20),
+        "few": Items("float64", 2, [1.5]),
+        "all": Items("uint8", 20, [7] * 20),
+        "points": Items("p/msg/Point", 3, [{"x": 1, "y": 2}, {"x": 3, "y": 4}]),
+        "empty": Items("uint8", 0, []),
+        "nested": {"names": Items("string", 2, ["a", "b\n"])},
+        "nothing": {},
+    }
+    lines = [plain(line) for line in message_lines(message, 60)]  # type: ignore[arg-type]
+    assert lines == [
+        "ranges:  # 20 of 1 000 float32",
+        "  [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5,",
+        "   0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, …]",
+        "few: [1.5, …]  # 1 of 2 float64",
+        "all: [7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7, 7,",
+        "      7, 7, 7]",
+        "points:  # 2 of 3 p/msg/Point",
+        "- x: 1",
+        "  y: 2",
+        "- x: 3",
+        "  y: 4",
+        "empty: []",
+        "nested:",
+        '  names: ["a", "b\\n"]',
+        "nothing: {}",
+    ]
+    short = [plain(line) for line in message_lines(message, 60, arrays=False)]  # type: ignore[arg-type]
+    assert short[:2] == ["ranges: '<float32[1000]>'", "few: '<float64[2]>'"]
+
+
+def test_hex_shows_sixteen_bytes_a_line() -> None:
+    assert [plain(line) for line in hex_lines(b"\x00\x01\x00\x00ab\x1b", 16)] == [
+        "00000000  00 01 00 00 61 62 1b                              ....ab."
+    ]
+    assert plain([*hex_lines(bytes(100), 32)][-1]) == "… 68 bytes more"
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+def test_in_a_terminal_attached_and_read_only(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+    with pair.server(), running(str(COMMAND), "run", "--no-ui", str(pair.client_path)), talker(CHATTER):
+        socket = machine.folder / "robot1.sock"
+        with Tmux(tmp_path, "sh") as tmux:
+            tmux("send-keys", f"until {COMMAND} attach --readonly --control {socket}; do sleep 0.2; done", "Enter")
+            tmux.wait_for("● ok")
+            tmux("send-keys", "v")
+            first = tmux.wait_for("data: ")
+            came = next(line for line in first.splitlines() if "std_msgs/msg/String" in line)
+            assert " B, taken from ROS" in came or " B, came over the link" in came, "both sides are robot1"
+            tmux.wait_for(came, there=False)
+            tmux("send-keys", "Escape")
+            tmux.wait_for("data: ", there=False)
+            tmux.wait_for("● ok")
