@@ -11,6 +11,7 @@ from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
+from rsb_bridge.ros.graph import SimilarTopics
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -42,6 +43,7 @@ class Context:
         limited: the way to `events` for what a peer may be the cause of.
         announcements: what this bridge and the others in its domain tell each other.
         descriptions: of the message types that somebody looks at.
+        similar_topics: finds what an operator may have meant.
     """
 
     session: Session
@@ -56,18 +58,28 @@ class Context:
     limited: RateLimitedEventLog = field(init=False)
     announcements: Announcements = field(init=False)
     descriptions: TypeDescriptions = field(init=False)
+    similar_topics: SimilarTopics = field(init=False)
 
     def __post_init__(self) -> None:
         self.limited = RateLimitedEventLog(self.events, self.now)
         self.announcements = Announcements(self.ros, self.loop, self._warn)
         self.descriptions = TypeDescriptions(self.ros, self.now)
+        self.similar_topics = SimilarTopics(self.ros, self.now)
 
     def log(
-        self, level: Level, code: EventCode, text: str, *, link: str = "", topic: str = "", link_status: bool = False
+        self,
+        level: Level,
+        code: EventCode,
+        text: str,
+        *,
+        link: str = "",
+        topic: str = "",
+        cause: str = "",
+        link_status: bool = False,
     ) -> None:
         """Add an event; of a link's, those that are within its share (`RateLimitedEventLog`)."""
         if link:
-            self.limited.add(level, code, text, link=link, topic=topic, link_status=link_status)
+            self.limited.add(level, code, text, link=link, topic=topic, cause=cause, link_status=link_status)
         else:
             self.events.add(level, code, text, topic=topic)
 

@@ -9,7 +9,7 @@ from textual.pilot import Pilot
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
-from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.look import formats
 from rsb_console.widgets.detail import detail_lines
 
@@ -139,8 +139,29 @@ def test_no_latency_is_below_zero() -> None:
 
 
 @pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
-def test_only_what_flows_has_a_rate_and_only_what_does_not_has_a_why(about: RouteSnapshot) -> None:
+def test_only_what_does_not_flow_has_a_why(about: RouteSnapshot) -> None:
     assert ("Why it isn't flowing" in said(about)) is (about.state is not State.OK)
+
+
+def test_what_flows_with_a_fault_says_which_and_what_has_stopped_passes_no_stage() -> None:
+    slow = said(route("/scan", State.SLOW, reason="robot1: 2 Hz of 20 expected", cause="slow"))
+    assert "robot1: 2 Hz of 20 expected" in slow
+    assert "all 10 passed\n" in slow
+    stopped = said(route("/scan", State.STOPPED, reason="nothing for 3 s", cause="publisher_silent"))
+    assert "nothing for 3 s" in stopped
+    assert "Rate  0 Hz" in stopped
+    assert "all 10 passed before, and nothing comes now" in stopped
+
+
+def test_what_is_throttled_on_purpose_is_no_loss() -> None:
+    ledger = Ledger(offered=100, delivered=20, throttled=80)
+    words = said(route("/scan", spec=Topic("/scan", "receive", max_rate=5.0), ledger=ledger))
+    assert "limit 5 Hz" in words
+    assert "100.0 %" in words
+
+
+@pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
+def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
     assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
 
 
@@ -170,6 +191,9 @@ def test_the_qos_of_both_ends_and_of_the_bridge() -> None:
     assert "QoS         best effort, volatile, last 5\n" in words
     assert "publishers  offer best effort, volatile, deadline 500.0 ms\n" in words
     assert "subscribers ask for reliable, volatile\n" in words
+    named = said(route("/scan", publishers=("/lidar", "/spare"), subscriber_qos=Qos(), subscribers=("/rviz",)), 90)
+    assert "publishers  /lidar, /spare, offer best effort, volatile\n" in named
+    assert "subscribers /rviz, ask for reliable, volatile\n" in named
     nobody = said(route("/scan", publisher_qos=None, subscriber_qos=None))
     assert "publishers" not in nobody
     assert "subscribers" not in nobody

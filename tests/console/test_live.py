@@ -46,8 +46,10 @@ def state(app: ConsoleApp) -> State | None:
 
 
 async def flowing(app: ConsoleApp, pilot: Pilot[None]) -> None:
-    """Wait until the selected topic carries what its talker says."""
-    await until(pilot, lambda: state(app) is State.OK and (route := app.main.selected) and route.rate > 0, "messages")
+    """Wait until the selected topic carries what its talker says, which nobody listens to on the other side."""
+    await until(
+        pilot, lambda: state(app) is State.UNHEARD and (route := app.main.selected) and route.rate > 0, "messages"
+    )
 
 
 def test_a_topics_life(tmp_path: Path) -> None:
@@ -58,7 +60,8 @@ def test_a_topics_life(tmp_path: Path) -> None:
         await shown(pilot, "● LINKED")
         with talker(CHATTER):
             await flowing(app, pilot)
-            assert "● 1 ok" in text(app)
+            assert "◇ 1 unheard" in text(app)
+            await shown(pilot, "server: nobody subscribes to")
         await until(pilot, lambda: state(app) is State.STALE, "stale")
         await shown(pilot, "▲ STALE")
         with talker(CHATTER):
@@ -71,7 +74,7 @@ def test_a_topics_life(tmp_path: Path) -> None:
             await shown(pilot, f"Remove {CHATTER}?")
             await pilot.press("enter")  # the focus is on No
             await gone(pilot, "Remove /")
-            assert state(app) is State.OK
+            assert state(app) is State.UNHEARD
             await pilot.press("d", "y")
             await shown(pilot, "0 topics")
 
@@ -88,7 +91,7 @@ def test_the_peer_dies_and_comes_back(tmp_path: Path) -> None:
                 await flowing(app, pilot)
                 server.kill()
             await shown(pilot, "✗ DOWN")
-            await until(pilot, lambda: state(app) is not State.OK, "the topic not ok")
+            await until(pilot, lambda: state(app) is State.DOWN, "the topic down")
             with pair.server():
                 await shown(pilot, "● LINKED")
                 await flowing(app, pilot)

@@ -27,6 +27,7 @@ from textual.widgets import Button
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
+from rsb_console.look import formats
 
 
 @on_main()
@@ -160,6 +161,41 @@ async def test_a_link_that_nobody_has_joined_yet_is_no_fault(app: ConsoleApp, pi
     await shown(pilot, "✗ DOWN")
 
 
+@on_main()
+async def test_links_with_a_fault_have_a_line_on_the_main_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    gone_robot = replace(LINK, name="robot2", state=State.DOWN, cause="lost", reason="the peer is silent", since=NOW)
+    put(app, links=(LINK, gone_robot), role="server")
+    since = formats.time_of_day(NOW)[:5]
+    await shown(pilot, f"✗ robot2: missing since {since}, last seen at {LINK.peer}: the peer is silent")
+    differ = replace(LINK, name="robot2", state=State.DOWN, cause="wrong_key", reason="the keys of 'robot2' differ: …")
+    put(app, links=(LINK, differ), role="server")
+    await shown(pilot, "✗ robot2: the keys of 'robot2' differ")
+    twice = replace(LINK, cause="name_taken", warning="a second machine, 10.0.0.9:4242, calls itself 'robot1' too")
+    put(app, links=(twice,), role="server")
+    await shown(pilot, "● robot1: a second machine, 10.0.0.9:4242")
+    put(app, links=(LINK,), role="server")
+    await gone(pilot, "a second machine")
+
+
+@on_main()
+async def test_what_is_wrong_is_counted_by_kind(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, *(route(f"/{state}", state) for state in State))
+    await shown(pilot, "8 topics")
+    for words in (
+        "✗ 1 down",
+        "▲ 1 stale",
+        "■ 1 stopped",
+        "≈ 1 slow",
+        "◇ 1 unheard",
+        "◌ 1 wait",
+        "‖ 1 paused",
+        "● 1 ok",
+    ):
+        await shown(pilot, words)
+    await pilot.press("f")
+    await shown(pilot, "6 of 8")
+
+
 @on_main(path=Path("robot1.yaml"))
 async def test_a_session_named_like_its_file_is_named_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert text(app).splitlines()[0].count("robot1") == 1
@@ -199,7 +235,7 @@ def test_copy_and_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     (log,) = tmp_path.glob("*.txt")
     lines = log.read_text().splitlines()
     assert len(lines) == 4
-    assert lines[-1].startswith("2027-01-15T07:59:55+0000 ERROR route /robot2/scan")
+    assert lines[-1].startswith("2027-01-15T07:59:55+0000 ERROR route robot1 /robot2/scan")
 
 
 def test_an_export_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.messages import Report, decode, encode
-from rsb_bridge.wire.records import ReceivedReport, SentReport
+from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -170,9 +170,9 @@ def test_a_sender_s_impossible_ledger_is_not_shown(
     route = IncomingRoute(context, peer, topic, proposal, proposed_here=False)
     route.open(1)
     route.reported(SentReport(route=1, offered=5, delivered=4, in_flight=1))
-    route.reported(SentReport(route=1, problem="still told", **wrong))
+    route.reported(SentReport(route=1, verdict=VerdictRecord("down", "slow", "still told"), **wrong))
     assert (route.ledger().offered, route.ledger().delivered) == (5, 4)
-    assert route.problem == "still told"
+    assert route.judged.peer.text == "still told"
     assert [event.code for event in context.events.after(0)] == [EventCode.ROUTE_IMPLAUSIBLE_REPORT]
 
 

@@ -12,7 +12,9 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import hop
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.announcements import Origin
 from rsb_bridge.ros.api import Endpoint, RawMessage
 from rsb_bridge.route.outgoing import OutgoingRoute
@@ -279,10 +281,12 @@ def test_who_is_waited_for_is_no_failure_on_the_other_side(world: World) -> None
     world.route.close("closed")
     world.route.open(3)
     world.route.on_accepted()
+    world.route.tick()
     assert "announce" in world.route.snapshot().reason
     report = world.route.news()
     assert report is not None
-    assert report.problem == ""
+    assert report.verdict is not None
+    assert (report.verdict.state, report.verdict.cause) == (State.WAITING, Cause.NO_MESSAGE)
 
 
 def test_a_loop_that_comes_again_is_said_again(world: World) -> None:

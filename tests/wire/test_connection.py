@@ -21,6 +21,7 @@ from tests.wire.links import (
     the,
 )
 
+from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
@@ -100,7 +101,9 @@ def refused(client: ClientConnection, server: ServerConnection) -> Refused:
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
 def test_another_key(suite: Suite) -> None:
     refusal = refused(make_client(suite), make_server(suite, key=OTHER_KEY))
-    assert refusal == Refused(RefusalCode.WRONG_KEY, "the two sides have different keys for 'robot1'")
+    ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
+    words = f"the keys of 'robot1' differ: the client's has the fingerprint {ours}, the server's {theirs}"
+    assert refusal == Refused(RefusalCode.WRONG_KEY, words)
 
 
 def test_no_key_against_a_key() -> None:

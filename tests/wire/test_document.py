@@ -21,6 +21,7 @@ STRUCTS = {
     "Source": records.Source,
     "SentReport": records.SentReport,
     "ReceivedReport": records.ReceivedReport,
+    "Verdict": records.VerdictRecord,
     "TopicEntry": records.TopicEntry,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
@@ -65,7 +66,7 @@ def test_every_code_of_a_refused_route_is_documented_and_no_other() -> None:
 
 def test_the_limits_are_documented() -> None:
     figures = (
-        f"at most {TEXT_LENGTH} characters, reasons and problems {REASON_LENGTH}; "
+        f"at most {TEXT_LENGTH} characters, reasons and verdicts' texts {REASON_LENGTH}; "
         f"a rate is 0 or {RATE.low:g} to 10^{math.log10(RATE.high):.0f} Hz, "
         f"a depth {DEPTH.low} to {DEPTH.high:,}, "
         f"a deadline or lifespan 0 or {QOS_TIME.low:g} to 10^{math.log10(QOS_TIME.high):.0f} s"

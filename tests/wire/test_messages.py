@@ -37,7 +37,7 @@ from rsb_bridge.wire.messages import (
     decode_welcome,
     encode,
 )
-from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry
+from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry, VerdictRecord
 
 PROPOSE = Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
 EXAMPLES = [
@@ -77,10 +77,25 @@ EXAMPLES = [
     Report(
         sent=(
             SentReport(
-                route=1, offered=9, delivered=7, dropped={"queue full": 2}, subscribed=True, problem="übel", loop=True
+                route=1,
+                offered=9,
+                delivered=7,
+                dropped={"queue full": 2},
+                subscribed=True,
+                verdict=VerdictRecord("down", "loop", "übel"),
+                nodes=("/talker",),
             ),
         ),
-        received=(ReceivedReport(route=2, received=3, newest=2**40, latency_p50=-0.001, jitter=0.0),),
+        received=(
+            ReceivedReport(
+                route=2,
+                received=3,
+                newest=2**40,
+                latency_p50=-0.001,
+                jitter=0.0,
+                verdict=VerdictRecord("newer than us"),
+            ),
+        ),
     ),
     ListTopics(request=1),
     TopicList(request=1, topics=(TopicEntry("/scan", "", "", None, 0, 1), TopicEntry("/a", "b", "c", Qos(), 1, 0))),

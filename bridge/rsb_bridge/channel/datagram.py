@@ -57,6 +57,10 @@ class DatagramSender(_DatagramChannel):
     def congested(self) -> bool:
         return self.carrier.socket.congested
 
+    def datagrams(self, size: int) -> int:
+        """How many datagrams a message of `size` bytes takes now; only once it is ready."""
+        return self._codec.datagrams(size, self.carrier.datagram_size())
+
     def send(self, batch: Sequence[Message]) -> None:
         size = self.carrier.datagram_size()
         for payload, stamp, flags in batch:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import hashlib
 import os
 import re
 import stat
@@ -12,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import kind_of_file, replace_file, typed_path
+from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,8 +66,7 @@ def conceal(text: str) -> str:
 
 def fingerprint(key: Key) -> str:
     """16 hexadecimal digits of the key's SHA-256, in fours: two operators compare them to see whether keys match."""
-    digits = hashlib.sha256(key.secret).hexdigest()[:16]
-    return " ".join(digits[at : at + 4] for at in range(0, len(digits), 4))
+    return format_fingerprint(fingerprint_of(key.secret))
 
 
 def write_key(path: Path, *, force: bool = False) -> Key:

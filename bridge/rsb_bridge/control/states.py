@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.control.protocol import ROUTES_IN_STATE, ProtocolError, State, decode_route, encode_route
 from rsb_bridge.model import snapshot as model
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+from rsb_bridge.model.verdict import Cause, LinkCause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -150,13 +151,16 @@ def out_of_reach(shown: Snapshot, reason: str, now: float) -> Snapshot:
         running=False,
         links=tuple(
             replace(
-                link, state=model.State.DOWN, reason=reason, since=now, retry_in=None, rtt=None,
-                rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
+                link, state=model.State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=now,
+                retry_in=None, rtt=None, rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
             )
             for link in shown.links
         ),
         routes=tuple(
-            replace(route, state=model.State.DOWN, reason=reason, rate=0.0, bytes_per_second=0.0)
+            replace(
+                route, state=model.State.DOWN, cause=Cause.LINK_DOWN, reason=reason, from_peer=False, rate=0.0,
+                bytes_per_second=0.0,
+            )
             for route in shown.routes
         ),
     )  # fmt: skip

@@ -12,9 +12,11 @@ from rsb_bridge.config.keys import Key, fingerprint
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.link import Link
+from rsb_bridge.link.rival import REMEDY
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, os_error_message
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
@@ -29,6 +31,12 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Hello, Propose, Shutdown
     from rsb_bridge.wire.sealing import Suite
 
+_CAUSES: dict[RefusalCode | None, LinkCause] = {
+    RefusalCode.WRONG_KEY: LinkCause.WRONG_KEY,
+    RefusalCode.WRONG_VERSION: LinkCause.WRONG_VERSION,
+    RefusalCode.UNKNOWN_NAME: LinkCause.UNKNOWN_NAME,
+    RefusalCode.NAME_TAKEN: LinkCause.NAME_TAKEN,
+}
 _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
 _LONGEST_DELAY_UNREACHED = 1.25
@@ -40,6 +48,8 @@ longer has."""
 _LONGEST_DELAY = 10.0
 """s between attempts while the server refuses: its answer seldom changes soon."""
 _KEY_CHANGED = "the client has another key now"
+_NAME_MAY_BE_FREED = 5
+"""Attempts that come soon although another client has this one's name."""
 _UDP_RETRIED_AFTER = 1.0
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
@@ -151,9 +161,13 @@ class ClientLink(Link):
 
     def _failed(self, failure: Failure) -> None:
         self.attempts += 1
-        self._refused = failure.refused
+        # The one that has the name may be dead, which shows within seconds.
+        self._refused = failure.refused and (
+            failure.code is not RefusalCode.NAME_TAKEN or self.attempts > _NAME_MAY_BE_FREED
+        )
         repeated = failure.reason == self.reason
-        self.reason = failure.reason
+        refused = _CAUSES.get(failure.code, LinkCause.REFUSED)
+        self.set_down(refused if failure.refused else LinkCause.UNREACHABLE, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
         self.log(Level.DEBUG if repeated else Level.ERROR, code, f"{failure.reason}; trying again", link_status=True)
 
@@ -197,9 +211,9 @@ class ClientLink(Link):
         """What the operator of this side is told."""
         match code:
             case RefusalCode.WRONG_KEY if self.key is not None:
-                return (
-                    f"{message}; this side's key has the fingerprint {self.fingerprint}: compare it with the server's"
-                )
+                return f"{message} (this side's is {self.fingerprint}): copy one side's key file to the other"
+            case RefusalCode.NAME_TAKEN:
+                return f"{message}: {REMEDY}"
             case RefusalCode.UNKNOWN_NAME:
                 remedy = "set name in this side's session file to one that the server lets in"
                 return f"{message}: {remedy}, or list {self.name!r} under clients in the server's"

@@ -24,10 +24,12 @@ class Failure(NamedTuple):
     Attributes:
         reason: for an operator.
         refused: the server refused, or another program answered; False: the server was not reached.
+        code: of the refusal; None: there is none.
     """
 
     reason: str
     refused: bool
+    code: RefusalCode | None = None
 
 
 class ConnectAttempt(StreamHandler):
@@ -73,7 +75,7 @@ class ConnectAttempt(StreamHandler):
                     self._let_in(stream, event, events[index + 1 :])
                     return
                 case Refused(code, message):
-                    self._finish(Failure(self._refusal_message(code, message), refused=True))
+                    self._finish(Failure(self._refusal_message(code, message), refused=True, code=code))
                 case Failed(reason):
                     self._finish(Failure(f"{self._address} does not speak this protocol: {reason}", refused=True))
                 case _:

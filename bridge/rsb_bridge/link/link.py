@@ -24,6 +24,7 @@ from rsb_bridge.link.udp_channels import UdpChannels
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, State, TopicInfo
 from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.ros.graph import topics_of
 from rsb_bridge.route.incoming import EXPANSION_A_SECOND, EXPANSION_AT_ONCE
 from rsb_bridge.route.latched import LATCHED_LIMIT
@@ -88,6 +89,7 @@ class Link(ABC):
         self.fingerprint = fingerprint
         self.encrypted = encrypted
         self.reason = _NOT_YET
+        self.cause = LinkCause.NOT_YET
         self.retry_at: float | None = None
         self.attempts = 0
         self.connections = 0
@@ -198,6 +200,7 @@ class Link(ABC):
         self._since = self.context.wall()
         self.attempts = 0
         self.retry_at = None
+        self.cause = LinkCause.NONE
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = f"linked with {control.stream.peer}, {encryption}, rsb-console {peer.version} there"
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
@@ -209,16 +212,20 @@ class Link(ABC):
         self.keepalive.stop()
         self.control = self.keys = self.data_keys = self.path_probe = None
         self.neighbourhood.disconnected()
-        self.reason = reason
+        self.set_down(LinkCause.LOST if code is EventCode.LINK_LOST else LinkCause.CLOSED, reason)
         self._since = self.context.wall()
         self.table.disconnected(reason)
         self.udp_channels.close()
         self.shared_streams.clear()
         self._topic_lists.disconnected()
         self._type_questions.disconnected()
-        level = Level.INFO if code in (EventCode.LINK_CLOSED, EventCode.LINK_REPLACED) else Level.WARNING
+        level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
-        self.log(level, code, f"link {how}: {reason}", link_status=True)
+        self.log(level, code, f"link with {self.address} {how}: {reason}", link_status=True)
+
+    def set_down(self, cause: LinkCause, reason: str) -> None:
+        """Say why the link is down; `reason` is for an operator."""
+        self.cause, self.reason = cause, reason
 
     def destroy(self) -> None:
         """End routes and tasks for good."""
@@ -453,7 +460,14 @@ class Link(ABC):
             peer_version=peer.version if peer else "",
             peer_domain=peer.domain_id if peer else None,
             use_name=self.use_name,
+            cause=self.cause if not self.linked else LinkCause.NAME_TAKEN if self.warning else LinkCause.NONE,
+            warning=self.warning,
         )
+
+    @property
+    def warning(self) -> str:
+        """What is wrong though the link is up, for an operator; or empty."""
+        return ""
 
     def _state(self) -> State:
         """A link that never connected is WAITING, not DOWN."""

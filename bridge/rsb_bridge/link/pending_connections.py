@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.events import Attach, Established, Failed, Refused
+from rsb_bridge.wire.events import Attach, Established, Event, Failed, Refused
 from rsb_bridge.wire.preamble import Refusal, RefusalCode
 
 if TYPE_CHECKING:
@@ -29,7 +29,11 @@ _PENALTY = 1.0
 _HOSTS_REMEMBERED = 1024
 _LOGGED_EVERY = 10.0
 _MOST_LOGGED = 256
-_CODES = {RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY, RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME}
+_CODES = {
+    RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY,
+    RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME,
+    RefusalCode.NAME_TAKEN: EventCode.LINK_NAME_TAKEN,
+}
 _TOO_MANY = "too many unauthenticated connections"
 
 
@@ -49,7 +53,11 @@ class Admission(Protocol):
         ...
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
-        """A client has authenticated: make its link."""
+        """A client has authenticated: make its link.
+
+        Raises:
+            Refusal: another machine has its name.
+        """
         ...
 
     def attach(self, stream: Stream, connection: ServerConnection, event: Attach) -> None:
@@ -64,8 +72,8 @@ class Admission(Protocol):
         """How many streams linked clients have yet to open; with `host`: those at that host."""
         ...
 
-    def fingerprint_of(self, name: str) -> str:
-        """Of the key that a client of that name should have; empty: none, or no such client."""
+    def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> None:
+        """A client was refused that calls itself by that name, which may be empty, and may be another's."""
         ...
 
     def remedy_for_unknown(self) -> str:
@@ -121,18 +129,21 @@ class PendingConnections:
         """The delay (s) of a host's handshake: failures cost time, but lock nobody out (many share an address)."""
         return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
 
-    def failed(self, stream: Stream, code: EventCode, message: str) -> None:
-        """Record a failed authentication."""
+    def failed(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
+        """Record a failed authentication of a client that calls itself by that name."""
         now = self.context.now()
         self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
         if len(self._failures) > _HOSTS_REMEMBERED:
             self._failures.pop(next(iter(self._failures)))
-        self.log_rejection(stream, code, message)
+        self.log_rejection(stream, code, message, name)
 
-    def log_rejection(self, stream: Stream, code: EventCode, message: str) -> None:
-        """Log that a stream was rejected, at most once in 10 s for each host and message."""
+    def log_rejection(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
+        """Log that a stream was rejected, at most once in 10 s for each host and message.
+
+        It takes nothing of the link's quota: whoever calls itself so need not be that client.
+        """
         if self._is_new(stream.host, message):
-            self.context.log(Level.WARNING, code, f"rejected {stream.peer}: {message}")
+            self.context.events.add(Level.WARNING, code, f"rejected {stream.peer}: {message}", link=name)
 
     def _is_new(self, host: str, message: str) -> bool:
         if (host, message) in self._logged or len(self._logged) >= _MOST_LOGGED:
@@ -208,8 +219,9 @@ class _PendingConnection(StreamHandler):
         stream.close(message)
 
     def _identify(self, name: str) -> Credential:
+        credential = self._admission.credential(name)
         self.name = name
-        return self._admission.credential(name)
+        return credential
 
     def _serve_penalty(self) -> None:
         self._penalty = None
@@ -227,19 +239,31 @@ class _PendingConnection(StreamHandler):
             match event:
                 case Established():
                     self._leave()
-                    control = self._admission.established(stream, connection, event)
-                    control.take(events[index + 1 :])
+                    self._established(stream, event, events[index + 1 :])
                     return
                 case Attach():
                     self._leave()
                     self._attach(stream, event)
                     return
                 case Refused(code, message):
-                    self._refused(stream, _CODES.get(code, EventCode.LINK_REJECTED), self._for_operator(code, message))
+                    message = self._for_operator(code, message)
+                    self._admission.refused(self.name, stream, code, message)
+                    self._refused(stream, _CODES.get(code, EventCode.LINK_REJECTED), message)
                 case Failed(reason):
                     self._refused(stream, EventCode.LINK_REJECTED, reason)
                 case _:
                     pass
+
+    def _established(self, stream: Stream, event: Established, more: list[Event]) -> None:
+        try:
+            control = self._admission.established(stream, self._connection, event)
+        except Refusal as refusal:
+            self._admission.refused(self.name, stream, refusal.code, refusal.message)
+            self._pending.log_rejection(stream, _CODES[refusal.code], refusal.message, self.name)
+            stream.write(self._connection.refuse(refusal.code, refusal.message))
+            stream.close(refusal.message)
+        else:
+            control.take(more)
 
     def _attach(self, stream: Stream, event: Attach) -> None:
         try:
@@ -251,13 +275,12 @@ class _PendingConnection(StreamHandler):
 
     def _refused(self, stream: Stream, code: EventCode, message: str) -> None:
         self._leave()
-        self._pending.failed(stream, code, message)
+        self._pending.failed(stream, code, message, self.name)
         stream.close(message)
 
     def _for_operator(self, code: RefusalCode, message: str) -> str:
         if code is RefusalCode.WRONG_KEY:
-            fingerprint = self._admission.fingerprint_of(self.name)
-            return f"{message}; this side's key has the fingerprint {fingerprint}: compare it with the client's"
+            return f"{message}: copy one side's key file to the other"
         if code is RefusalCode.UNKNOWN_NAME:
             return f"{message}: {self._admission.remedy_for_unknown()}"
         return message

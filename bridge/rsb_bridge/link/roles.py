@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Protocol
 
@@ -103,7 +104,7 @@ class ClientRole:
 
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
-        hello = Hello(__version__, session.name, context.ros.instance_id, context.domain_id)
+        hello = Hello(__version__, session.name, context.ros.instance_id, context.domain_id, host=socket.gethostname())
         self._context = context
         self._link = ClientLink(context, hello, keys[session.name], preferred_suite())
         self._tasks = Tasks(context.loop, self._link.fail)

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 _CLOSED_REMEMBERED = 4
 """Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
 
+_REPORTED_AT_ONCE = 250
+"""Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
+
 RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Publishers | Close | Amend | Pause | Report
 """The control messages that are about routes."""
 
@@ -432,8 +435,9 @@ class RouteTable:
                     sent.append(sending)
             elif isinstance(route, IncomingRoute) and (receiving := route.news()) is not None:
                 received.append(receiving)
-        if sent or received:
-            self._owner.send(Report(sent=tuple(sent), received=tuple(received)))
+        for first in range(0, max(len(sent), len(received)), _REPORTED_AT_ONCE):
+            part = slice(first, first + _REPORTED_AT_ONCE)
+            self._owner.send(Report(sent=tuple(sent[part]), received=tuple(received[part])))
 
     def tick(self) -> None:
         """Once a second while linked: propose again what was refused, and remove what the peer no longer wants."""

@@ -15,10 +15,12 @@ from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.link import Link
 from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.link.rival import Rival, name_taken
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import PORTS_PER_CLIENT
 from rsb_bridge.model.names import client_topic, server_topic
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.ports import Ports
 from rsb_bridge.transport.transport import Acceptor, ListenError, StreamTransport
@@ -40,8 +42,11 @@ if TYPE_CHECKING:
 
 _UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
 _SESSION_CHANGED = "the server's session has changed: try again"
+_SILENT = 1.5
+"""s without a byte (pings come every second) after which another process may take a client's name over."""
+_CAUSES = {RefusalCode.WRONG_KEY: LinkCause.WRONG_KEY, RefusalCode.WRONG_VERSION: LinkCause.WRONG_VERSION}
 _REPLACED_PAUSE = 10.0
-"""s that a replaced client waits: otherwise two clients of one name would replace each other for ever."""
+"""s that a replaced client waits, which was silent for a moment: it would find its name taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +73,54 @@ class ServerLink(Link):
         super().__init__(context, entry.client.name, is_client=False, fingerprint=mark, encrypted=encrypted)
         self.entry = entry
         self._ports = ports
+        self._seen_at = ""
+        self._seen_host = ""
+        self._rival: Rival | None = None
 
     @property
     def address(self) -> str:
-        return self.control.stream.peer if self.control else ""
+        return self.control.stream.peer if self.control else self._seen_at
+
+    def was_at(self, host: str) -> bool:
+        """Whether the client was last seen at that host."""
+        return host == self._seen_host
+
+    def seen(self, stream: Stream) -> None:
+        """The client is at the other end of a stream."""
+        self._seen_at, self._seen_host = stream.peer, stream.host
+        self._rival = None
+
+    def refused(self, stream: Stream, cause: LinkCause, message: str) -> None:
+        """Somebody was refused who calls itself by the client's name, and it is not linked."""
+        if self.cause is not cause:
+            self._since = self.context.wall()
+        self.set_down(cause, f"refused {stream.host}: {message}")
+
+    # --- two clients of one name
+
+    def keeps_name_from(self, hello: Hello) -> bool:
+        """Whether a client must not take the name over: another process has it, and is not silent."""
+        if self.control is None or not isinstance(self.peer, Hello) or hello.instance == self.peer.instance:
+            return False
+        return self.keepalive.quiet < _SILENT
+
+    def name_taken(self, hello: Hello) -> Refusal:
+        """What both sides say of a second client."""
+        if self._rival is None or self._rival.host != hello.host:
+            self._rival = Rival(self.name, hello.host, self.context.wall())
+        first = self.peer.host if isinstance(self.peer, Hello) else ""
+        return Refusal(RefusalCode.NAME_TAKEN, name_taken(self.name, self.address, first, self._since))
+
+    def rival_tried(self, address: str) -> None:
+        """A second client was refused."""
+        if self._rival is not None:
+            self._rival.tried(address, self.context.now())
+
+    @property
+    def warning(self) -> str:
+        if self._rival is None or not self.linked:
+            return ""
+        return self._rival.warning(self.context.now(), self.context.wall())
 
     def shared_port(self) -> int:
         return self.context.session.server_port
@@ -291,15 +340,21 @@ class Server:
         return Credential(entry.key.secret if entry.key else None)
 
     def _welcome(self, hello: Hello) -> Welcome:
+        link = self.links[hello.name]
+        if link.keeps_name_from(hello):
+            raise link.name_taken(hello)
         return self._make_welcome(os.urandom(LINK_ID_LENGTH), self.links[hello.name].use_name)
 
     def established(self, stream: Stream, connection: ServerConnection, event: Established) -> ControlChannel:
         """A client is authenticated; it takes the place of an older connection of its name."""
         assert isinstance(event.peer, Hello)
         link = self.links[event.peer.name]
+        if link.control is not None and link.keeps_name_from(event.peer):  # since the handshake began
+            raise link.name_taken(event.peer)
+        link.seen(stream)
         if link.control is not None:
             link.control.shut_down(
-                f"replaced by a newer connection of {link.name} from {stream.peer}",
+                f"replaced: {link.name} at {link.address} by a newer connection from {stream.peer}",
                 retry_after=_REPLACED_PAUSE,
                 code=EventCode.LINK_REPLACED,
             )
@@ -318,10 +373,18 @@ class Server:
         stream.write(connection.accept_attach())
         link.attach_stream(route, stream, connection.leftover(), multiplexed=transport.multiplexed)
 
-    def fingerprint_of(self, name: str) -> str:
-        """Of the key that a client of that name should have; empty: none, or no such client."""
-        entry = self.entries.get(name)
-        return fingerprint(entry.key) if entry is not None and entry.key is not None else ""
+    def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> None:
+        """Show on the link of that name that a client was refused; one of another version says no name."""
+        link = self.links.get(name)
+        if link is None and code is RefusalCode.WRONG_VERSION:
+            at_host = [each for each in self.links.values() if each.was_at(stream.host)] or list(self.links.values())
+            link = at_host[0] if len(at_host) == 1 else None
+        if link is None:
+            return
+        if code is RefusalCode.NAME_TAKEN:
+            link.rival_tried(stream.host)
+        elif not link.linked:
+            link.refused(stream, _CAUSES.get(code, LinkCause.REFUSED), message)
 
     def remedy_for_unknown(self) -> str:
         """What an operator does about an unknown client name; the client itself is not told."""

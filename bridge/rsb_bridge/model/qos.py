@@ -193,17 +193,25 @@ def _loosest(seconds: list[float]) -> float:
     return 0.0 if 0.0 in seconds else max(seconds)
 
 
-def incompatible(offered: Qos, requested: Qos) -> str:
-    """Why a publisher and a subscription do not match; empty if they do.
+def clashes(offered: Qos, requested: Qos) -> list[tuple[str, str]]:
+    """What a publisher offers, and what a subscription asks for instead, of each policy that keeps them apart.
 
     The rules are DDS's for request and offer (OMG DDS 1.4, table in section 2.2.3), of the policies that `Qos` has.
     """
-    reasons = []
+    found = []
     if offered.reliability == "best_effort" and requested.reliability == "reliable":
-        reasons.append("the publisher is best_effort, the subscription asks for reliable")
+        found.append(("best_effort", "reliable"))
     if offered.durability == "volatile" and requested.durability == "transient_local":
-        reasons.append("the publisher is volatile, the subscription asks for transient_local")
+        found.append(("volatile", "transient_local"))
     if requested.deadline and not 0 < offered.deadline <= requested.deadline:
         offer = f"a deadline of {offered.deadline:g} s" if offered.deadline else "no deadline"
-        reasons.append(f"the publisher offers {offer}, the subscription asks for {requested.deadline:g} s")
-    return "; ".join(reasons)
+        found.append((offer, f"a deadline of {requested.deadline:g} s"))
+    return found
+
+
+def incompatible(offered: Qos, requested: Qos) -> str:
+    """Why a publisher and a subscription do not match; empty if they do."""
+    return "; ".join(
+        f"the publisher offers {offer}, the subscription asks for {request}"
+        for offer, request in clashes(offered, requested)
+    )

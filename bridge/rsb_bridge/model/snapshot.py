@@ -13,10 +13,32 @@ class State(StrEnum):
     """The state of a route or a link, the worst first."""
 
     DOWN = "down"
+    """No message can cross."""
     STALE = "stale"
+    """No message has come for `stale_after`."""
+    STOPPED = "stopped"
+    """No message has come for several of the periods that its rate lets expect."""
+    SLOW = "slow"
+    """Fewer messages come than its rate lets expect, or part of them is lost."""
+    UNHEARD = "unheard"
+    """Messages cross, but a publisher or a subscriber that should have a part in it has none, or nobody subscribes."""
     WAITING = "waiting"
+    """Nothing is known to be wrong; no message has come yet."""
     PAUSED = "paused"
     OK = "ok"
+
+    @property
+    def rank(self) -> int:
+        """0 for the worst."""
+        return _RANKS[self]
+
+    @property
+    def flows(self) -> bool:
+        """Whether messages cross, be it too few of them, or unheard."""
+        return self in (State.OK, State.UNHEARD, State.SLOW)
+
+
+_RANKS = {state: rank for rank, state in enumerate(State)}
 
 
 class Level(StrEnum):
@@ -43,6 +65,7 @@ class Event:
         who: the operator who did it, or empty where no operator did.
         old: what the operator changed, as it was before; or empty.
         new: what the operator made of it; or empty.
+        cause: of a fault, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; else empty.
     """
 
     number: int
@@ -55,6 +78,7 @@ class Event:
     who: str = ""
     old: str = ""
     new: str = ""
+    cause: str = ""
 
     @property
     def source(self) -> str:
@@ -111,7 +135,8 @@ class RouteSnapshot:
         remote_topic: its name on the other side.
         outgoing: True: this side sends.
         spec: the topic as it was asked for, as the client sees it.
-        state: its state; `reason` says why it is not OK.
+        state: its state, the worse of what both sides say; `reason` says why it is not OK, and who says so where it is
+            the other side.
         type_name: empty until it is known.
         type_hash: empty until it is known.
         qos: of the bridge's endpoints on both sides; None: not known yet.
@@ -132,6 +157,10 @@ class RouteSnapshot:
         age: s since the last message; None: none yet.
         history: messages in each of the last seconds, up to 120, oldest first.
         last_error: the last error, or empty.
+        cause: of the state, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; empty: there is nothing to say.
+        from_peer: the other side says so.
+        publishers: the nodes that publish it on the sending side, as far as they are known.
+        subscribers: the nodes that subscribe to it on the receiving side, likewise.
     """
 
     key: str
@@ -162,6 +191,10 @@ class RouteSnapshot:
     age: float | None
     history: tuple[int, ...]
     last_error: str
+    cause: str = ""
+    from_peer: bool = False
+    publishers: tuple[str, ...] = ()
+    subscribers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +203,7 @@ class LinkSnapshot:
 
     Attributes:
         name: the client's name (on a client: its own, which is the link's).
-        peer: address of the other side, ``host:port`` or ``MAC channel n``.
+        peer: address of the other side, ``host:port`` or ``MAC channel n``; while it is down, where it was last seen.
         state: OK if linked, WAITING before the first attempt, else DOWN; `reason` says why.
         since: s since the epoch, when this state began.
         retry_in: s until the next attempt; None: none is planned.
@@ -186,6 +219,8 @@ class LinkSnapshot:
         peer_version: the other side's rsb-console version, or empty.
         peer_domain: the other side's ROS domain; None: not linked yet.
         use_name: the client's topics have its name before them on the server.
+        cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`; empty: there is none.
+        warning: what is wrong though the link is up, for an operator; or empty.
     """
 
     name: str
@@ -206,6 +241,8 @@ class LinkSnapshot:
     peer_version: str
     peer_domain: int | None
     use_name: bool = False
+    cause: str = ""
+    warning: str = ""
 
 
 @dataclass(frozen=True, slots=True)

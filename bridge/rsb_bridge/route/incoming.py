@@ -11,10 +11,13 @@ import zstandard
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
 from rsb_bridge.model.qos import incompatible, match_subscriptions
-from rsb_bridge.model.snapshot import Ledger, Level, Stage
+from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph import type_hint
+from rsb_bridge.route.both_sides import lasting, node_names, record_of
+from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
 from rsb_bridge.route.ledger import reported_ledger
 from rsb_bridge.route.lifecycle import Event
@@ -33,12 +36,15 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.verdict import Facts
 
 EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
 EXPANSION_A_SECOND = 256 << 20
 """Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB, and to
 unpack and publish them keeps the thread of all links busy for 60 ms."""
 _INCOMPLETE_IN_A_ROW = 3
+_ASKED_EVERY = 0.9
+"""s until the graph is asked again who subscribes, where their number is the same."""
 _AUTO_DEPTH = 10  # messages
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=_AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
@@ -77,6 +83,7 @@ class IncomingRoute(Route):
         self._subscriber_qos: Qos | None = None
         self._clash = ""
         self._subscribers = 0
+        self._asked_at = float("-inf")
         self._received_before = 0
         self._expired_before = 0
         self._hint = ("", "")
@@ -148,11 +155,14 @@ class IncomingRoute(Route):
         if self.accepted and not self.paused and self.channel is None:
             self.peer.open_channel(self)
         before, self._subscribers = self._subscribers, self._outputs.subscriber_count
-        if self._subscribers and self._subscribers == before and self._subscriber_qos is not None:
+        now = self.context.now()
+        if self._subscribers and self._subscribers == before and now - self._asked_at < _ASKED_EVERY:
             return  # the same ones, most likely: to ask for them costs too much to do so at every change of the graph
-        self._clash = ""
-        requested = [endpoint.qos for endpoint in self.context.ros.subscriptions(self.remote_topic)]
+        self._asked_at = now
+        self.endpoints = self.context.ros.subscriptions(self.remote_topic)
+        requested = [endpoint.qos for endpoint in self.endpoints]
         self._subscriber_qos = match_subscriptions(requested) if requested else None
+        self._clash = ""
         if not self._subscribers and self.qos is not None:
             self._clash = next((clash for qos in requested if (clash := incompatible(self.qos, qos))), "")
 
@@ -258,12 +268,14 @@ class IncomingRoute(Route):
 
     def reported(self, report: SentReport) -> None:
         """The sender's ledger, which counts for both sides."""
-        failed_before = self._failure()
+        failed_before = self._failure
         self._report = report
-        self.problem = report.problem
-        self.notices.set_loop(report.problem if report.loop else "")
-        self.notices.set_warning(report.problem if report.warning else "")
-        failure = self._failure()
+        self.judged.take(report.verdict, self.context.now())
+        peer = self.judged.peer
+        self.notices.set_loop(peer.text if peer.cause == Cause.LOOP else "")
+        left_out = peer.cause == Cause.TYPE_CONFLICT and peer.state is not State.DOWN
+        self.notices.set_warning(peer.text if left_out else "")
+        failure = self._failure
         if failure and failure != failed_before:
             self.log(Level.ERROR, EventCode.ROUTE_SUBSCRIBE_FAILED, f"on the other side: {failure}")
         ledger = reported_ledger(report)
@@ -286,7 +298,8 @@ class IncomingRoute(Route):
         if report == self._told_report and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         self._told_report = report
-        return report
+        verdict = lasting(report.verdict, self.own_verdict, self.context.now())
+        return msgspec.structs.replace(report, verdict=verdict)
 
     def _received_report(self) -> ReceivedReport:
         counts = self.channel.counts() if self.channel is not None else None
@@ -305,12 +318,21 @@ class IncomingRoute(Route):
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
+            verdict=record_of(self.own_verdict),
+            nodes=node_names(self.endpoints),
         )
 
+    def facts(self) -> Facts:
+        return facts_of(self)._replace(matched=self._subscribers)
+
+    @property
     def _failure(self) -> str:
-        report = self._report
-        failed = report is not None and report.publishers and not report.subscribed and len(self._outputs) > 0
-        return self.problem if failed else ""
+        """Why the other side's subscription failed; empty: it did not."""
+        peer = self.judged.peer
+        return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
+
+    def _end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return self._report.nodes if self._report else (), node_names(self.endpoints)
 
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos
@@ -326,12 +348,12 @@ class IncomingRoute(Route):
                 publishers > 0 if report else None,
                 "" if publishers or not report else f"no publisher of {self.topic} on the other side",
             ),
-            Stage("type known", known or None, self.type_name if known else self.problem),
+            Stage("type known", known or None, self.type_name if known else self.judged.peer.text),
             Stage("QoS compatible", not self._clash if known else None, self._clash),
             Stage(
                 "subscribed",
-                False if self.notices.loop or self._failure() else (report is not None and report.subscribed) or None,
-                self.problem,
+                False if self.notices.loop or self._failure else (report is not None and report.subscribed) or None,
+                self.notices.loop or self._failure,
             ),
             self.link_stage(),
             self.accepted_stage(),

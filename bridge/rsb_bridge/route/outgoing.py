@@ -7,20 +7,25 @@ from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
+from rsb_bridge.channel.datagram import DatagramSender
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.qos import Qos, incompatible, match_publishers
+from rsb_bridge.model.qos import Qos, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.api import RawMessage, RosError
+from rsb_bridge.route.both_sides import lasting, node_names, record_of
+from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.intake import Intake, Subject
+from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.resolving import MessageType, UnresolvedError, resolve
+from rsb_bridge.route.resolving import MessageType, UnresolvedError, qos_clash, resolve
 from rsb_bridge.route.route import Owner, Route
 from rsb_bridge.route.sorter import Sorter
 from rsb_bridge.route.throttle import LatestLater, Throttle
+from rsb_bridge.route.verdict import Facts, no_publisher
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
 from rsb_bridge.wire.framing import HISTORY, Message
@@ -37,7 +42,6 @@ if TYPE_CHECKING:
     from rsb_bridge.route.histories import Sample
 
 _LIMITED = "they are limited to what was sent"
-_LARGEST_FIGURE = 1e9  # s
 
 
 class OutgoingRoute(Route):
@@ -57,10 +61,10 @@ class OutgoingRoute(Route):
         self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
-        self._publishers: list[Endpoint] = []
         self._publisher_qos: Qos | None = None
         self._unresolved: UnresolvedError | None = None
         self._hint = MessageType()
+        self._health = Health()
 
     # --- setting up
 
@@ -97,17 +101,16 @@ class OutgoingRoute(Route):
             self._lose("paused", self._sorter.forget())  # nobody wants them when it is resumed
             return
         self._latest_later.resume()
-        self._publishers = self._sorter.look(self.topic, self.remote_topic)
-        self._publisher_qos = match_publishers([e.qos for e in self._publishers]) if self._publishers else None
+        self.endpoints = self._sorter.look(self.topic, self.remote_topic)
+        self._publisher_qos = match_publishers([e.qos for e in self.endpoints]) if self.endpoints else None
         if self._described is not None and self._described.sources != self._sorter.table.sources:
             self._describe(msgspec.structs.replace(self._described, sources=self._sorter.table.sources))
-        if self._described is not None and self._sources_outdated():
+        if self._described is not None and self._sorter.outdated(self.qos):
             self.request_reopen(EventCode.ROUTE_SOURCES_CHANGED, "other bridges than before bring its messages")
             return
         self.notices.set_loop(self._sorter.loop(self.topic))
         if self.notices.loop:
             self._unsubscribe()
-            self.problem = self.notices.loop
             return
         described = self._resolve()
         if described is None:
@@ -132,15 +135,6 @@ class OutgoingRoute(Route):
         if self.channel is not None and self.channel.ready:
             self._subscribe()
 
-    def _sources_outdated(self) -> bool:
-        """Whether a new opening has to number the sources anew.
-
-        Some are there for nothing while others find no number; or a latched topic's publisher has come to belong to
-        another source, and the peer keeps its messages with the one before.
-        """
-        table = self._sorter.table
-        return table.full or (table.moved and self.qos is not None and self.qos.latched)
-
     def _describe(self, described: Describe) -> None:
         self._described = described
         self.type_name, self.type_hash, self.qos = described.type, described.type_hash, described.qos
@@ -154,25 +148,26 @@ class OutgoingRoute(Route):
         used = MessageType(self.type_name, self.type_hash)
         try:
             name, type_hash, qos, warning = resolve(
-                self.proposal, self._publishers, self._publisher_qos, used, self._hint, self.context.ros
+                self.proposal, self.endpoints, self._publisher_qos, used, self._hint, self.context.ros
             )
             sources = self._sorter.table.to_describe()
             if not sources:
-                raise UnresolvedError("publisher seen", self._sorter.unexplained())
+                raise UnresolvedError("publisher seen", self._sorter.unexplained(), cause=Cause.NO_MESSAGE)
         except UnresolvedError as error:
             self._unresolved = error
-            self.problem = str(error) or self._no_publisher()
             self.notices.set_warning("")
             if error.clash and self._described is not None:
                 # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
                 self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(error))
             return None
-        self.problem = warning
         self.notices.set_warning(warning)
         return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos, sources=sources)
 
+    def _why_unresolved(self) -> str:
+        return str(self._unresolved) or self._no_publisher() if self._unresolved else ""
+
     def _no_publisher(self) -> str:
-        return f"no publisher of {self.topic} in domain {self.context.domain_id}"
+        return no_publisher(self.topic, self.context.domain_id, self.context.similar_topics.of(self.topic))
 
     def _subscribe(self) -> None:
         if self._intake is None or self._intake.active:
@@ -200,7 +195,7 @@ class OutgoingRoute(Route):
         """Have the histories of publishers that are gone dropped, here and by the peer."""
         if self._intake is None or self.qos is None or not self.qos.latched:
             return
-        gids = {endpoint.gid for endpoint in self._publishers}
+        gids = {endpoint.gid for endpoint in self.endpoints}
         self._intake.look(gids)
         present = frozenset(publisher_id(gid) for gid in gids)
         if present != self._present:
@@ -213,6 +208,7 @@ class OutgoingRoute(Route):
             self.notices.last_error = text
         self.log(level, code, text)
 
+    @property
     def _failure(self) -> str:
         return self._intake.failure if self._intake is not None else ""
 
@@ -241,6 +237,21 @@ class OutgoingRoute(Route):
     # --- messages
 
     def tick(self) -> None:
+        now = self.context.now()
+        latched = self.is_latched  # it is silent for as long as it likes, unless an operator says how often it comes
+        self._health.tick(
+            Flow(
+                self.flowing and self._subscribed,
+                self.stale.quiet_since,
+                self.meter.rate,
+                self.spec.expected_rate or 0.0,
+                None if latched else self.meter.usual_rate,
+                self.proposal.max_rate,
+                frozenset([each.gid for each in self.endpoints]),
+                self.ledger(),
+            ),
+            now,
+        )
         super().tick()
         if self._intake is not None:
             self._intake.tick()
@@ -319,13 +330,15 @@ class OutgoingRoute(Route):
     def reported(self, report: ReceivedReport) -> None:
         """The peer said what arrived in the present opening."""
         self._report = report
+        self.judged.take(report.verdict, self.context.now())
         if not self._ledger.reported(report, self.context.now()):
             self.notices.doubt(self.peer.instance, _LIMITED)
+        if self._ledger.received_now:
+            self.losses.arrived()
         if (report.type, report.type_hash) != self._hint:
             self._hint = MessageType(report.type, report.type_hash)
             self.advance()
-        self.latency.p50, self.latency.p99 = _figure(report.latency_p50), _figure(report.latency_p99)
-        self.latency.jitter = _figure(report.jitter)
+        self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
         """Where the messages went, by the peer's last report."""
@@ -338,7 +351,8 @@ class OutgoingRoute(Route):
         if report == self._told_report:
             return None
         self._told_report = report
-        return report
+        verdict = lasting(report.verdict, self.own_verdict, self.context.now())
+        return msgspec.structs.replace(report, verdict=verdict)
 
     def _sent_report(self) -> SentReport:
         ledger = self.ledger()
@@ -351,12 +365,11 @@ class OutgoingRoute(Route):
             in_flight=ledger.in_flight,
             dropped=ledger.dropped,
             lost_in_dds=ledger.lost_in_dds,
-            publishers=len(self._publishers),
+            publishers=len(self.endpoints),
             publisher_qos=self._publisher_qos,
             subscribed=self._subscribed,
-            problem=sanitize_text(self._failure() or ("" if self._sorter.table.unexplained else self.problem)),
-            loop=bool(self.notices.loop),
-            warning=self.notices.warning != "" and not (self._failure() or self.notices.loop),
+            verdict=record_of(self.own_verdict),
+            nodes=node_names(self.endpoints),
         )
 
     @property
@@ -367,17 +380,44 @@ class OutgoingRoute(Route):
         report = self._report
         return self._publisher_qos, report.subscriber_qos if report else None
 
+    def _end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        report = self._report
+        return node_names(self.endpoints), report.nodes if report else ()
+
+    def facts(self) -> Facts:
+        unresolved = self._unresolved
+        facts = facts_of(self)._replace(
+            similar="" if self.endpoints else self.context.similar_topics.of(self.topic),
+            breaking=self.losses.repeated,
+            subscribe_failed=self._failure,
+            unresolved=(unresolved.cause, self._why_unresolved()) if unresolved and self.accepted else None,
+            left_out=self.notices.warning,
+            rate=self.meter.rate,
+            datagrams=self._datagrams(),
+        )
+        return self._health.added_to(facts)
+
+    def _datagrams(self) -> int:
+        """How many datagrams one of its messages takes; 0: it goes by none."""
+        if not isinstance(self.channel, DatagramSender) or not self.meter.count or not self.channel.ready:
+            return 0
+        return self.channel.datagrams(self.meter.bytes // self.meter.count)
+
     def _stages(self) -> tuple[Stage, ...]:
         """From the publisher here to the subscriber there."""
         report = self._report
         known = self.life.described
-        publishers = len(self._publishers)
+        publishers = len(self.endpoints)
         failed = self._unresolved.stage if self._unresolved else ""
-        why = self.problem if self._unresolved else ""
-        seen = f"{publishers}{self._sorter.left_out()}" if publishers else self._no_publisher()
-        clash, failure = self._qos_clash(), self.notices.loop or self._failure()
+        why = self._why_unresolved()
+        clash = qos_clash(self.endpoints, self.type_name, self.qos)
+        failure = self.notices.loop or self._failure
         return (
-            Stage("publisher seen", publishers > 0, seen),
+            Stage(
+                "publisher seen",
+                publishers > 0,
+                f"{publishers}{self._sorter.left_out()}" if publishers else self._no_publisher(),
+            ),
             Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),
             Stage("QoS compatible", not clash if known else None, clash),
             Stage("subscribed", False if failure else self._subscribed or None, failure),
@@ -392,20 +432,3 @@ class OutgoingRoute(Route):
                 "" if report is None or report.subscribers else f"nobody subscribes to {self.remote_topic} there",
             ),
         )
-
-    def _qos_clash(self) -> str:
-        if self.qos is None:
-            return ""
-        return next(
-            (
-                clash
-                for e in self._publishers
-                if e.type_name == self.type_name and (clash := incompatible(e.qos, self.qos))
-            ),
-            "",
-        )
-
-
-def _figure(seconds: float | None) -> float | None:
-    """A figure of the peer's, if it could be one."""
-    return seconds if seconds is not None and abs(seconds) <= _LARGEST_FIGURE else None

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.model.qos import match_publishers
+from rsb_bridge.model.qos import incompatible, match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.type_names import expand_type_name
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -59,13 +60,18 @@ class UnresolvedError(Exception):
 
     Attributes:
         stage: the one that fails.
-        clash: whether the publishers have no type that can be sent, so that nothing may be sent until they have.
+        cause: of it.
     """
 
-    def __init__(self, stage: str, why: str, *, clash: bool = False) -> None:
+    def __init__(self, stage: str, why: str, *, cause: Cause) -> None:
         super().__init__(why)
         self.stage = stage
-        self.clash = clash
+        self.cause = cause
+
+    @property
+    def clash(self) -> bool:
+        """Whether the publishers have no type that can be sent, so that nothing may be sent until they have."""
+        return self.cause is Cause.TYPE_CONFLICT
 
 
 def resolve(
@@ -92,9 +98,10 @@ def resolve(
     wanted = "" if proposal.type in ("", "auto") else expand_type_name(proposal.type)
     name, type_hash = choose_type(publishers, wanted, used, hint, ros.installed_hash)
     if not name:
-        raise UnresolvedError("publisher seen", "")
+        raise UnresolvedError("publisher seen", "", cause=Cause.NO_PUBLISHER)
     if not type_hash:
-        raise UnresolvedError("type known", f"{name} is not installed here, and nobody publishes it yet")
+        why = f"{name} is not installed here, and nobody publishes it yet"
+        raise UnresolvedError("type known", why, cause=Cause.TYPE_UNKNOWN)
     warning = left_out(publishers, wanted, name)
     if warning:
         publisher_qos = match_publishers([each.qos for each in publishers if each.type_name == name])
@@ -102,7 +109,7 @@ def resolve(
     if qos is None and publisher_qos is not None:
         qos = msgspec.structs.replace(publisher_qos, depth=0)
     if qos is None:
-        raise UnresolvedError("publisher seen", "")
+        raise UnresolvedError("publisher seen", "", cause=Cause.NO_PUBLISHER)
     return Resolved(name, type_hash, qos, warning)
 
 
@@ -150,14 +157,16 @@ def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
 
     If the session names the type, publishers of other types are left out on purpose.
     """
-    types = _nodes_by((each for each in publishers if each.type_name != sent), lambda each: each.type_name)
-    if wanted or not types:
+    types = _nodes_by(publishers, lambda each: each.type_name)
+    others = {name: nodes for name, nodes in types.items() if name != sent}
+    if wanted or not others:
         return ""
-    return f"publishers disagree on the type: {_named(types)} is not bridged, only {sent}: set the topic's type"
+    bridged = _named({sent: types.get(sent, [])})
+    return f"publishers disagree on the type: {_named(others)} is not bridged, only {bridged}: set the topic's type"
 
 
 def _clash(why: str) -> UnresolvedError:
-    return UnresolvedError("type known", why, clash=True)
+    return UnresolvedError("type known", why, cause=Cause.TYPE_CONFLICT)
 
 
 def _nodes_by(publishers: Iterable[Endpoint], kind: Callable[[Endpoint], str]) -> dict[str, list[str]]:
@@ -173,3 +182,11 @@ def _named(nodes: dict[str, list[str]]) -> str:
     """Types or versions, each with its nodes."""
     parts = [f"{key} (from {join_first(names, _MOST_NODES)})" if names else key for key, names in nodes.items()]
     return join_first(parts, _MOST_TYPES)
+
+
+def qos_clash(publishers: Iterable[Endpoint], type_name: str, qos: Qos | None) -> str:
+    """Why a subscription with that QoS does not get all messages of a type; empty: it does, or is not known yet."""
+    if qos is None:
+        return ""
+    clashes = (incompatible(each.qos, qos) for each in publishers if each.type_name == type_name)
+    return next(filter(None, clashes), "")

@@ -14,32 +14,34 @@ import msgspec
 
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage, State
+from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import FINE
+from rsb_bridge.route.both_sides import BothSides
+from rsb_bridge.route.channel_losses import ChannelLosses
 from rsb_bridge.route.lifecycle import Event, Lifecycle
 from rsb_bridge.route.notices import Notices
 from rsb_bridge.route.pause import PauseState
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.peer import Peer
+from rsb_bridge.route.verdict import Facts, judge
 from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
-    import asyncio
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.ros.api import Endpoint
     from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
-_LINK_OUTLIVES = 1.0
-"""s by which a link has to outlive a channel before the channel's loss is reported. A link that ends (with a goodbye, a
-crash or a cut) takes its channels with it, and they may be seen to end first."""
 LINK_STAGE = "link up"
 
 
@@ -66,9 +68,11 @@ class Route:
         life: what the two sides have agreed on so far.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
-        warning: what an operator should know although messages flow; empty: nothing.
-        loop: why nothing is sent, which would close a loop of bridges, for an operator; empty: it would not.
         peek_slot: takes the next message for whoever looks at the topic.
+        endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side.
+        losses: of the channels that carried it.
+        own_verdict: what this side made of it at the last tick.
+        judged: what both sides make of it.
     """
 
     outgoing: ClassVar[bool]
@@ -98,14 +102,16 @@ class Route:
         self.type_name = ""
         self.type_hash = ""
         self.qos: Qos | None = None
-        self.problem = ""
+        self.endpoints: Sequence[Endpoint] = ()
+        self.losses = ChannelLosses()
+        self.own_verdict = FINE
+        self.judged = BothSides(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
         self.latency = LatencyMeter()
         self.stale = StaleWatch(0.0, 0, context.now())
         self.set_stale_after()
         self.peek_slot = PeekSlot()
         self.release_port: Callable[[], None] | None = None
-        self._loss: asyncio.TimerHandle | None = None  # reports that the channel was lost
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
@@ -139,12 +145,12 @@ class Route:
     def _stages(self) -> tuple[Stage, ...]:
         raise NotImplementedError
 
-    def _failure(self) -> str:
-        """Why the sending side's subscription failed, until it is there again; empty: it has not failed."""
-        raise NotImplementedError
-
     def _end_qos(self) -> tuple[Qos | None, Qos | None]:
         """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
+        raise NotImplementedError
+
+    def _end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
         raise NotImplementedError
 
     def set_peer_topic(self, topic: str) -> None:
@@ -178,6 +184,7 @@ class Route:
         self.opened_at = self.context.now()
         self._told_report = None
         self.life.take(Event.OPEN)
+        self.judged.take(None, self.context.now())
         self.stale.rearm(self.context.now())
 
     def close(self, reason: str) -> None:
@@ -191,14 +198,14 @@ class Route:
         self.peer.closed(self.id)
         self.id = 0
         self.notices.closed()
+        self.judged.take(None, self.context.now())
         self.life.take(Event.CLOSE)
         self.closed_at = self.context.now()
 
     def destroy(self) -> None:
         """End it for good: endpoints too."""
         self.close("removed")
-        if self._loss is not None:
-            self._loss.cancel()
+        self.losses.forget_report()
 
     def refuse(self, code: EventCode, reason: str) -> None:
         """The route can't be; it is tried again later if it was proposed here."""
@@ -227,7 +234,7 @@ class Route:
                 if self.peer.linked and self.peer.connections == connection:
                     self.notices.error(EventCode.ROUTE_CHANNEL_LOST, text)
 
-            self._loss = self.context.loop.call_later(_LINK_OUTLIVES, report)
+            self.losses.add(reason, self.context.loop, report)
 
     def request_reopen(self, code: EventCode, reason: str) -> None:
         """Close the route on both sides; its proposer opens it again."""
@@ -293,7 +300,7 @@ class Route:
     # --- time
 
     def tick(self) -> None:
-        """Once a second: histories and stale warnings."""
+        """Once a second: histories, stale warnings, and what has turned for the worse."""
         now = self.context.now()
         self.meter.tick(now)
         self.latency.tick()
@@ -308,6 +315,9 @@ class Route:
                 self.log(Level.WARNING, EventCode.ROUTE_STALE, text)
         else:
             self.stale.rearm(now)
+        self.own_verdict = self.verdict()
+        if said := self.judged.announce(self.own_verdict, now):
+            self.log(said.level, said.code, said.text, cause=said.cause)
 
     def count(self, messages: int, size: int) -> None:
         """Note that messages passed."""
@@ -322,14 +332,15 @@ class Route:
 
     def link_stage(self) -> Stage:
         """Whether the peer is there, and what carries this route gets through."""
-        trouble = self._trouble()
+        trouble = self.trouble()
         return Stage(LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
 
     def accepted_stage(self) -> Stage:
         """Whether both sides want the route."""
         return Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal)
 
-    def _trouble(self) -> str:
+    def trouble(self) -> str:
+        """Why what carries it does not get through; empty: it does."""
         return self.channel.trouble() if self.channel is not None else ""
 
     @property
@@ -347,32 +358,22 @@ class Route:
         """Whether messages could cross now."""
         return self.connected and not self.paused and not self.notices.loop
 
-    def _state(self, stages: tuple[Stage, ...]) -> tuple[State, str]:
-        """Its state and, where that is not OK, why."""
-        if not self.peer.linked:
-            return State.DOWN, self.peer.down_reason
-        if refusal := self.refusal or self.notices.loop:
-            return State.DOWN, refusal
-        if self.paused:
-            return State.PAUSED, "paused by an operator"
-        if reason := self._trouble() or self._failure():
-            return State.DOWN, reason
-        flowing = self.flowing
-        stale = flowing and not self.is_latched and self.stale.stale(self.context.now())
-        came = self.meter.last is not None and self.meter.last >= self.opened_at
-        if flowing and came and not stale:
-            return State.OK, self.notices.warning
-        waiting = [stage for stage in stages if not stage.done]
-        first = next((stage for stage in waiting if stage.done is False), next(iter(waiting), None))
-        reason = self.problem or (first.detail or first.name if first else "")
-        return (State.STALE, reason or "nothing comes") if stale else (State.WAITING, reason or "no message yet")
+    # --- what is made of it
+
+    def facts(self) -> Facts:
+        """What this half knows."""
+        raise NotImplementedError
+
+    def verdict(self) -> Verdict:
+        """What this side makes of the route."""
+        return judge(self.facts())
 
     def snapshot(self) -> RouteSnapshot:
         """The route as it is now."""
         now = self.context.now()
-        stages = self.stages()
-        state, reason = self._state(stages)
+        verdict, from_peer = self.judged.shown(self.verdict())
         publisher_qos, subscriber_qos = self._end_qos()
+        publishers, subscribers = self._end_nodes()
         return RouteSnapshot(
             key=self.key,
             link=self.peer.name,
@@ -380,8 +381,8 @@ class Route:
             remote_topic=self.remote_topic if self.outgoing else self.topic,
             outgoing=self.outgoing,
             spec=self.spec,
-            state=state,
-            reason=reason,
+            state=verdict.state,
+            reason=verdict.said(now),
             type_name=self.type_name,
             type_hash=self.type_hash,
             qos=self.qos,
@@ -389,10 +390,10 @@ class Route:
             subscriber_qos=subscriber_qos,
             transport=self.transport.name,
             port=self.proposal.port or self.peer.shared_port(),
-            stages=stages,
+            stages=self.stages(),
             ledger=self.ledger(),
             rate=self.meter.rate,
-            expected_rate=self.spec.expected_rate or self.meter.usual_rate,
+            expected_rate=self._expected_rate(),
             bytes_per_second=self.meter.bytes_per_second,
             bytes_total=self.meter.bytes,
             latency_p50=self.latency.p50,
@@ -402,11 +403,20 @@ class Route:
             age=None if self.meter.last is None else now - self.meter.last,
             history=tuple(self.meter.history),
             last_error=self.notices.last_error,
+            cause=verdict.cause,
+            from_peer=from_peer,
+            publishers=publishers,
+            subscribers=subscribers,
         )
 
-    def log(self, level: Level, code: EventCode, text: str) -> None:
+    def _expected_rate(self) -> float | None:
+        rate, limit = self.spec.expected_rate or self.meter.usual_rate, self.proposal.max_rate
+        return min(rate, limit) if rate and limit else rate
+
+    def log(self, level: Level, code: EventCode, text: str, *, cause: str = "") -> None:
         """Add an event about this route."""
-        self.context.log(level, code, f"{self.local_topic}: {text}", link=self.peer.name, topic=self.local_topic)
+        topic = self.local_topic
+        self.context.log(level, code, f"{topic}: {text}", link=self.peer.name, topic=topic, cause=cause)
 
 
 def limits_changed(old: Propose, new: Propose) -> str:

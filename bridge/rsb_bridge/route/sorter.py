@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, RawMessage
     from rsb_bridge.route.peer import Peer
 
@@ -134,6 +135,14 @@ class Sorter:
                 f"{join_first(self.table.culprits(), _MOST_NAMED)}; remove this route or one of theirs"
             )
         return ""
+
+    def outdated(self, qos: Qos | None) -> bool:
+        """Whether a new opening has to number the sources anew.
+
+        Some are there for nothing while others find no number; or a latched topic's publisher has come to belong to
+        another source, and the peer keeps its messages with the one before.
+        """
+        return self.table.full or (self.table.moved and qos is not None and qos.latched)
 
     def left_out(self) -> str:
         """Whose messages are left out of what is sent, as the end of a sentence; empty: nobody's."""

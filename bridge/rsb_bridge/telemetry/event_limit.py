@@ -36,7 +36,17 @@ class RateLimitedEventLog:
         self._now = now
         self._quotas: dict[tuple[str, bool], _Quota] = {}
 
-    def add(self, level: Level, code: EventCode, text: str, *, link: str, topic: str, link_status: bool) -> None:
+    def add(
+        self,
+        level: Level,
+        code: EventCode,
+        text: str,
+        *,
+        link: str,
+        topic: str,
+        link_status: bool,
+        cause: str = "",
+    ) -> None:
         """Add an event of a link, if its quota has room.
 
         Args:
@@ -46,17 +56,18 @@ class RateLimitedEventLog:
             link: by the client's name.
             topic: which it is about, or empty.
             link_status: it is about the link itself.
+            cause: of a fault, or empty.
         """
         now = self._now()
         quota = self._quotas.get((link, link_status))
         if quota is None:
             quota = self._quotas[link, link_status] = _Quota(now)
-        if not quota.passes(_Line(level, code, text, topic), now):
+        if not quota.passes(_Line(level, code, text, topic, cause), now):
             return
         if link_status:  # keep the order: first report what was left out before it
             self._report(link, link_status=False)
             self._report(link, link_status=True)
-        self._events.add(level, code, text, link=link, topic=topic)
+        self._events.add(level, code, text, link=link, topic=topic, cause=cause)
 
     def tick(self) -> None:
         """Once a second: report how many events were left out, once the flood is over or has lasted 10 s."""
@@ -76,7 +87,7 @@ class RateLimitedEventLog:
             text = f"{left_out:,} more line{'s' if left_out > 1 else ''} left out"
             self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, text, link=link)
         if newest is not None:
-            self._events.add(newest.level, newest.code, newest.text, link=link, topic=newest.topic)
+            self._events.add(newest.level, newest.code, newest.text, link=link, topic=newest.topic, cause=newest.cause)
 
 
 class _Line(NamedTuple):
@@ -84,6 +95,7 @@ class _Line(NamedTuple):
     code: EventCode
     text: str
     topic: str
+    cause: str
 
 
 class _Quota:

@@ -38,9 +38,10 @@ class EventLog:
         who: str = "",
         old: str = "",
         new: str = "",
+        cause: str = "",
     ) -> None:
         """Append an event; `rsb_bridge.model.snapshot.Event` says what each value is."""
-        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, link, topic, who, old, new))
+        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, link, topic, who, old, new, cause))
 
     def append(self, event: Event) -> None:
         """Append an event of any engine's; it gets the next number of this log."""

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
-from itertools import islice
-from statistics import median
+
+from rsb_bridge.telemetry.usual_rate import UsualRate
 
 HISTORY = 120
 """Seconds of history a route keeps: what the console plots."""
 _WINDOWS = (3, 10, 30)
 """Seconds of the windows that a rate is taken over; ascending."""
-_BUSY_SECONDS = 5
 _SHORTEST_TICK = 0.5
 """s; a shorter tick is left to the next one, as one message in so short a time says nothing about a rate."""
 _LATENCIES = 512
 _EARLIEST, _LATEST = -1.0, 3600.0
+_LARGEST_FIGURE = 1e9  # s
 """s: plausible transit times, with the error of comparing clocks; on a slow radio link messages wait for minutes."""
 _PINGS = 16
 _DRIFT = 2e-3
@@ -50,8 +50,7 @@ class RateMeter:
         bytes: of them all.
         last: s, when the last one came; None: none yet.
         rate: Hz, over the shortest of 3, 10 and 30 s that holds at least three messages.
-        usual_rate: Hz: the median second from the first busy one to the last, their mean where most were quiet; None
-            until five seconds had messages.
+        usual_rate: Hz, that it usually has (`rsb_bridge.telemetry.usual_rate`); None: not known yet, or it has none.
         history: messages in each of the last seconds, oldest first.
     """
 
@@ -62,12 +61,12 @@ class RateMeter:
         "_quiet",
         "_smoothed",
         "_ticked",
+        "_usual",
         "bytes",
         "count",
         "history",
         "last",
         "rate",
-        "usual_rate",
     )
 
     def __init__(self, now: float) -> None:
@@ -75,7 +74,6 @@ class RateMeter:
         self.bytes = 0
         self.last: float | None = None
         self.rate = 0.0
-        self.usual_rate: float | None = None
         self.history: deque[int] = deque(maxlen=HISTORY)
         self._ticked = now
         self._at_tick = 0
@@ -84,6 +82,11 @@ class RateMeter:
         # Messages, and s, until the end of each of the last seconds; the first one is where the longest window begins.
         self._marks: deque[tuple[int, float]] = deque([(0, 0.0)], maxlen=_WINDOWS[-1] + 1)
         self._quiet = HISTORY  # entries of the history since the last one with messages
+        self._usual = UsualRate()
+
+    @property
+    def usual_rate(self) -> float | None:
+        return self._usual.rate
 
     @property
     def bytes_per_second(self) -> float:
@@ -103,12 +106,12 @@ class RateMeter:
             return
         self._ticked = now
         messages, self._at_tick = self.count - self._at_tick, self.count
+        self._usual.add(messages, elapsed)
         if not messages and self._quiet >= HISTORY == len(self.history):
             self._smoothed.add(0.0, now)
             return  # one quiet second more makes no difference
         seconds = max(1, round(elapsed))
         length = elapsed / seconds
-        same = not messages and not any(islice(self.history, max(0, len(self.history) + seconds - HISTORY)))
         for number in range(max(0, seconds - HISTORY), seconds):
             share = messages * (number + 1) // seconds - messages * number // seconds
             count, end = self._marks[-1]
@@ -117,17 +120,8 @@ class RateMeter:
             self._quiet = 0 if self.history[-1] else self._quiet + 1
         self._smoothed.add(self.bytes - self._bytes_at_tick, now)
         self._bytes_at_tick = self.bytes
-        if not same:  # else only quiet seconds have come and gone
-            self.usual_rate = self._usual_rate()
         if messages or self.rate:
             self.rate = self._rate()
-
-    def _usual_rate(self) -> float | None:
-        busy = [index for index, count in enumerate(self.history) if count]
-        if len(busy) < _BUSY_SECONDS:
-            return None
-        span = list(islice(self.history, busy[0], busy[-1] + 1))
-        return float(median(span)) or sum(span) / len(span)
 
     def _rate(self) -> float:
         # Report 0 Hz once an expected message is missing, even if the longer windows still hold some.
@@ -173,6 +167,12 @@ class LatencyMeter:
         self._transit = transit
         self._samples.append(transit)
         self._fresh = True
+
+    def told(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
+        """Take the figures of the other side, as far as they can be right."""
+        self.p50, self.p99, self.jitter = (
+            figure if figure is not None and abs(figure) <= _LARGEST_FIGURE else None for figure in (p50, p99, jitter)
+        )
 
     def tick(self) -> None:
         """Work out the percentiles over the last samples."""
@@ -246,6 +246,11 @@ class StaleWatch:
             self.warned += 1
             return self.warned
         return 0
+
+    @property
+    def quiet_since(self) -> float:
+        """s, when the last message came, or when counting began anew."""
+        return self._quiet_since
 
     def stale(self, now: float) -> bool:
         """Whether it has been quiet for too long."""

@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.wire.events import (
     Accepted,
     Attach,
@@ -215,7 +216,8 @@ class ClientConnection(_Control):
         Raises:
             ValueError: the name is too long.
         """
-        header = control_header(self._suite, self._hello.name)
+        mark = bytes(FINGERPRINT_LENGTH) if self._key is None else fingerprint_of(self._key)
+        header = control_header(self._suite, self._hello.name, mark)
         self._handshake = _handshake(self._suite, self._key, header)
         return pack_frame(header, self._handshake.write(encode(self._hello)))
 
@@ -333,7 +335,7 @@ class ServerConnection(_Control):
         try:
             hello = decode_hello(handshake.read(offer.message))
         except SealError:
-            raise Refusal(RefusalCode.WRONG_KEY, f"the two sides have different keys for {offer.name!r}") from None
+            raise Refusal(RefusalCode.WRONG_KEY, _wrong_key(offer, key)) from None
         if hello.name != offer.name:
             raise ProtocolError(f"the client's name is {offer.name!r} in the preamble and {hello.name!r} in its Hello")
         welcome = self._make_welcome(hello)
@@ -374,6 +376,19 @@ class DataConnection(_Stream):
                 self._refused_by_peer(body)
             case _:
                 raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
+
+
+def _wrong_key(offer: ControlPreamble, key: bytes | None) -> str:
+    """Why a client's first message does not open; what the client says of its key is not authenticated."""
+    ours = b"" if key is None else fingerprint_of(key)
+    if offer.fingerprint == ours:
+        return (
+            f"the first message of {offer.name!r} is damaged or forged: the fingerprints of both sides' keys are equal"
+        )
+    return (
+        f"the keys of {offer.name!r} differ: the client's has the fingerprint {format_fingerprint(offer.fingerprint)}, "
+        f"the server's {format_fingerprint(ours)}"
+    )
 
 
 def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:

@@ -83,6 +83,10 @@ class DatagramWriter:
         self._route = route
         self._overhead = _HEADER.size + sealer.suite.tag_length
 
+    def datagrams(self, size: int, max_datagram: int) -> int:
+        """How many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
+        return max(-(-size // (max_datagram - self._overhead)), 1)
+
     def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
         """One message as datagrams.
 
@@ -96,7 +100,7 @@ class DatagramWriter:
             ValueError: the message needs more than `FRAGMENTS_LIMIT` datagrams; none was written.
         """
         size = max_datagram - self._overhead
-        count = max(-(-len(payload) // size), 1)
+        count = self.datagrams(len(payload), max_datagram)
         if count > FRAGMENTS_LIMIT:
             raise ValueError(f"a message of {len(payload)} bytes takes more than {FRAGMENTS_LIMIT} datagrams: use tcp")
         self.number += 1

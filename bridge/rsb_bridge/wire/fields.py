@@ -34,6 +34,7 @@ Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
 Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=_PRINTABLE)]
 Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_HOPS)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
+NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
 
 MOST_PUBLISHERS = 4096

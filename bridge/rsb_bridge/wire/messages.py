@@ -47,6 +47,7 @@ class Hello(_Message, frozen=True):
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
         features: what it can do beyond version 2; none yet.
+        host: what its machine calls itself, for operators; empty: not known.
     """
 
     version: Name
@@ -54,6 +55,7 @@ class Hello(_Message, frozen=True):
     instance: Name
     domain_id: Count
     features: Features = ()
+    host: Name = ""
 
 
 class Welcome(_Message, frozen=True):

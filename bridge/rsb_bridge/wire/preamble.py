@@ -6,6 +6,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError
 from rsb_bridge.wire.sealing import Suite
@@ -42,6 +43,7 @@ class RefusalCode(IntEnum):
     BAD_FORMAT = 6
     NO_SUCH_ROUTE = 7
     BUSY = 8
+    NAME_TAKEN = 9
 
 
 class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
@@ -64,12 +66,14 @@ class ControlPreamble(NamedTuple):
     Attributes:
         suite: what it offers to seal with.
         name: of its session.
+        fingerprint: of its key, as it says: 8 bytes; zeros: it has none.
         header: the frame up to the handshake message: the handshake's prologue.
         message: the first handshake message.
     """
 
     suite: Suite
     name: str
+    fingerprint: bytes
     header: bytes
     message: bytes
 
@@ -116,8 +120,8 @@ def preamble_frame(kind: Kind, body: bytes = b"") -> bytes:
     return MAGIC + bytes((VERSION, kind)) + body
 
 
-def control_header(suite: Suite, name: str) -> bytes:
-    """The part of a CONTROL frame before its handshake message.
+def control_header(suite: Suite, name: str, fingerprint: bytes = bytes(FINGERPRINT_LENGTH)) -> bytes:
+    """The part of a CONTROL frame before its handshake message; `fingerprint` is of the key, zeros for none.
 
     Raises:
         ValueError: the name is too long.
@@ -127,7 +131,7 @@ def control_header(suite: Suite, name: str) -> bytes:
         raise ValueError(
             f"the name has {len(encoded)} bytes in UTF-8, and at most {NAME_BYTES} are allowed: choose a shorter one"
         )
-    return preamble_frame(Kind.CONTROL, bytes((suite, len(encoded))) + encoded)
+    return preamble_frame(Kind.CONTROL, bytes((suite, len(encoded))) + encoded + fingerprint)
 
 
 def data_header(link_id: bytes, route: int) -> bytes:
@@ -173,14 +177,15 @@ def parse_control(frame: bytes) -> ControlPreamble:
         ProtocolError: the frame is invalid.
     """
     body = frame[_PREFIX_LENGTH:]
-    if len(body) < 2 or len(body) < 2 + body[1]:
-        raise ProtocolError("a CONTROL frame ends before its name does")
-    end = 2 + body[1]
+    if len(body) < 2 or len(body) < 2 + body[1] + FINGERPRINT_LENGTH:
+        raise ProtocolError("a CONTROL frame ends before its name or its fingerprint does")
+    name_end = 2 + body[1]
+    end = name_end + FINGERPRINT_LENGTH
     try:
-        name = body[2:end].decode()
+        name = body[2:name_end].decode()
     except UnicodeDecodeError:
         raise ProtocolError("the name in a CONTROL frame is not UTF-8") from None
-    return ControlPreamble(parse_suite(body), name, frame[: _PREFIX_LENGTH + end], body[end:])
+    return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: _PREFIX_LENGTH + end], body[end:])
 
 
 def parse_data(frame: bytes) -> DataPreamble:

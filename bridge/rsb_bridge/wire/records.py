@@ -11,7 +11,7 @@ import msgspec
 from rsb_bridge.model.qos import Qos, qos_problem
 
 # msgspec resolves the annotations at run time
-from rsb_bridge.wire.fields import Causes, Count, Hops, Name, Reason, RouteId  # noqa: TC001
+from rsb_bridge.wire.fields import Causes, Count, Hops, Name, NodeNames, Reason, RouteId  # noqa: TC001
 
 
 class Source(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -25,6 +25,22 @@ class Source(msgspec.Struct, frozen=True, omit_defaults=True):
 
     via: Hops
     live: bool = True
+
+
+class VerdictRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What a side makes of a route, where it is not simply fine (`rsb_bridge.model.verdict.Verdict`).
+
+    Attributes:
+        state: one of `rsb_bridge.model.snapshot.State`; another one is a newer peer's.
+        cause: one of `rsb_bridge.model.verdict.Cause`, likewise; empty: none.
+        text: for an operator, with the remedy; ``{lasting}`` in it stands for how long it has lasted.
+        lasting: s, how long that is now. It is told with other news only: who is told counts on.
+    """
+
+    state: Name
+    cause: Name = ""
+    text: Reason = ""
+    lasting: float = 0.0
 
 
 class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -42,9 +58,8 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         publishers: on its topic.
         publisher_qos: what they offer together; None: there are none.
         subscribed: messages are being taken.
-        problem: what keeps messages from flowing on this side, for an operator; empty: nothing.
-        loop: the route is refused because it would close a loop of bridges, and `problem` names them.
-        warning: messages flow, but not those of all publishers, and `problem` says which.
+        verdict: what the sending side makes of the route; None: nothing to say.
+        nodes: that publish the topic, some of them.
     """
 
     route: RouteId
@@ -58,9 +73,8 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     publishers: int = 0
     publisher_qos: Qos | None = None
     subscribed: bool = False
-    problem: Reason = ""
-    loop: bool = False
-    warning: bool = False
+    verdict: VerdictRecord | None = None
+    nodes: NodeNames = ()
 
     def __post_init__(self) -> None:
         check_qos(self.publisher_qos)
@@ -84,6 +98,8 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         latency_p50: s, one way, corrected by the clock offset; None: no figure.
         latency_p99: likewise.
         jitter: s (RFC 3550, 6.4.1); None: no figure.
+        verdict: what the receiving side makes of the route; None: nothing to say.
+        nodes: that subscribe to the topic, some of them.
     """
 
     route: RouteId
@@ -100,6 +116,8 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     latency_p50: float | None = None
     latency_p99: float | None = None
     jitter: float | None = None
+    verdict: VerdictRecord | None = None
+    nodes: NodeNames = ()
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)

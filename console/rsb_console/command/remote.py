@@ -153,20 +153,18 @@ def _status(arguments: Namespace) -> int:
             if not now.running:
                 print_line("  STOPPED")
             for link in now.links:
-                print_line(f"  link {link.name} {link.state.upper()} {link.peer} {link.reason}".rstrip())
+                print_line(
+                    f"  link {link.name} {link.state.upper()} {link.peer} {link.reason or link.warning}".rstrip()
+                )
             for route in faults_first(now.routes):
                 print_line(f"  {rate_text(route)}")
         return OK if _is_fine(now) else FAILURE
 
 
 def _is_fine(now: Snapshot) -> bool:
-    """Whether nothing is wrong; a topic that flows may have a reason to be looked at all the same."""
-    links = all(link.state is State.OK for link in now.links)
-    return (
-        now.running
-        and links
-        and all((route.state, route.reason) == (State.OK, "") or route.state is State.PAUSED for route in now.routes)
-    )
+    """Whether nothing is wrong. What an operator wants to be so is not: a pause, a limit."""
+    links = all(link.state is State.OK and not link.warning for link in now.links)
+    return now.running and links and all(route.state in (State.OK, State.PAUSED) for route in now.routes)
 
 
 def _topics(arguments: Namespace) -> int:
@@ -242,9 +240,9 @@ def _condition(wanted: list[str]) -> Callable[[RemoteEngine], bool]:
 
 
 def _flows(engine: RemoteEngine, topic: str) -> bool:
-    """Whether every route of a topic carries messages."""
+    """Whether every route of a topic carries messages, however many and whoever hears them."""
     routes = [route for route in engine.snapshot().routes if route.topic == topic]
-    return bool(routes) and all(route.state is State.OK and route.ledger.delivered for route in routes)
+    return bool(routes) and all(route.state.flows and route.ledger.delivered for route in routes)
 
 
 def _why_not(engine: RemoteEngine, wanted: list[str]) -> str:

@@ -51,13 +51,13 @@ def _counts(snapshot: Snapshot) -> tuple[str, str]:
     linked = sum(link.state is State.OK for link in snapshot.links)
     states = [route.state for route in snapshot.routes]
     counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
-    return f"{linked}/{len(snapshot.links)} linked", f"{len(states)} topics" + (f": {counts}" if counts else "")
+    topics = f"{len(states)} topic{'' if len(states) == 1 else 's'}"
+    return f"{linked}/{len(snapshot.links)} linked", topics + (f": {counts}" if counts else "")
 
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
     """The line has room for some topics only, and faults must be among them."""
-    worst_first = list(State)
-    return sorted(routes, key=lambda route: worst_first.index(route.state))
+    return sorted(routes, key=lambda route: route.state.rank)
 
 
 def rate_text(route: RouteSnapshot) -> str:
@@ -69,7 +69,10 @@ def rate_text(route: RouteSnapshot) -> str:
 
 def _how(route: RouteSnapshot) -> str:
     """The rate and what is wrong all the same, or the reason why there is no rate; a pause needs no reason."""
-    how = f"{route.rate:.1f} Hz" if route.state is State.OK else route.state.upper()
+    rate = f"{route.rate:.1f} Hz"
+    how = rate if route.state is State.OK else route.state.upper()
+    if route.state is not State.OK and route.state.flows:
+        how += f" {rate}"
     reason = "" if route.state is State.PAUSED else route.reason
     return how + (f": {reason}" if reason else "")
 
@@ -93,7 +96,17 @@ def json_status(snapshot: Snapshot) -> str:
 
 def status_of(snapshot: Snapshot) -> dict[str, object]:
     """The figures for a monitor, without what only the console draws (histories, the details of stages)."""
-    links = {link.name: {"state": link.state, "peer": link.peer, "rtt": link.rtt} for link in snapshot.links}
+    links = {
+        link.name: {
+            "state": link.state,
+            "cause": link.cause,
+            "reason": link.reason or link.warning,
+            "since": link.since,
+            "peer": link.peer,
+            "rtt": link.rtt,
+        }
+        for link in snapshot.links
+    }
     return {"links": links, "routes": [route_of(route) for route in snapshot.routes]}
 
 
@@ -104,7 +117,12 @@ def route_of(route: RouteSnapshot) -> dict[str, object]:
         "link": route.link,
         "outgoing": route.outgoing,
         "state": route.state,
+        "cause": route.cause,
         "reason": route.reason,
+        "from_peer": route.from_peer,
+        "publishers": route.publishers,
+        "subscribers": route.subscribers,
+        "max_rate": route.spec.max_rate,
         "missing": [stage.name for stage in route.stages if not stage.done],
         "rate": round(route.rate, 3),
         "bytes_per_second": round(route.bytes_per_second),

@@ -18,8 +18,17 @@ if TYPE_CHECKING:
 
     from textual.color import Color
 
-STATE_SIGN = {State.OK: "●", State.WAITING: "◌", State.PAUSED: "‖", State.STALE: "▲", State.DOWN: "✗"}
-STATE_WORD = {State.OK: "ok", State.WAITING: "WAIT", State.PAUSED: "PAUSED", State.STALE: "STALE", State.DOWN: "DOWN"}
+STATE_SIGN = {
+    State.OK: "●",
+    State.PAUSED: "‖",
+    State.WAITING: "◌",
+    State.UNHEARD: "◇",
+    State.SLOW: "≈",
+    State.STOPPED: "■",
+    State.STALE: "▲",
+    State.DOWN: "✗",
+}
+STATE_WORD = {state: state.upper() for state in State} | {State.OK: "ok", State.WAITING: "WAIT"}
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN = "✓", "✗", "·"
 BARS = " ▁▂▃▄▅▆▇█"
@@ -82,7 +91,7 @@ def _ascii_braille(dots: int) -> str:
 
 _LOOKALIKES = {
     "o": "●◉◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
-    "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆", "#": "█■□", "~": "…⏎",
+    "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆", "#": "█■□", "%": "◇", "~": "…⏎≈",
     "|": "│┃║▌▐▕▎▏▊▋▍▉", "u": "µ", "'": "’", '"': "“”",
 }  # fmt: skip
 ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}

@@ -16,6 +16,7 @@ from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
+from rsb_console.widgets.status import link_fault
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -79,6 +80,7 @@ class LinkDetail(LiveLines, can_focus=False):
     def __init__(self) -> None:
         super().__init__(id="link-detail")
         self._link: LinkSnapshot | None = None
+        self._server = False
         self._lines: list[Line] = []
 
     @property
@@ -89,22 +91,23 @@ class LinkDetail(LiveLines, can_focus=False):
     def line(self, index: int) -> Line:
         return fit(self._lines[index], self.size.width)
 
-    def show(self, link: LinkSnapshot | None) -> None:
-        self._link = link
-        self._lines = [] if link is None else list(_detail(link, self.size.width))
+    def show(self, link: LinkSnapshot | None, *, server: bool) -> None:
+        self._link, self._server = link, server
+        self._lines = [] if link is None else list(_detail(link, self.size.width, server=server))
         self.styles.height = len(self._lines)
         self.sync()
 
     def on_resize(self) -> None:
         super().on_resize()
-        self.show(self._link)
+        self.show(self._link, server=self._server)
 
 
-def _detail(link: LinkSnapshot, width: int) -> Iterator[Line]:
-    if link.state is not State.OK:
+def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
+    if link.state is not State.OK or link.warning:
         retry = "" if link.retry_in is None else f"; attempt {link.attempts + 1} in {link.retry_in:.0f} s"
-        for number, line in enumerate(textwrap.wrap(f"{link.reason}{retry}", max(20, width - LABEL))):
-            yield (_label("" if number else "why"), (line, link.state.value))
+        fault = f"{link_fault(link, server=server)}{retry}"
+        for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
+            yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
     version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))
@@ -156,11 +159,11 @@ class LinksScreen(ModalScreen[None]):
         """Show the links as they are now."""
         self.table.show(self.console.snapshot())
         self.table.styles.height = min(self.table.line_count, 12)
-        self.detail.show(self.table.selected)
+        self.detail.show(self.table.selected, server=self.console.snapshot().role == "server")
 
     def on_selectable_list_cursor_moved(self) -> None:
         """The detail follows."""
-        self.detail.show(self.table.selected)
+        self.detail.show(self.table.selected, server=self.console.snapshot().role == "server")
 
     @work
     async def action_retry(self) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 COLUMNS = (
     "state", "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
-    "latency_p50", "latency_p99", "age", "reason",
+    "latency_p50", "latency_p99", "age", "cause", "reason",
 )  # fmt: skip
 
 
@@ -35,7 +35,7 @@ def export_log(events: Sequence[Event]) -> Path:
     with path.open("x", encoding="utf-8") as file:
         for event in events:
             stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(event.time))
-            file.write(f"{stamp} {event.level} {event.source} {event.text}\n")
+            file.write(f"{stamp} {event.level} {event.source} {event.link or '-'} {event.text}\n")
     return path
 
 

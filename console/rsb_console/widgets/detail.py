@@ -6,7 +6,6 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.qos import AUTO
-from rsb_bridge.model.snapshot import State
 from rsb_console.actions.registry import Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, IN, OUT, STATE_SIGN, STATE_WORD, UNKNOWN, braille_plot
@@ -92,7 +91,7 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
     yield ()
     yield from _plot(route, width)
     yield ()
-    yield from _ledger(route.ledger, width)
+    yield from _ledger(route.ledger, route.spec.max_rate)
     yield ()
     yield from _figures(route, width)
 
@@ -104,8 +103,8 @@ def _heading(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
         ("" if route.age is None or route.age < 1 else f" last message {formats.age(route.age)} ago", "dim"),
     )
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
-    if route.reason and route.reason != failed:  # one that is OK may have a warning
-        yield from _wrapped(route.reason, width, State.STALE.value if route.state is State.OK else look)
+    if route.reason and route.reason != failed:
+        yield from _wrapped(route.reason, width, look)
     asked_for = "type not known yet" if route.spec.type == AUTO else f"{route.spec.type} (as configured)"
     yield ((f" {route.type_name or asked_for}", "strong" if route.type_name else "dim"),)
     way = f"{OUT} to" if route.outgoing else f"{IN} from"
@@ -121,9 +120,13 @@ def _stages(route: RouteSnapshot, width: int) -> Iterator[Line]:
     stages = route.stages
     waiting = [index for index, stage in enumerate(stages) if not stage.done]
     at = next((index for index in waiting if stages[index].done is False), next(iter(waiting), None))
-    yield ((" Stages" if route.state is State.OK else " Why it isn't flowing", "head"),)
+    yield ((" Stages" if route.state.flows else " Why it isn't flowing", "head"),)
     if at is None:
-        yield ((f" {DONE} ", "ok"), (f"all {len(stages)} passed", ""))
+        passed = f"all {len(stages)} passed"
+        if carries(route) and not route.state.flows:
+            yield ((f" {UNKNOWN} ", route.state.value), (f"{passed} before, and nothing comes now", ""))
+        else:
+            yield ((f" {DONE} ", "ok"), (passed, ""))
         return
     failed = stages[at]
     yield from _listed(DONE, "ok", [stage for stage in stages if stage.done], width)
@@ -158,8 +161,10 @@ def _plot(route: RouteSnapshot, width: int) -> Iterator[Line]:
         yield ((f" {line}", "plot"),)
 
 
-def _ledger(ledger: Ledger, width: int) -> Iterator[Line]:
+def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
+    """The ledger. What an operator has left out on purpose (`limit`, Hz) is no share of what should be delivered."""
     yield ((" Ledger", "head"),)
+    due = ledger.offered - ledger.throttled
     rows = [
         ("offered", ledger.offered, ""),
         ("delivered", ledger.delivered, ""),
@@ -172,7 +177,11 @@ def _ledger(ledger: Ledger, width: int) -> Iterator[Line]:
     ]
     name_width = max(LABEL, *(len(name) for name, _, _ in rows)) + 1
     for name, count, look in rows:
-        share = f"  {100 * count / ledger.offered:.1f} %" if ledger.offered and name == "delivered" else ""
+        share = ""
+        if name == "delivered" and due > 0:
+            share = f"  {100 * count / due:.1f} %"
+        elif name == "throttled" and limit:
+            share = f"  limit {limit:g} Hz"
         yield (
             (f" {name:<{name_width}}", "dim"),
             (f"{formats.thousands(count):>9}", look if count else "dim"),
@@ -192,9 +201,11 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
     if route.qos is not None:
         yield from _figure("QoS", qos_parts(route.qos), width)
     if route.publisher_qos is not None:
-        yield from _figure("publishers", ["offer", *qos_parts(route.publisher_qos, depth_known=False)], width)
+        who = [f"{name}," for name in route.publishers]
+        yield from _figure("publishers", [*who, "offer", *qos_parts(route.publisher_qos, depth_known=False)], width)
     if route.subscriber_qos is not None:
-        yield from _figure("subscribers", ["ask for", *qos_parts(route.subscriber_qos, depth_known=False)], width)
+        who = [f"{name}," for name in route.subscribers]
+        yield from _figure("subscribers", [*who, "ask for", *qos_parts(route.subscriber_qos, depth_known=False)], width)
     if route.type_hash:
         yield _named("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
     if route.last_error:

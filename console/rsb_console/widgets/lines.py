@@ -11,6 +11,8 @@ from textual.geometry import Region, Size
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
 
+from rsb_bridge.model.snapshot import State
+
 if TYPE_CHECKING:
     from rich.style import Style
 
@@ -19,7 +21,9 @@ Line = tuple[tuple[str, str], ...]
 
 BREATH = 0.5e-3  # s
 
-LOOKS = ("ok", "waiting", "paused", "stale", "down", "dim", "strong", "key", "head", "alarm", "plot")
+LOOKS = (
+    *(state.value for state in State), "dim", "strong", "key", "head", "alarm", "plot",
+)  # fmt: skip
 
 
 def look_class(look: str) -> str:

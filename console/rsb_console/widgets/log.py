@@ -112,10 +112,15 @@ class LogPane(SelectableList):
             (f" {formats.time_of_day(event.time)} ", "dim"),
             (f"{WORD[event.level]:<6}", look),
             (f"{event.source:<7}", "dim"),
-            (event.text, "dim" if event.level is Level.DEBUG else ""),
+            (_named(event), "dim" if event.level is Level.DEBUG else ""),
         )
 
 
 def plain(event: Event) -> str:
     """An event as one line of text."""
-    return f"{formats.time_of_day(event.time)} {WORD[event.level]:<5} {event.source:<6} {event.text}"
+    return f"{formats.time_of_day(event.time)} {WORD[event.level]:<5} {event.source:<6} {_named(event)}"
+
+
+def _named(event: Event) -> str:
+    """An event's text, with its link before it."""
+    return f"{event.link}: {event.text}" if event.link and not event.text.startswith(f"{event.link}: ") else event.text

@@ -1,4 +1,4 @@
-"""The two lines at the top: the links' state, and totals over all topics."""
+"""The lines at the top: the links' state, and totals over all topics."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import LinkCause
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
@@ -53,13 +54,14 @@ class StatusBar(LiveLines):
         self._identity: Line = ()
         self._view: Line = ()
         self._totals: list[Line] = []
+        self._faults: list[Line] = []
         self._received: deque[float] = deque(maxlen=HISTORY)
         self._sent: deque[float] = deque(maxlen=HISTORY)
         self._sampled = 0.0
 
     @property
     def line_count(self) -> int:
-        return 2
+        return 2 + bool(self._faults)
 
     def line(self, index: int) -> Line:
         width = self.width
@@ -67,6 +69,9 @@ class StatusBar(LiveLines):
             if width >= ROOMY:
                 return _spread(self._identity, self._view, width)
             return _spread(self._identity[2:] or self._identity[1:], self._view[-1:], width)
+        if index == 2:
+            more = len(self._faults) - 1
+            return _spread(self._faults[0], ((f"  and {more} more (links) " if more else "", "dim"),), width)
         return _as_many(self._totals, width)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -76,6 +81,8 @@ class StatusBar(LiveLines):
             self._sent.append(sum(link.tx_bytes_per_second for link in snapshot.links))
         self._identity, self._view = _identity(snapshot, view), _view(snapshot, view)
         self._totals = self._sum(snapshot)
+        self._faults = _link_faults(snapshot)
+        self.styles.height = self.line_count
         self.sync()
 
     def _sum(self, snapshot: Snapshot) -> list[Line]:
@@ -157,6 +164,34 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
     retry = "" if link.retry_in is None else f" · retry {link.attempts + 1} in {link.retry_in:.0f} s"
     state = link.state
     return f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry}", state.value
+
+
+def _link_faults(snapshot: Snapshot) -> list[Line]:
+    """A line for each link with a fault, the worst first. A single one that waits is told of in the first line."""
+    if not snapshot.running:
+        return []
+    server = snapshot.role == "server"
+    single = len(snapshot.links) == 1
+    faults = [
+        link
+        for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name))
+        if link.warning or not (link.state is State.OK or (single and link.state is State.WAITING))
+    ]
+    return [
+        ((f" {STATE_SIGN[link.state]} {link.name}: ", link.state.value), (link_fault(link, server=server), ""))
+        for link in faults
+    ]
+
+
+def link_fault(link: LinkSnapshot, *, server: bool) -> str:
+    """Format what is wrong with a link; on a server, who should be there and is not."""
+    since = formats.time_of_day(link.since)[:5]
+    if link.state is State.OK:
+        return link.warning
+    if not server or link.cause not in (LinkCause.LOST, LinkCause.CLOSED, LinkCause.NOT_YET):
+        return link.reason
+    seen = f"last seen at {link.peer}: {link.reason}" if link.peer else "not seen yet"
+    return f"missing since {since}, {seen}"
 
 
 def _view(snapshot: Snapshot, view: View) -> Line:

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.lines import Line
     from rsb_console.widgets.pattern import Pattern
 
-SEVERITY = {state: rank for rank, state in enumerate(State)}
-FAULTS = frozenset({State.DOWN, State.STALE, State.WAITING})
+FAULTS = frozenset(State) - {State.PAUSED, State.OK}
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
 
@@ -62,18 +61,18 @@ def _rate(route: RouteSnapshot) -> str:
 
 
 def present_rate(route: RouteSnapshot) -> float:
-    """A topic's rate in Hz. A stale topic's is 0: the measured mean still covers seconds in which it flowed."""
-    return 0.0 if route.state is State.STALE else route.rate
+    """A topic's rate in Hz. One that has stopped has 0: the measured mean still covers seconds in which it flowed."""
+    return 0.0 if route.state in {State.STALE, State.STOPPED} else route.rate
 
 
 def carries(route: RouteSnapshot) -> bool:
     """Whether a topic's rate and throughput have a meaning in its present state."""
-    return route.state in {State.OK, State.STALE}
+    return route.state.flows or route.state in {State.STALE, State.STOPPED}
 
 
 COLUMNS = (
-    Column("STATE", 8, _state, lambda r: (SEVERITY[r.state], r.topic), right=False, from_width=WIDE),
-    Column("", 2, lambda r: STATE_SIGN[r.state], lambda r: (SEVERITY[r.state], r.topic), right=False),
+    Column("STATE", 9, _state, lambda r: (r.state.rank, r.topic), right=False, from_width=WIDE),
+    Column("", 2, lambda r: STATE_SIGN[r.state], lambda r: (r.state.rank, r.topic), right=False),
     Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
     Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
     Column("VIA", 7, _via, lambda r: (r.outgoing, r.transport, r.port), right=False, from_width=40),
@@ -234,7 +233,7 @@ def _cell(column: Column, route: RouteSnapshot, width: int) -> tuple[str, str]:
     if column in {STATE, SIGN}:
         look = route.state.value
     elif column is HISTORY_COLUMN:
-        look = "plot" if route.state is State.OK else route.state.value
+        look = "plot" if route.state.flows else route.state.value
     elif route.state is State.PAUSED:
         look = "dim"
     return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look

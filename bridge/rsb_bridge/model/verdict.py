@@ -1,0 +1,122 @@
+"""What a side makes of a route: its state, the cause, and a sentence for an operator with the remedy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from rsb_bridge.model.snapshot import State
+
+LASTING = "{lasting}"
+"""Stands in a verdict's text for how long it has lasted, so that the text itself stays the same."""
+
+
+class Cause(StrEnum):
+    """Why a route is in its state. Programs and tests may rely on it; the text is for people and may change."""
+
+    NONE = ""
+    LINK_DOWN = "link_down"
+    REFUSED = "refused"
+    LOOP = "loop"
+    PAUSED = "paused"
+    NO_PATH = "no_path"
+    """Its transport does not get through, though the link is up."""
+    SUBSCRIBE_FAILED = "subscribe_failed"
+    QOS_INCOMPATIBLE = "qos_incompatible"
+    """A publisher offers less than is asked for."""
+    TYPE_CONFLICT = "type_conflict"
+    """The nodes on the topic do not have one type."""
+    TYPE_UNKNOWN = "type_unknown"
+    NO_PUBLISHER = "no_publisher"
+    PUBLISHER_GONE = "publisher_gone"
+    """It had publishers, and has none any more."""
+    PUBLISHER_SILENT = "publisher_silent"
+    """There are publishers, but no messages."""
+    SLOW = "slow"
+    LOSSY = "lossy"
+    """Messages are lost on the way."""
+    QUEUE_FULL = "queue_full"
+    """More is published than the link carries."""
+    TOO_LARGE = "too_large"
+    NOT_PUBLISHED = "not_published"
+    """Messages arrive, and the receiving side cannot publish them."""
+    NO_SUBSCRIBER = "no_subscriber"
+    SILENT = "silent"
+    """Nothing comes from the other side, and this side does not know why."""
+    NO_MESSAGE = "no_message"
+    """As `SILENT`, while no message is due."""
+    THROTTLED = "throttled"
+    """As many messages cross as an operator allows."""
+
+
+class LinkCause(StrEnum):
+    """Why a link is not up, or is up with a fault."""
+
+    NONE = ""
+    NOT_YET = "not_yet"
+    """It has not been connected yet."""
+    LOST = "lost"
+    CLOSED = "closed"
+    """One of the sides ended it on purpose."""
+    UNREACHABLE = "unreachable"
+    REFUSED = "refused"
+    WRONG_KEY = "wrong_key"
+    WRONG_VERSION = "wrong_version"
+    UNKNOWN_NAME = "unknown_name"
+    NAME_TAKEN = "name_taken"
+    """Two machines have its name."""
+
+
+def about(seconds: float) -> str:
+    """A duration in one unit: ``5 s``, ``40 s``, ``3 min``, ``2 h``."""
+    if seconds < 10:
+        return f"{max(1, int(seconds))} s"
+    if seconds < 60:
+        return f"{int(seconds / 10) * 10} s"
+    return f"{int(seconds / 60)} min" if seconds < 3600 else f"{int(seconds / 3600)} h"
+
+
+_DETAILS_UNKNOWN = frozenset({Cause.SILENT, Cause.NO_MESSAGE})
+"""Causes that give way to what the other side knows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one side makes of a route.
+
+    Attributes:
+        state: its state.
+        cause: of the state; one that is in no `Cause` is a newer peer's.
+        text: for an operator, with the remedy, and perhaps `LASTING`; empty: there is nothing to say.
+        since: s, when it began; None: it does not say.
+    """
+
+    state: State
+    cause: str = Cause.NONE
+    text: str = ""
+    since: float | None = None
+
+    def said(self, now: float) -> str:
+        """The text at `now` (s)."""
+        return self.text.replace(LASTING, about(now - (now if self.since is None else self.since)))
+
+
+FINE = Verdict(State.OK)
+
+
+def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
+    """What counts of what both sides say.
+
+    The worse state counts. Where a side knows only that nothing comes, the other side's cause explains it; where both
+    are equally bad, the sending side's does, at which a message's way begins.
+
+    Returns:
+        The verdict, and whether it is the sending side's.
+    """
+    from_sender = sender.state.rank <= receiver.state.rank
+    if sender.state is State.OK and receiver.state is State.OK:
+        from_sender = bool(sender.text) or not receiver.text
+    chosen, other = (sender, receiver) if from_sender else (receiver, sender)
+    if chosen.cause in _DETAILS_UNKNOWN and other.cause not in (*_DETAILS_UNKNOWN, Cause.NONE, Cause.THROTTLED):
+        return replace(other, state=chosen.state), not from_sender
+    return chosen, from_sender

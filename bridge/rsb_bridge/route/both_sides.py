@@ -1,0 +1,108 @@
+"""What counts of what the two sides make of a route, on the screens and in the logs of both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.verdict import FINE, Cause, Verdict, worse
+from rsb_bridge.route.announcing import Announcement, Announcer
+from rsb_bridge.wire.records import VerdictRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.ros.api import Endpoint
+
+_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED})
+"""Causes that each side knows for itself."""
+_ENOUGH_SAID_HERE = frozenset({Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED})
+"""Causes of which the other side knows no more, if it has the same."""
+_TEXT_LENGTH = 300
+"""Characters of a text that is sent: a report has room for a thousand routes."""
+
+_LONGEST = 1e9  # s
+_NODES, _NODE_LENGTH = 4, 64
+"""Nodes that the other side is told of, and characters of their names."""
+
+
+class Shown(NamedTuple):
+    """What operators of this side are shown.
+
+    Attributes:
+        verdict: the worse of both; its text names the other side where that says so.
+        from_peer: the other side says so.
+    """
+
+    verdict: Verdict
+    from_peer: bool
+
+
+class BothSides:
+    """Puts both sides' verdicts together.
+
+    Args:
+        sends: this is the sending side.
+        peer_name: what the other side is called.
+
+    Attributes:
+        peer: the other side's verdict.
+    """
+
+    def __init__(self, *, sends: bool, peer_name: str) -> None:
+        self.peer = FINE
+        self._sends = sends
+        self._peer_name = peer_name
+        self._announcer = Announcer()
+
+    def take(self, record: VerdictRecord | None, now: float) -> None:
+        """The other side tells its verdict, at `now` (s)."""
+        if record is None:
+            self.peer = FINE
+            return
+        state = State(record.state) if record.state in State.__members__.values() else State.WAITING
+        self.peer = Verdict(state, record.cause, record.text, _since(record.lasting, now))
+
+    def shown(self, own: Verdict) -> Shown:
+        """What counts, given this side's verdict."""
+        same = (own.state, own.cause) == (self.peer.state, self.peer.cause)
+        if own.cause in _SAME_ON_BOTH or (same and own.cause in _ENOUGH_SAID_HERE):
+            return Shown(own, from_peer=False)
+        verdict, from_sender = worse(*((own, self.peer) if self._sends else (self.peer, own)))
+        if from_sender == self._sends:
+            return Shown(verdict, from_peer=False)
+        text = f"{self._peer_name}: {verdict.text}" if verdict.text else ""
+        return Shown(replace(verdict, text=text), from_peer=True)
+
+    def announce(self, own: Verdict, now: float) -> Announcement | None:
+        """Once a second: what to log, if anything."""
+        return self._announcer.tick(self.shown(own).verdict, now)
+
+
+def record_of(verdict: Verdict) -> VerdictRecord | None:
+    """A verdict as the other side is told, but for how long it has lasted; None: it is fine."""
+    if verdict == FINE:
+        return None
+    return VerdictRecord(verdict.state, verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
+
+
+def lasting(record: VerdictRecord | None, verdict: Verdict, now: float) -> VerdictRecord | None:
+    """The record of a verdict, and how long it has lasted at `now` (s)."""
+    if record is None or verdict.since is None:
+        return record
+    return msgspec.structs.replace(record, lasting=now - verdict.since)
+
+
+def _since(seconds: float, now: float) -> float:
+    """Since when something lasts, if it can have lasted as long as the other side says."""
+    return now - seconds if 0.0 <= seconds <= _LONGEST else now
+
+
+def node_names(endpoints: Iterable[Endpoint]) -> tuple[str, ...]:
+    """The names of the nodes that have endpoints, as far as they are told to the other side."""
+    names = sorted({each.node for each in endpoints if each.node})
+    return tuple([sanitize_text(name, _NODE_LENGTH) for name in names[:_NODES]])

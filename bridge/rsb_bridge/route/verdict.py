@@ -1,0 +1,336 @@
+"""What one half of a route makes of it: rules over what it knows. They use no clock and change nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.qos import clashes
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable
+
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.telemetry.watches import Loss
+
+_NAMED = 3
+"""Nodes that a sentence names."""
+
+_SILENCE = frozenset({Cause.PUBLISHER_SILENT, Cause.NO_MESSAGE})
+_EXPLAINS_SILENCE = frozenset({Cause.QOS_INCOMPATIBLE, Cause.TYPE_CONFLICT})
+"""Where a publisher's messages are not taken, it is not silent."""
+
+
+class Facts(NamedTuple):
+    """What a half knows of its route.
+
+    Attributes:
+        sends: it is the sending half.
+        topic: its name on this side.
+        domain_id: of this side.
+        endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
+        matched: subscriptions on the receiving side that DDS has matched, which may be known before their nodes are.
+        similar: a topic of the sending side that has publishers and a similar name; or empty.
+        link_down: why the link is down; empty: it is up.
+        refusal: why the route is refused; empty: it is not.
+        loop: why its messages would loop; empty: they would not.
+        paused: an operator has paused it.
+        no_path: why its transport does not get through; empty: it does.
+        breaking: why what carries it breaks before a message arrives; empty: it does not.
+        subscribe_failed: why its subscription failed; empty: it did not.
+        left_out: which publishers are not bridged, as their type is another one; empty: none.
+        unresolved: why its type or QoS is not known.
+        waits_for: what has to come before messages can.
+        type_name: of its messages; empty: not known yet.
+        qos: it is subscribed to and published with; None: not known yet.
+        flowing: messages could cross now.
+        came: some have, since it was opened.
+        stale_since: s, of the last message, where that is longer ago than `stale_after`; else None.
+        stopped_since: s, of the last message, where its publishers have stopped; else None.
+        slow_since: s, when it got slow; None: it is not.
+        rate: Hz, of the messages that are sent.
+        expected_rate: Hz, to judge the rate by; None: there is none to go by.
+        lost_in_dds: messages that DDS lost lately before they could be taken.
+        loss: between the two sides; None: none to speak of.
+        datagrams: that a message takes, about; 0: its transport has none.
+        limit: Hz that an operator allows it; 0: all.
+    """
+
+    sends: bool
+    topic: str
+    domain_id: int = 0
+    endpoints: Collection[Endpoint] = ()
+    matched: int = 0
+    similar: str = ""
+    link_down: str = ""
+    refusal: str = ""
+    loop: str = ""
+    paused: bool = False
+    no_path: str = ""
+    breaking: str = ""
+    subscribe_failed: str = ""
+    left_out: str = ""
+    unresolved: tuple[Cause, str] | None = None
+    waits_for: str = ""
+    type_name: str = ""
+    qos: Qos | None = None
+    flowing: bool = False
+    came: bool = False
+    stale_since: float | None = None
+    stopped_since: float | None = None
+    slow_since: float | None = None
+    rate: float = 0.0
+    expected_rate: float | None = None
+    lost_in_dds: int = 0
+    loss: Loss | None = None
+    datagrams: int = 0
+    limit: float = 0.0
+
+
+def judge(facts: Facts) -> Verdict:
+    """What counts: the first of `_GATES` that applies, else the worst of `_RULES`, of equally bad ones the first."""
+    for gate in _GATES:
+        if (verdict := gate(facts)) is not None:
+            return verdict
+    found = [verdict for rule in _RULES if (verdict := rule(facts)) is not None]
+    worst = min(found, key=_rank, default=FINE)
+    if worst.cause in _SILENCE:
+        explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
+        return worst if explained is None else replace(explained, state=worst.state)
+    return worst
+
+
+def _rank(verdict: Verdict) -> int:
+    return verdict.state.rank
+
+
+def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
+    """Says that nobody publishes a topic."""
+    hint = f"; did you mean {similar}?" if similar else ""
+    return f"no publisher of {topic} in domain {domain_id}{hint}"
+
+
+def named(nodes: Iterable[str]) -> str:
+    """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
+    names = sorted({node or "a node that is not known yet" for node in nodes})
+    if len(names) < 2:
+        return names[0] if names else "nobody"
+    shown, more = names[:_NAMED], len(names) - _NAMED
+    last = f"{more} more" if more > 0 else shown.pop()
+    return f"{', '.join(shown)} and {last}"
+
+
+def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
+    """``/a has pkg/msg/A, /b has pkg/msg/B``."""
+    nodes: dict[str, list[str]] = {}
+    for endpoint in endpoints:
+        nodes.setdefault(endpoint.type_name, []).append(endpoint.node)
+    return ", ".join(f"{named(who)} has {type_name}" for type_name, who in sorted(nodes.items())[:_NAMED])
+
+
+# --- what keeps everything else from being known
+
+
+def _link(facts: Facts) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.LINK_DOWN, facts.link_down) if facts.link_down else None
+
+
+def _breaking(facts: Facts) -> Verdict | None:
+    if not facts.breaking:
+        return None
+    text = (
+        f"its data connection ends before a message arrives ({facts.breaking}), though the link is up: large packets "
+        "may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
+    )
+    return Verdict(State.DOWN, Cause.NO_PATH, text)
+
+
+def _refused(facts: Facts) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.REFUSED, facts.refusal) if facts.refusal else None
+
+
+def _loop(facts: Facts) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.LOOP, facts.loop) if facts.loop else None
+
+
+def _paused(facts: Facts) -> Verdict | None:
+    return Verdict(State.PAUSED, Cause.PAUSED, "paused by an operator") if facts.paused else None
+
+
+_GATES: tuple[Callable[[Facts], Verdict | None], ...] = (_link, _breaking, _refused, _loop, _paused)
+
+
+# --- either side
+
+
+def _path(facts: Facts) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.NO_PATH, facts.no_path) if facts.no_path else None
+
+
+def _stale(facts: Facts) -> Verdict | None:
+    if (since := facts.stale_since) is None:
+        return None
+    text = f"nothing for {LASTING}"
+    if not facts.sends:
+        return Verdict(State.STALE, Cause.SILENT, text, since)
+    if facts.endpoints:
+        silent = _plural(facts.endpoints, "is there, and publishes nothing", "are there, and publish nothing")
+        return Verdict(State.STALE, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
+    cause = Cause.PUBLISHER_GONE if facts.came else Cause.NO_PUBLISHER
+    nobody = no_publisher(facts.topic, facts.domain_id, facts.similar)
+    return Verdict(State.STALE, cause, f"{text}: {nobody}", since)
+
+
+def _waiting(facts: Facts) -> Verdict | None:
+    if facts.came and facts.flowing:
+        return None
+    if facts.sends and facts.flowing and not facts.endpoints:
+        text = no_publisher(facts.topic, facts.domain_id, facts.similar)
+        return Verdict(State.WAITING, Cause.NO_PUBLISHER, text)
+    if facts.sends and facts.flowing:
+        text = _plural(facts.endpoints, "has published nothing yet", "have published nothing yet")
+        return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
+    text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
+    return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
+
+
+def _throttled(facts: Facts) -> Verdict | None:
+    if not facts.limit:
+        return None
+    return Verdict(State.OK, Cause.THROTTLED, f"limit {facts.limit:g} Hz, set on purpose (max_rate)")
+
+
+# --- the sending side
+
+
+def _subscription(facts: Facts) -> Verdict | None:
+    if not facts.subscribe_failed:
+        return None
+    return Verdict(State.DOWN, Cause.SUBSCRIBE_FAILED, facts.subscribe_failed)
+
+
+def _publishers_qos(facts: Facts) -> Verdict | None:
+    if not facts.sends or facts.qos is None:
+        return None
+    ours = [each for each in facts.endpoints if each.type_name == facts.type_name]
+    others = [each for each in ours if clashes(each.qos, facts.qos)]
+    if not others:
+        return None
+    offer, asked = zip(*clashes(others[0].qos, facts.qos), strict=True)
+    text = (
+        f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, and this topic asks for {', '.join(asked)}: "
+        "nothing of that is taken; set qos: auto for this topic"
+    )
+    all_of_them = len(others) == len(ours)
+    return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
+
+
+def _publishers_types(facts: Facts) -> Verdict | None:
+    return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, facts.left_out) if facts.left_out else None
+
+
+def _unresolved(facts: Facts) -> Verdict | None:
+    if facts.unresolved is None or facts.flowing:
+        return None
+    cause, text = facts.unresolved
+    return Verdict(State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING, cause, text)
+
+
+def _stopped(facts: Facts) -> Verdict | None:
+    since = facts.stopped_since
+    if since is None or facts.expected_rate is None:
+        return None
+    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected"
+    if not facts.endpoints:
+        gone = f"{text}: {no_publisher(facts.topic, facts.domain_id)} any more"
+        return Verdict(State.STOPPED, Cause.PUBLISHER_GONE, gone, since)
+    silent = _plural(facts.endpoints, "has stopped publishing, or died", "have stopped publishing, or died")
+    return Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
+
+
+def _slow(facts: Facts) -> Verdict | None:
+    if facts.slow_since is None or facts.expected_rate is None:
+        return None
+    text = f"{facts.rate:.3g} Hz of {facts.expected_rate:.3g} expected, for {LASTING}"
+    if facts.lost_in_dds:
+        reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
+    else:
+        reason = _plural(facts.endpoints, "publishes no more", "publish no more")
+    return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
+
+
+_LOSSES: dict[str, tuple[Cause, str]] = {
+    "queue full": (
+        Cause.QUEUE_FULL,
+        "more is published than the link carries: set max_rate, compression: zstd, or use a faster link",
+    ),
+    "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
+    "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
+    "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
+    "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
+}
+
+
+def _lossy(facts: Facts) -> Verdict | None:
+    loss = facts.loss
+    if loss is None:
+        return None
+    remedy = "use protocol: tcp"
+    if facts.datagrams > 1:
+        remedy = (
+            f"each takes {facts.datagrams} datagrams, and one lost loses it: use protocol: tcp, smaller messages, or "
+            "on both sides a lower MTU if none arrives"
+        )
+    cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way; {remedy}"))
+    if loss.lost >= loss.of:
+        text = f"none of the last {loss.of:,} messages arrived"
+        return Verdict(State.DOWN, cause, f"{text}, for {LASTING}: {why}", loss.since)
+    text = f"{loss.lost:,} of the last {loss.of:,} messages ({loss.share:.0%}) did not arrive"
+    return Verdict(State.SLOW, cause, f"{text}, for {LASTING}: {why}", loss.since)
+
+
+# --- the receiving side
+
+
+def _subscribers(facts: Facts) -> Verdict | None:
+    if facts.sends or facts.qos is None or not facts.type_name:
+        return None
+    if others := [each for each in facts.endpoints if each.type_name != facts.type_name]:
+        text = f"{types_and_nodes(others)}, and {facts.topic} carries {facts.type_name}: correct the subscription"
+        return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, f"unheard: {text}")
+    for each in facts.endpoints:
+        if found := clashes(facts.qos, each.qos):
+            alike = [other for other in facts.endpoints if clashes(facts.qos, other.qos) == found]
+            offer, asked = zip(*found, strict=True)
+            text = (
+                f"{_plural(alike, 'asks', 'ask')} for {', '.join(asked)}, and {facts.topic} is published "
+                f"{', '.join(offer)}, as its publishers offer: change the subscription, or the publishers and qos"
+            )
+            return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, f"unheard: {text}")
+    if not facts.endpoints and not facts.matched and facts.came:
+        text = f"nobody subscribes to {facts.topic} in domain {facts.domain_id}"
+        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, text)
+    return None
+
+
+def _plural(endpoints: Collection[Endpoint], one: str, several: str) -> str:
+    return f"{named(each.node for each in endpoints)} {one if len(endpoints) == 1 else several}"
+
+
+_RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
+    _path,
+    _subscription,
+    _publishers_qos,
+    _publishers_types,
+    _unresolved,
+    _lossy,
+    _stale,
+    _stopped,
+    _slow,
+    _subscribers,
+    _waiting,
+    _throttled,
+)

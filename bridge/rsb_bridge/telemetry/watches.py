@@ -1,0 +1,166 @@
+"""Whether a flow of messages is as it should be: each watch is called once a second, and changes its mind slowly."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Mapping
+
+_SLOW_BELOW, _FAST_ABOVE = 0.7, 0.85
+"""Shares of the expected rate: below the one a topic gets slow, above the other it no longer is."""
+_SLOW_AFTER, _FAST_AFTER = 5, 3
+"""s."""
+_SLOWEST = 0.3
+"""Hz; the rate of a topic that should have less than that is too uncertain to call it slow."""
+_STOPPED_PERIODS, _STOPPED_AFTER = 5.0, 2.0
+"""Periods and s without a message: the longer of both."""
+_PAUSES = 3
+"""Times that a topic may pause by itself until its pauses are known to be usual."""
+_WINDOW = 10.0
+"""s over which losses are counted."""
+_LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
+"""Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does."""
+_NO_LOSS = frozenset({"already published", "link lost", "would loop"})
+"""Causes of drops that are meant, or that the link's own state explains."""
+
+
+class SlowWatch:
+    """Whether a topic is slower than expected.
+
+    Attributes:
+        since: s, when it began; None: it is not slow.
+    """
+
+    __slots__ = ("_other", "since")
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+        self._other = 0
+
+    def tick(self, rate: float, expected: float, now: float) -> None:
+        """Take the rate of the last seconds, in Hz as the expected one, at `now` (s)."""
+        if expected < _SLOWEST:
+            self.reset()
+            return
+        slow = self.since is not None
+        changes = rate >= _FAST_ABOVE * expected if slow else rate < _SLOW_BELOW * expected
+        self._other = self._other + 1 if changes else 0
+        if self._other >= (_FAST_AFTER if slow else _SLOW_AFTER):
+            self.since = None if slow else now
+            self._other = 0
+
+    def reset(self) -> None:
+        """Begin anew: messages do not flow now, so their rate means nothing."""
+        self.since = None
+        self._other = 0
+
+
+class StopWatch:
+    """Whether a topic's publishers have stopped. Those that often pause and go on are not expected to go on at once.
+
+    Attributes:
+        since: s, when the last message came before they stopped; None: they have not.
+        intermittent: the topic pauses by itself now and then.
+    """
+
+    __slots__ = ("_pauses", "_publishers", "since")
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+        self._publishers: Hashable = None
+        self._pauses = 0
+
+    @property
+    def intermittent(self) -> bool:
+        return self._pauses >= _PAUSES
+
+    def tick(self, last: float, expected: float, now: float, publishers: Hashable) -> None:
+        """Look at the time.
+
+        Args:
+            last: s, when the last message came.
+            expected: Hz.
+            now: s.
+            publishers: which there are.
+        """
+        stopped = now - last > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
+        if stopped and self.since is None:
+            self.since, self._publishers = last, publishers
+        elif not stopped and self.since is not None:
+            self.since = None
+            self._pauses += publishers == self._publishers  # else the publisher died, and was started again
+
+    def reset(self) -> None:
+        """Begin anew: messages cannot flow now, whoever publishes."""
+        self.since = None
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Messages lost in the last seconds.
+
+    Attributes:
+        lost: how many.
+        of: of so many whose end is known.
+        cause: that most of them were dropped for, as in the ledger; ``expired``: parts of them did not come.
+        since: s, when it began.
+    """
+
+    lost: int
+    of: int
+    cause: str
+    since: float
+
+    @property
+    def share(self) -> float:
+        """0 to 1."""
+        return self.lost / self.of
+
+
+class LossWatch:
+    """Whether messages are lost between the two sides.
+
+    Attributes:
+        loss: the present one; None: there is none to speak of.
+    """
+
+    __slots__ = ("_marks", "loss")
+
+    def __init__(self) -> None:
+        self.loss: Loss | None = None
+        self._marks: deque[tuple[float, int, Mapping[str, int]]] = deque()
+
+    def tick(self, delivered: int, lost: Mapping[str, int], now: float) -> None:
+        """Take a ledger's counts so far.
+
+        Args:
+            delivered: messages that arrived and were published.
+            lost: messages that did not, by cause.
+            now: s.
+        """
+        lost = {cause: count for cause, count in lost.items() if cause not in _NO_LOSS}
+        if self._marks and delivered < self._marks[-1][1]:
+            self.reset()  # counted anew
+        self._marks.append((now, delivered, lost))
+        while len(self._marks) > 2 and now - self._marks[1][0] >= _WINDOW:
+            self._marks.popleft()
+        _, delivered_before, lost_before = self._marks[0]
+        new = Counter(
+            {cause: gained for cause, count in lost.items() if (gained := count - lost_before.get(cause, 0)) > 0}
+        )
+        total = new.total()
+        settled = total + delivered - delivered_before
+        share = total / settled if settled else 0.0
+        if share >= (_WHOLE_BELOW if self.loss else _LOSSY_ABOVE) and total >= (1 if self.loss else _LEAST_LOST):
+            ((cause, _),) = new.most_common(1)
+            self.loss = Loss(total, settled, cause, self.loss.since if self.loss else now)
+        elif settled or now - self._marks[0][0] >= _WINDOW:
+            self.loss = None
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self.loss = None
+        self._marks.clear()

@@ -1,0 +1,316 @@
+"""What both sides say, in snapshots and as JSON, of each cause that keeps messages from being heard."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.context import Context
+from rclpy.node import Node
+from std_msgs.msg import Int32
+from tests.support.bridge import carries, happened, now, route
+from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, text
+from tests.support.relay import message_number
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+from rsb_console.command.reports import json_status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+_TALKER = """
+import sys, time, rclpy
+from std_msgs.msg import String
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("mortal")
+publisher = node.create_publisher(String, sys.argv[2], 10)
+while True:
+    publisher.publish(String(data="alive"))
+    time.sleep(0.05)
+"""
+
+
+class Beat:
+    """Publishes at a rate until it ends."""
+
+    def __init__(self, publisher: Publisher, rate: float, message: Any) -> None:
+        self.rate = rate
+        self._publisher, self._message = publisher, message
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self._over.wait(1 / self.rate):
+            self._publisher.publish(self._message)
+
+    def stop(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def beat() -> Iterator[Callable[..., Beat]]:
+    """Makes publishers publish."""
+    beats: list[Beat] = []
+
+    def make(publisher: Publisher, rate: float = 20.0, message: Any = None) -> Beat:
+        beats.append(Beat(publisher, rate, text("beat") if message is None else message))
+        return beats[-1]
+
+    yield make
+    for each in beats:
+        each.stop()
+
+
+@pytest.fixture
+def odd() -> Iterator[Callable[[Domain], Node]]:
+    """Makes a node ``/odd`` in a domain, which is a participant of its own: one can have one type on a topic."""
+    made: list[tuple[Node, Context]] = []
+
+    def make(domain: Domain) -> Node:
+        context = Context()
+        context.init([], domain_id=domain.id)
+        node = Node("odd", context=context, use_global_arguments=False, start_parameter_services=False)
+        made.append((node, context))
+        return node
+
+    yield make
+    for node, context in made:
+        node.destroy_node()
+        context.shutdown()
+
+
+def verdict(engine: Engine, topic: str) -> tuple[State, str, str]:
+    """State, cause and reason, as the screen has them, and the same as JSON."""
+    shown = route(engine, topic)
+    status = json.loads(json_status(now(engine)))["status"]["routes"]
+    (as_json,) = [each for each in status if each["topic"] == topic]
+    assert set(as_json) >= {"state", "cause", "reason", "from_peer"}
+    return shown.state, shown.cause, shown.reason
+
+
+def agree(
+    client: Engine, server: Engine, topic: str, state: State, cause: Cause
+) -> tuple[RouteSnapshot, RouteSnapshot]:
+    """Wait until both sides say the same of a topic.
+
+    Returns:
+        What the client shows, and what the server does.
+    """
+
+    def both() -> tuple[RouteSnapshot, RouteSnapshot] | None:
+        shown = route(client, topic), route(server, topic)
+        return shown if all((each.state, each.cause) == (state, cause) for each in shown) else None
+
+    try:
+        found = eventually(both, 40.0)
+    except AssertionError:
+        raise AssertionError([verdict(engine, topic) for engine in (client, server)]) from None
+    for engine, shown in zip((client, server), found, strict=True):
+        status = json.loads(json_status(now(engine)))["status"]["routes"]
+        (as_json,) = [each for each in status if each["topic"] == topic]
+        assert (as_json["state"], as_json["cause"]) == (state, cause)
+        assert shown.reason
+    return found
+
+
+def words(text: str, *expected: str) -> None:
+    assert [each for each in expected if each not in text] == [], text
+
+
+def logged(engine: Engine, cause: Cause) -> str:
+    """Wait until the engine's log warns of a cause; the warning."""
+
+    def warning() -> str:
+        event = happened(engine, EventCode.ROUTE_FAULT)
+        return event.text if event is not None and event.cause == cause else ""
+
+    return eventually(warning, what=f"{cause} in the log")
+
+
+def test_publishers_that_offer_less_than_the_route_asks(
+    bridge: Bridge, robot: Domain, pc: Domain, beat: Callable[..., Beat]
+) -> None:
+    lidar, map_ = robot.publisher("/lidar", qos=BEST_EFFORT), robot.publisher("/map")
+    pc.listener("/lidar"), pc.listener("/map", qos=LATCHED)
+    server, client = bridge.both(Topic("/lidar", "transmit", qos="default"), Topic("/map", "transmit", qos="latched"))
+    beat(lidar), beat(map_)
+    for topic, offer, asked in (("/lidar", "best_effort", "reliable"), ("/map", "volatile", "transient_local")):
+        here, there = agree(client, server, topic, State.DOWN, Cause.QOS_INCOMPATIBLE)
+        words(here.reason, f"/stock offers {offer}", f"asks for {asked}", "qos: auto")
+        assert there.reason == f"robot1: {here.reason}"
+        assert (here.from_peer, there.from_peer) == (False, True)
+        assert here.publishers == there.publishers == ("/stock",)
+    words(logged(client, Cause.QOS_INCOMPATIBLE), "offers")
+    words(logged(server, Cause.QOS_INCOMPATIBLE), "robot1: ", "offers")
+
+
+def test_a_subscriber_that_hears_nothing(
+    bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Node], beat: Callable[..., Beat]
+) -> None:
+    server, client = bridge.both(Topic("/lidar", "transmit"))
+    beat(robot.publisher("/lidar", qos=BEST_EFFORT))
+    here, there = agree(client, server, "/lidar", State.UNHEARD, Cause.NO_SUBSCRIBER)
+    words(there.reason, f"nobody subscribes to /lidar in domain {pc.id}")
+    assert here.reason == f"server: {there.reason}"
+
+    listener = pc.listener("/lidar")
+    eventually(lambda: "/stock asks for reliable" in route(client, "/lidar").reason)  # DDS may tell the node later
+    here, there = agree(client, server, "/lidar", State.UNHEARD, Cause.QOS_INCOMPATIBLE)
+    words(there.reason, "/stock asks for reliable", "published best_effort")
+    words(here.reason, "server: ", "/stock asks for reliable")
+    assert here.subscribers == there.subscribers == ("/stock",)
+
+    hears = pc.listener("/lidar", qos=BEST_EFFORT)  # one that hears it does not hide the other
+    eventually(lambda: hears.payloads)
+    agree(client, server, "/lidar", State.UNHEARD, Cause.QOS_INCOMPATIBLE)
+    pc.node.destroy_subscription(listener.subscription)
+    eventually(lambda: route(client, "/lidar").state == route(server, "/lidar").state == State.OK)
+
+    odd(pc).create_subscription(Int32, "/lidar", lambda _: None, BEST_EFFORT)
+    eventually(lambda: "/odd has" in route(client, "/lidar").reason)
+    here, there = agree(client, server, "/lidar", State.UNHEARD, Cause.TYPE_CONFLICT)
+    words(there.reason, "/odd has std_msgs/msg/Int32", "carries std_msgs/msg/String")
+    words(logged(client, Cause.TYPE_CONFLICT), "server: ")
+
+
+def test_a_topic_slower_than_expected(bridge: Bridge, robot: Domain, pc: Domain, beat: Callable[..., Beat]) -> None:
+    listener, out = pc.listener("/odom"), robot.publisher("/odom")
+    server, client = bridge.both(Topic("/odom", "transmit", expected_rate=20.0))
+    carries([out], server, ["/odom"])
+    beating = beat(out, 2.0)
+    here, there = agree(client, server, "/odom", State.SLOW, Cause.SLOW)
+    words(here.reason, "of 20 expected", "/stock publishes no more")
+    words(there.reason, "robot1: ", "of 20 expected")
+    words(logged(server, Cause.SLOW), "SLOW")
+    beating.stop()
+    beat(out, 25.0)
+    eventually(lambda: route(client, "/odom").state == route(server, "/odom").state == State.OK)
+    eventually(lambda: happened(server, EventCode.ROUTE_RECOVERED))
+    assert listener.payloads
+
+
+def test_a_publisher_that_dies_without_goodbye_is_noticed_before_dds_does(
+    bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    """Its rate was learned; DDS lists it for 20 to 40 s more."""
+    listener = pc.listener("/odom")
+    talker = subprocess.Popen([sys.executable, "-c", _TALKER, str(robot.id), "/odom"], env=os.environ)
+    try:
+        server, client = bridge.both(Topic("/odom", "transmit"))
+        eventually(lambda: (route(client, "/odom").expected_rate or 0) > 10, what="learned")
+        assert route(client, "/odom").state is State.OK
+    finally:
+        talker.send_signal(signal.SIGKILL)
+        talker.wait()
+    here, there = agree(client, server, "/odom", State.STOPPED, Cause.PUBLISHER_SILENT)
+    words(here.reason, "/mortal has stopped publishing, or died", "Hz expected")
+    words(there.reason, "robot1: ", "/mortal has stopped")
+    assert listener.payloads
+
+
+def test_a_name_that_is_typed_wrong(bridge: Bridge, robot: Domain) -> None:
+    robot.publisher("/w_typo")
+    server, client = bridge.both(Topic("/w_tpyo", "transmit"))
+    here, there = agree(client, server, "/w_tpyo", State.WAITING, Cause.NO_PUBLISHER)
+    for _ in eventually(lambda: [1] * ("did you mean" in route(server, "/w_tpyo").reason)):
+        here, there = route(client, "/w_tpyo"), route(server, "/w_tpyo")
+    assert here.reason == f"no publisher of /w_tpyo in domain {robot.id}; did you mean /w_typo?"
+    assert there.reason == f"robot1: {here.reason}"
+
+
+def test_two_types_on_one_topic(
+    bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Node], beat: Callable[..., Beat]
+) -> None:
+    listener, out = pc.listener("/mixed"), robot.publisher("/mixed")
+    other_node = odd(robot)
+    other = other_node.create_publisher(Int32, "/mixed", RELIABLE)
+    server, client = bridge.both(Topic("/mixed", "transmit"))
+    # Which state it is depends on whether one of the two was seen before the other.
+    expected = ("std_msgs/msg/Int32", "std_msgs/msg/String", "/odd")
+    for engine in (client, server):
+        eventually(lambda engine=engine: all(each in route(engine, "/mixed").reason for each in expected))
+        assert route(engine, "/mixed").cause == Cause.TYPE_CONFLICT
+    assert "robot1: " in route(server, "/mixed").reason
+    other_node.destroy_publisher(other)
+    carries([out], server, ["/mixed"])
+    beat(out)
+    eventually(lambda: route(client, "/mixed").state == route(server, "/mixed").state == State.OK)
+    other_node.create_publisher(Int32, "/mixed", RELIABLE)
+    here, _ = agree(client, server, "/mixed", State.UNHEARD, Cause.TYPE_CONFLICT)
+    words(here.reason, "std_msgs/msg/Int32 (from /odd) is not bridged", "only std_msgs/msg/String")
+    assert listener.payloads
+
+
+def test_a_topic_that_is_throttled_on_purpose_is_fine(
+    bridge: Bridge, robot: Domain, pc: Domain, beat: Callable[..., Beat]
+) -> None:
+    listener, out = pc.listener("/odom"), robot.publisher("/odom")
+    server, client = bridge.both(Topic("/odom", "transmit", max_rate=5.0, expected_rate=25.0))
+    carries([out], server, ["/odom"])
+    beat(out, 25.0)
+    eventually(lambda: len(listener.payloads) > 30)
+    here, there = agree(client, server, "/odom", State.OK, Cause.THROTTLED)
+    for shown in (here, there):
+        words(shown.reason, "limit 5 Hz")
+        ledger = shown.ledger
+        assert ledger.throttled > 0
+        assert ledger.delivered + ledger.in_flight == ledger.offered - ledger.throttled
+
+
+def test_messages_too_large_for_udp(bridge: Bridge, robot: Domain, pc: Domain, beat: Callable[..., Beat]) -> None:
+    pc.listener("/picture")
+    out = robot.publisher("/picture")
+    server, client = bridge.both(Topic("/picture", "transmit", protocol="udp"))
+    carries([out], server, ["/picture"])
+    beat(out, 1.0, text("x" * (9 << 20)))
+    here, there = agree(client, server, "/picture", State.DOWN, Cause.TOO_LARGE)
+    words(here.reason, "none of the last", "protocol: tcp")
+    words(there.reason, "robot1: none of the last", "protocol: tcp")
+
+
+def test_half_of_the_messages_lost_on_the_way(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, beat: Callable[..., Beat]
+) -> None:
+    """Each takes several datagrams, and every other message loses one."""
+    listener, out = pc.listener("/scan"), robot.publisher("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit", protocol="udp"))
+    carries([out], server, ["/scan"])
+    beat(out, 20.0, text("x" * 200_000))
+    eventually(lambda: len(listener.payloads) > 20)
+    assert route(client, "/scan").state is route(server, "/scan").state is State.OK
+    seen: set[int] = set()
+
+    def lose_one_of_every_other(datagram: bytes) -> list[bytes]:
+        number = message_number(datagram)
+        if number is None or number % 2 or number in seen:
+            return [datagram]
+        seen.add(number)
+        return []
+
+    relay.to_server = lose_one_of_every_other
+    here, there = agree(client, server, "/scan", State.SLOW, Cause.LOSSY)
+    words(here.reason, "of the last", "did not arrive, for", "lost on the way", "datagrams", "protocol: tcp")
+    words(there.reason, "robot1: ", "did not arrive, for", "protocol: tcp")
+    words(logged(server, Cause.LOSSY), "robot1: ")
+    relay.to_server = lambda datagram: [datagram]
+    eventually(lambda: route(client, "/scan").state == route(server, "/scan").state == State.OK)

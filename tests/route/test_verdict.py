@@ -1,0 +1,358 @@
+"""What a half of a route makes of what it knows, and what counts of both halves' verdicts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import FINE, Cause, Verdict, about, worse
+from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.route.both_sides import BothSides, lasting, record_of
+from rsb_bridge.route.verdict import Facts, judge, named
+from rsb_bridge.telemetry.watches import Loss
+from rsb_bridge.wire.records import VerdictRecord
+
+NOW = 2e6
+"""s."""
+STRING, INT = "std_msgs/msg/String", "std_msgs/msg/Int32"
+RELIABLE, BEST_EFFORT, LATCHED = Qos(), Qos(reliability="best_effort"), Qos(durability="transient_local")
+
+
+def endpoint(node: str, qos: Qos = RELIABLE, type_name: str = STRING, type_hash: str = "RIHS01_1") -> Endpoint:
+    return Endpoint(node, type_name, type_hash, qos, node.encode())
+
+
+TALKER = endpoint("/talker")
+SENDER = Facts(
+    sends=True, topic="/chat", domain_id=2, endpoints=[TALKER], type_name=STRING, qos=RELIABLE, flowing=True, came=True
+)
+RECEIVER = SENDER._replace(sends=False, topic="/robot1/chat", domain_id=3, endpoints=[endpoint("/rviz")])
+
+
+def verdict_on(facts: Facts, **changes: Any) -> Verdict:
+    return judge(facts._replace(**changes))
+
+
+def test_a_route_that_flows_is_fine() -> None:
+    assert judge(SENDER) == judge(RECEIVER) == FINE
+
+
+@pytest.mark.parametrize(
+    ("facts", "changes", "state", "cause", "words"),
+    [
+        (SENDER, {"link_down": "gone", "refusal": "denied"}, State.DOWN, Cause.LINK_DOWN, ["gone"]),
+        (SENDER, {"refusal": "denied", "paused": True}, State.DOWN, Cause.REFUSED, ["denied"]),
+        (
+            SENDER,
+            {"breaking": "Connection timed out", "refusal": "data connection: Connection timed out"},
+            State.DOWN,
+            Cause.NO_PATH,
+            ["(Connection timed out)", "though the link is up", "MTU"],
+        ),
+        (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
+        (SENDER, {"paused": True, "stale_since": NOW - 20.0}, State.PAUSED, Cause.PAUSED, ["operator"]),
+        (RECEIVER, {"no_path": "no answer"}, State.DOWN, Cause.NO_PATH, ["no answer"]),
+        (SENDER, {"subscribe_failed": "rcl"}, State.DOWN, Cause.SUBSCRIBE_FAILED, ["rcl"]),
+        (
+            SENDER,
+            {"endpoints": [endpoint("/a", BEST_EFFORT)], "came": False, "stale_since": NOW - 16.0},
+            State.DOWN,
+            Cause.QOS_INCOMPATIBLE,
+            ["/a offers best_effort", "asks for reliable", "qos: auto"],
+        ),
+        (
+            SENDER,
+            {"endpoints": [TALKER, endpoint("/a", BEST_EFFORT)]},
+            State.UNHEARD,
+            Cause.QOS_INCOMPATIBLE,
+            ["/a offers best_effort"],
+        ),
+        (
+            SENDER,
+            {"endpoints": [TALKER, endpoint("/b")], "qos": LATCHED},
+            State.DOWN,
+            Cause.QOS_INCOMPATIBLE,
+            ["/b and /talker offer volatile", "asks for transient_local"],
+        ),
+        (
+            SENDER,
+            {"left_out": f"{INT} (from /b) is not bridged"},
+            State.UNHEARD,
+            Cause.TYPE_CONFLICT,
+            [f"{INT} (from /b) is not bridged"],
+        ),
+        (
+            SENDER,
+            {"flowing": False, "came": False, "unresolved": (Cause.TYPE_CONFLICT, "two types")},
+            State.DOWN,
+            Cause.TYPE_CONFLICT,
+            ["two types"],
+        ),
+        (
+            SENDER,
+            {"flowing": False, "came": False, "unresolved": (Cause.NO_PUBLISHER, "nobody"), "endpoints": []},
+            State.WAITING,
+            Cause.NO_PUBLISHER,
+            ["nobody"],
+        ),
+        (
+            SENDER,
+            {"came": False, "endpoints": [], "similar": "/char"},
+            State.WAITING,
+            Cause.NO_PUBLISHER,
+            ["no publisher of /chat in domain 2; did you mean /char?"],
+        ),
+        (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker has published nothing yet"]),
+        (RECEIVER, {"came": False}, State.WAITING, Cause.NO_MESSAGE, ["no message yet"]),
+        (
+            SENDER,
+            {"came": False, "flowing": False, "waits_for": "peer accepted"},
+            State.WAITING,
+            Cause.NO_MESSAGE,
+            ["waiting: peer accepted"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 3.0, "expected_rate": 10.0},
+            State.STOPPED,
+            Cause.PUBLISHER_SILENT,
+            ["nothing for 3 s, 10 Hz expected", "/talker has stopped publishing, or died"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "endpoints": []},
+            State.STOPPED,
+            Cause.PUBLISHER_GONE,
+            ["no publisher of /chat in domain 2 any more"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 20.0, "stale_since": NOW - 20.0, "expected_rate": 10.0},
+            State.STALE,
+            Cause.PUBLISHER_SILENT,
+            ["nothing for 20 s: /talker is there, and publishes nothing"],
+        ),
+        (RECEIVER, {"stale_since": NOW - 20.0}, State.STALE, Cause.SILENT, ["nothing for 20 s"]),
+        (
+            SENDER,
+            {"slow_since": NOW - 8.0, "rate": 2.02, "expected_rate": 20.0},
+            State.SLOW,
+            Cause.SLOW,
+            ["2.02 Hz of 20 expected, for 8 s", "/talker publishes no more"],
+        ),
+        (
+            SENDER,
+            {"slow_since": NOW - 8.0, "rate": 2.0, "expected_rate": 20.0, "lost_in_dds": 170},
+            State.SLOW,
+            Cause.SLOW,
+            ["DDS lost 170 messages"],
+        ),
+        (
+            SENDER,
+            {"loss": Loss(50, 100, "expired", NOW - 12.0), "datagrams": 40},
+            State.SLOW,
+            Cause.LOSSY,
+            ["50 of the last 100 messages (50%) did not arrive, for 10 s", "40 datagrams", "protocol: tcp", "smaller"],
+        ),
+        (
+            SENDER,
+            {"loss": Loss(100, 100, "lost on the way", NOW - 12.0)},
+            State.DOWN,
+            Cause.LOSSY,
+            ["none of the last 100 messages arrived", "protocol: tcp"],
+        ),
+        (
+            SENDER,
+            {"loss": Loss(9, 10, "too large", 0.0)},
+            State.SLOW,
+            Cause.TOO_LARGE,
+            ["larger than its transport carries", "protocol: tcp"],
+        ),
+        (SENDER, {"loss": Loss(9, 10, "queue full", 0.0)}, State.SLOW, Cause.QUEUE_FULL, ["max_rate", "compression"]),
+        (SENDER, {"loss": Loss(9, 10, "of a newer peer", 0.0)}, State.SLOW, Cause.LOSSY, ["9 of the last 10"]),
+        (SENDER, {"limit": 5.0}, State.OK, Cause.THROTTLED, ["limit 5 Hz"]),
+        (
+            RECEIVER,
+            {"endpoints": []},
+            State.UNHEARD,
+            Cause.NO_SUBSCRIBER,
+            ["nobody subscribes to /robot1/chat in domain 3"],
+        ),
+        (
+            RECEIVER,
+            {"qos": BEST_EFFORT},
+            State.UNHEARD,
+            Cause.QOS_INCOMPATIBLE,
+            ["/rviz asks for reliable", "published best_effort"],
+        ),
+        (
+            RECEIVER,
+            {"endpoints": [endpoint("/ok"), endpoint("/late", LATCHED)]},
+            State.UNHEARD,
+            Cause.QOS_INCOMPATIBLE,
+            ["/late asks for transient_local"],
+        ),
+        (
+            RECEIVER,
+            {"endpoints": [endpoint("/odd", type_name=INT)]},
+            State.UNHEARD,
+            Cause.TYPE_CONFLICT,
+            [f"/odd has {INT}", f"carries {STRING}"],
+        ),
+    ],
+)
+def test_each_cause_is_named_in_words(
+    facts: Facts, changes: dict[str, Any], state: State, cause: Cause, words: list[str]
+) -> None:
+    verdict = verdict_on(facts, **changes)
+    assert (verdict.state, verdict.cause) == (state, cause)
+    assert [each for each in words if each not in verdict.said(NOW)] == []
+
+
+def test_a_publisher_whose_messages_are_not_taken_is_not_called_silent() -> None:
+    for changes, state in (
+        ({"stale_since": NOW - 20.0}, State.STALE),
+        ({"stopped_since": NOW - 3.0, "expected_rate": 9.0}, State.STOPPED),
+    ):
+        assert verdict_on(SENDER, **changes).cause is Cause.PUBLISHER_SILENT
+        verdict = verdict_on(SENDER, left_out="/b is not bridged", **changes)
+        assert (verdict.state, verdict.cause) == (state, Cause.TYPE_CONFLICT)
+
+
+nodes = st.sampled_from(["", "/a", "/b", "/c", "/d", "/a/very/long/name"])
+qos = st.sampled_from([RELIABLE, BEST_EFFORT, LATCHED, Qos(deadline=0.1)])
+endpoints = st.lists(
+    st.builds(endpoint, nodes, qos, st.sampled_from([STRING, INT]), st.sampled_from(["", "RIHS01_1", "RIHS01_2"])),
+    max_size=6,
+)
+moments = st.sampled_from([None, NOW - 5.0, NOW - 1e6])
+losses = st.none() | st.builds(
+    lambda lost, more, cause: Loss(lost, lost + more, cause, 0.0),
+    st.integers(1, 10**12),
+    st.integers(0, 10**12),
+    st.sampled_from(["queue full", "expired", "anything"]),
+)
+texts = st.sampled_from(["", "words"])
+facts = st.builds(
+    Facts,
+    sends=st.booleans(),
+    topic=st.just("/chat"),
+    endpoints=endpoints,
+    similar=texts,
+    link_down=texts,
+    refusal=texts,
+    loop=texts,
+    paused=st.booleans(),
+    no_path=texts,
+    subscribe_failed=texts,
+    left_out=texts,
+    unresolved=st.none() | st.tuples(st.sampled_from([Cause.NO_PUBLISHER, Cause.TYPE_CONFLICT]), st.just("why")),
+    waits_for=texts,
+    type_name=st.sampled_from(["", STRING]),
+    qos=st.none() | qos,
+    flowing=st.booleans(),
+    came=st.booleans(),
+    stale_since=moments,
+    stopped_since=moments,
+    slow_since=moments,
+    expected_rate=st.none() | st.floats(0.001, 1e6),
+    loss=losses,
+    limit=st.sampled_from([0.0, 5.0]),
+)
+
+
+@given(facts)
+def test_whatever_is_wrong_has_a_cause_and_words(known: Facts) -> None:
+    verdict = judge(known)
+    assert verdict == judge(known)
+    if verdict.state is not State.OK:
+        assert verdict.cause
+        assert 0 < len(verdict.said(NOW)) <= REASON_LENGTH
+    if known.link_down:
+        assert verdict.state is State.DOWN
+
+
+@given(facts, moments)
+def test_a_further_fault_never_makes_it_better(known: Facts, stale: float | None) -> None:
+    before = judge(known._replace(stale_since=None))
+    after = judge(known._replace(stale_since=stale))
+    assert after.state.rank <= before.state.rank
+
+
+verdicts = st.builds(
+    Verdict, st.sampled_from(list(State)), st.sampled_from(list(Cause)), st.sampled_from(["", "a", "b"])
+)
+
+
+@given(verdicts, verdicts)
+def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, other: Verdict) -> None:
+    sender, receiver = BothSides(sends=True, peer_name="server"), BothSides(sends=False, peer_name="robot1")
+    sender.take(record_of(other), NOW)
+    receiver.take(record_of(one), NOW)
+    shown = [sender.shown(one), receiver.shown(other)]
+    own = {Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED}
+    if not own & {one.cause, other.cause}:
+        assert len({(each.verdict.state, each.verdict.cause) for each in shown}) == 1
+        for each in shown:
+            assert each.verdict.state.rank <= min(one.state.rank, other.state.rank)
+        assert not all(each.from_peer for each in shown)
+
+
+def test_the_side_that_knows_why_is_heard() -> None:
+    """The receiving side knows only that nothing comes; the sending side's publisher has stopped."""
+    why = Verdict(State.STOPPED, Cause.PUBLISHER_GONE, "it died")
+    verdict, from_sender = worse(why, Verdict(State.STALE, Cause.SILENT, "nothing for 15 s"))
+    assert (verdict, from_sender) == (Verdict(State.STALE, Cause.PUBLISHER_GONE, "it died"), True)
+
+
+def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
+    here = BothSides(sends=False, peer_name="robot1")
+    here.take(VerdictRecord("slow", "slow", "2 Hz of 20"), NOW)
+    assert here.shown(FINE).verdict.text == "robot1: 2 Hz of 20"
+    assert here.shown(Verdict(State.DOWN, Cause.NO_PATH, "no UDP")).verdict.text == "no UDP"
+    here.take(None, NOW)
+    assert here.shown(FINE).verdict == FINE
+
+
+def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
+    """It is told once, and no clock of the other side's is needed."""
+    slow = Verdict(State.SLOW, Cause.SLOW, "slow, for {lasting}", NOW - 5.0)
+    here = BothSides(sends=False, peer_name="robot1")
+    here.take(lasting(record_of(slow), slow, NOW), 100.0)
+    assert here.shown(FINE).verdict.said(100.0) == "robot1: slow, for 5 s"
+    assert here.shown(FINE).verdict.said(295.0) == "robot1: slow, for 3 min"
+
+
+@pytest.mark.parametrize("lasts", [float("nan"), float("inf"), -1.0, 1e300])
+def test_a_time_that_cannot_be_is_not_believed(lasts: float) -> None:
+    here = BothSides(sends=False, peer_name="robot1")
+    here.take(VerdictRecord("slow", "slow", "for {lasting}", lasts), NOW)
+    assert here.shown(FINE).verdict.said(NOW) == "robot1: for 1 s"
+
+
+def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
+    here = BothSides(sends=True, peer_name="server")
+    here.take(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
+    shown = here.shown(FINE).verdict
+    assert (shown.state, shown.cause, shown.text) == (State.WAITING, "ghosts", "server: there are ghosts on the line")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(0.2, "1 s"), (9.9, "9 s"), (10, "10 s"), (39, "30 s"), (61, "1 min"), (3599, "59 min"), (9000, "2 h")],
+)
+def test_durations_change_seldom(seconds: float, words: str) -> None:
+    assert about(seconds) == words
+
+
+def test_nodes_in_a_sentence() -> None:
+    assert named(["/a"]) == "/a"
+    assert named(["/b", "/a", "/a"]) == "/a and /b"
+    assert named(["/a", "/b", "/c"]) == "/a, /b and /c"
+    assert named([f"/{n}" for n in range(9)]) == "/0, /1, /2 and 6 more"

@@ -1,0 +1,178 @@
+"""What is learned of a rate, and when a flow of messages is said to be slow, stopped or lossy."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import FINE, Cause, Verdict
+from rsb_bridge.route.announcing import Announcer
+from rsb_bridge.telemetry.usual_rate import UsualRate
+from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+def learned(counts: Iterable[int], usual: UsualRate | None = None) -> UsualRate:
+    usual = usual or UsualRate()
+    for messages in counts:
+        usual.add(messages, 1.0)
+    return usual
+
+
+@pytest.mark.parametrize("rate", [1, 3, 20, 1000])
+def test_a_regular_rate_is_learned_within_seconds(rate: int) -> None:
+    assert learned([rate] * 20).rate == pytest.approx(rate, rel=0.02)
+
+
+def test_a_slow_topics_rate_is_learned() -> None:
+    assert learned([1, 0, 0, 0, 0] * 20).rate == pytest.approx(0.2, rel=0.02)
+
+
+def test_bursts_have_no_usual_rate() -> None:
+    assert learned([20, 0, 0, 3, 0, 55, 1, 0, 0, 0, 7, 100, 2] * 10).rate is None
+
+
+@pytest.mark.parametrize("length", [3, 10, 60, 600])
+def test_an_outage_teaches_nothing(length: int) -> None:
+    usual = learned([20] * 30)
+    learned([13, *[0] * length, 7, *[20] * 30], usual)
+    assert usual.rate == pytest.approx(20, rel=0.02)
+
+
+def test_a_catch_up_after_a_stall_teaches_nothing() -> None:
+    usual = learned([20] * 30)
+    learned([0, 0, 60, 20, 0, 0, 0, 0, 100, *[20] * 30], usual)
+    assert usual.rate == pytest.approx(20, rel=0.02)
+
+
+def test_a_faster_rate_is_learned_at_once_and_a_slower_one_after_ten_minutes() -> None:
+    usual = learned([20] * 30)
+    assert learned([2] * 300, usual).rate == pytest.approx(20, rel=0.02)
+    assert learned([2] * 400, usual).rate == pytest.approx(2, rel=0.02)
+    assert learned([20] * 12, usual).rate == pytest.approx(20, rel=0.02)
+
+
+@given(st.lists(st.integers(0, 1000), max_size=300))
+def test_whatever_comes_the_rate_is_one_that_was_there(counts: list[int]) -> None:
+    usual = learned(counts)
+    assert usual.rate is None or 0 < usual.rate <= max(counts)
+
+
+def slow(watch: SlowWatch, rates: list[float], start: float = 0.0) -> list[bool]:
+    said = []
+    for number, rate in enumerate(rates):
+        watch.tick(rate, 20.0, start + number)
+        said.append(watch.since is not None)
+    return said
+
+
+def test_slow_is_said_after_five_seconds_and_taken_back_after_three() -> None:
+    watch = SlowWatch()
+    assert slow(watch, [20.0] * 3 + [2.0] * 6) == [False] * 7 + [True] * 2
+    assert slow(watch, [18.0] * 4, 9.0) == [True, True, False, False]
+
+
+def test_a_rate_about_the_threshold_does_not_flap() -> None:
+    watch = SlowWatch()
+    assert not any(slow(watch, [13.0, 15.0] * 30))
+    slow(watch, [2.0] * 6)
+    assert all(slow(watch, [13.0, 16.5] * 30))
+
+
+def test_a_topic_has_stopped_after_five_of_its_periods() -> None:
+    watch = StopWatch()
+    watch.tick(10.0, 1.0, 15.0, "a")
+    assert watch.since is None
+    watch.tick(10.0, 1.0, 15.1, "a")
+    assert watch.since == 10.0
+    fast = StopWatch()
+    fast.tick(10.0, 100.0, 11.9, "a")
+    assert fast.since is None
+    fast.tick(10.0, 100.0, 12.1, "a")
+    assert fast.since == 10.0
+
+
+@pytest.mark.parametrize(("publishers", "intermittent"), [("aaaaaa", True), ("abcdef", False)])
+def test_a_topic_that_pauses_by_itself_is_not_said_to_have_stopped_for_ever(
+    publishers: str, intermittent: bool
+) -> None:
+    """A joystick is let go of again and again; a publisher that died comes back as another one."""
+    watch, now = StopWatch(), 0.0
+    for before, after in pairwise(publishers):
+        watch.tick(now, 20.0, now + 5.0, before)
+        now += 6.0
+        watch.tick(now, 20.0, now, after)
+    assert watch.intermittent is intermittent
+
+
+def lossy(watch: LossWatch, seconds: Iterable[tuple[int, int]], state: list[int]) -> None:
+    """Ticks with so many messages delivered and lost each; `state` is the time and both counts so far."""
+    for delivered, lost in seconds:
+        state[:] = [state[0] + 1, state[1] + delivered, state[2] + lost]
+        watch.tick(state[1], {"lost on the way": state[2], "link lost": 10 * state[2]}, float(state[0]))
+
+
+def test_losses_are_counted_over_the_last_ten_seconds() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(10, 0)] * 20, state)
+    assert watch.loss is None
+    lossy(watch, [(5, 5)] * 10, state)
+    assert watch.loss is not None
+    assert (watch.loss.lost, watch.loss.of, watch.loss.cause) == (50, 100, "lost on the way")
+    assert watch.loss.since == 21.0
+    lossy(watch, [(10, 0)] * 10, state)
+    assert watch.loss is None
+
+
+def test_a_few_lost_messages_are_no_fault() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(10, 0)] * 5 + [(9, 1)] + [(10, 0)] * 9 + [(8, 2)] + [(10, 0)] * 9, state)
+    assert watch.loss is None
+
+
+def test_a_loss_of_everything_lasts_while_nothing_more_is_sent() -> None:
+    watch, state = LossWatch(), [0, 0, 0]
+    lossy(watch, [(0, 10)] * 5 + [(0, 0)] * 5, state)
+    assert watch.loss is not None
+    assert watch.loss.share == 1.0
+    lossy(watch, [(0, 0)] * 8, state)
+    assert watch.loss is None
+
+
+SLOW = Verdict(State.SLOW, Cause.SLOW, "2 Hz of 20")
+UNHEARD = Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, "nobody subscribes")
+
+
+def said(announcer: Announcer, verdicts: Iterable[Verdict], start: float = 0.0) -> list[tuple[float, EventCode, str]]:
+    return [
+        (now, announcement.code, announcement.cause)
+        for now, verdict in enumerate(verdicts, int(start))
+        if (announcement := announcer.tick(verdict, float(now)))
+    ]
+
+
+def test_a_turn_for_the_worse_is_said_once_when_it_has_lasted_and_when_it_is_over() -> None:
+    heard = said(Announcer(), [FINE] * 5 + [SLOW] * 20 + [FINE] * 20)
+    assert heard == [(8, EventCode.ROUTE_FAULT, Cause.SLOW), (28, EventCode.ROUTE_RECOVERED, Cause.SLOW)]
+
+
+def test_what_comes_and_goes_is_said_once_a_minute_at_the_most() -> None:
+    announcer = Announcer()
+    assert said(announcer, [FINE, SLOW] * 600) == []
+    heard = said(announcer, ([FINE] * 5 + [SLOW] * 5) * 60, 1200.0)
+    faults = [now for now, code, _ in heard if code is EventCode.ROUTE_FAULT]
+    assert 8 <= len(faults) <= 10
+    assert len(heard) <= 2 * len(faults)
+
+
+def test_a_topic_that_turns_unheard_is_said_and_one_that_nobody_has_heard_yet_is_not() -> None:
+    assert said(Announcer(), [UNHEARD] * 100) == []
+    assert [code for _, code, _ in said(Announcer(), [FINE] * 5 + [UNHEARD] * 5)] == [EventCode.ROUTE_FAULT]
