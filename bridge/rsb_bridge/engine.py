@@ -175,12 +175,13 @@ class Engine(EngineApi):
         thread, bridge = self._thread, self._bridge
         if thread is None or bridge is None:
             return
+        deadline = self._clock.steady() + timeout
         bridge.context.call(bridge.stop)
-        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - 2 * _RECORDED_WITHIN))
+        thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - _RECORDED_WITHIN))
         bridge.context.ros.stop()
-        self._recorder.stop(_RECORDED_WITHIN)
+        self._recorder.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
         if self._disk is not None:
-            self._disk.stop(_RECORDED_WITHIN)
+            self._disk.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
         self._thread = None
 
     def snapshot(self) -> Snapshot:

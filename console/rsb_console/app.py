@@ -109,7 +109,7 @@ class ConsoleApp(App[None]):
         self.attached_to = ""
         self._session = session
         self._attach_to = attach_to
-        self._make_engine = make_engine or _make_engine
+        self._make_engine = make_engine or self._new_engine
         self._serve = serve
         self._server: ControlServer | None = None
         self._resources = ExitStack()
@@ -218,6 +218,12 @@ class ConsoleApp(App[None]):
             self.note = "not started"
             self.notify(str(error), title="Not started", severity="error", markup=False, timeout=30)
         self.pull()
+
+    def _new_engine(self, session: Session, base: Path) -> EngineApi:
+        from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
+        from rsb_bridge.history.folders import state_folder  # noqa: PLC0415 -- likewise
+
+        return Engine(session, base=base, state=None if self.temporary else state_folder(os.environ))
 
     async def attach(self, path: Path) -> None:
         await asyncio.shield(self._attach_to_bridge(path).wait())
@@ -395,10 +401,3 @@ class ConsoleApp(App[None]):
         """Keep the exception that is being handled, for a report."""
         self.shutdown_reason = ShutdownReason.CRASH
         record_crash()
-
-
-def _make_engine(session: Session, base: Path) -> EngineApi:
-    from rsb_bridge.engine import Engine  # noqa: PLC0415 -- the first picture comes before the engine's imports
-    from rsb_bridge.history.folders import state_folder  # noqa: PLC0415 -- likewise
-
-    return Engine(session, base=base, state=state_folder(os.environ))

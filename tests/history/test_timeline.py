@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from dataclasses import replace
+
 import msgspec
 import pytest
 from tests.history.clocks import EPOCH, HandClock
@@ -11,7 +14,7 @@ from rsb_bridge.history import subject, timeline
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
-from rsb_bridge.model.snapshot import Level, State
+from rsb_bridge.model.snapshot import Level, Snapshot, State
 
 HOUR = 3600.0
 
@@ -92,6 +95,16 @@ def test_topics_that_go_down_and_come_back_with_their_link_say_so() -> None:
     )
 
 
+def test_a_topic_that_never_opened_is_not_out_because_of_its_link() -> None:
+    world = World()
+    world.begin("/scan", State.WAITING, "no publisher")
+    world.link = replace(world.link, state=State.DOWN, reason="no answer")
+    world.go(20)
+    world.link = replace(world.link, state=State.OK)
+    world.go(12)
+    assert [(each.topic, each.with_link) for each in world.outages()] == [("/scan", False), ("", False)]
+
+
 def test_a_removed_topic_keeps_its_history_for_a_day() -> None:
     world = World("/scan")
     world.go(100)
@@ -133,6 +146,24 @@ def test_a_day_is_kept_and_no_more() -> None:
     track = world.track("/scan", KEPT_FOR)
     assert abs(track.up + track.out - KEPT_FOR) <= 120
     assert abs(track.out - 24 * 60) <= 60
+
+
+def test_a_fifth_of_500_topics_takes_a_fifth_of_30_mb() -> None:
+    names = [f"/robot/topic_{number}" for number in range(100)]
+    world, now = World(*names), EPOCH
+    remembered = Timeline("robot1", "client")
+    tracemalloc.start()
+    for minute in range(24 * 60):
+        for name in names[minute % 10 :: 10]:
+            state = State.DOWN if world.routes[name].state is State.OK else State.OK
+            reason = "" if state is State.OK else f"no publisher of {name} for {minute} min, " + "and so on " * 10
+            world.routes[name] = replace(world.routes[name], state=state, reason=reason)
+        now += 60
+        remembered.observe(Snapshot(now, "", "", "", 3, True, (world.link,), tuple(world.routes.values())), now)
+    used = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert len(remembered.report(now, KEPT_FOR, running=True).outages) == 2000
+    assert used < 30e6 / 5
 
 
 def test_a_flapping_topic_displaces_nobodys_outages(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,9 +270,16 @@ def test_an_engine_that_hangs_or_has_ended_is_not_known_to_be_fine() -> None:
         world.recorder.look()
     assert round(sum(gap.seconds for gap in world.report(160).gaps)) == 100
     world.go(60)
+    assert [event.text for event in world.events.after(0)] == [
+        "nothing is known of the last 1 min 41 s: the machine slept, or the process could not run"
+    ], "told once"
     world.running = False
     world.go(600)
-    assert world.report(700).gaps[-1].seconds >= 600
+    for _ in range(100):
+        world.clock.go(1)
+        world.recorder.look()
+    assert world.report(800).gaps[-1].seconds >= 700
+    assert len(world.events.after(0)) == 1, "it is known why"
 
 
 # --- from one process to the next

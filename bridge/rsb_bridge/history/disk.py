@@ -6,7 +6,7 @@ import contextlib
 import threading
 from typing import TYPE_CHECKING
 
-from rsb_bridge.history import history_file
+from rsb_bridge.history import event_file, history_file
 from rsb_bridge.history.event_file import EventFile
 from rsb_bridge.history.folders import Claim, Files
 from rsb_bridge.history.history_file import HistoryFileError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _EVERY = 0.5
 _RETRIED_EVERY = 5.0
 SAVED_EVERY = 120.0
-_SAVED_SOON = 15.0
+_SAVED_SOON = 5.0
 """s from one save to the next where an outage has begun or ended, or an operator did something."""
 _ANSWERED_WITHIN = 10.0
 SET_ASIDE = ".bad"
@@ -124,7 +124,8 @@ class Disk:
         path = self._files.history
         try:
             saved = history_file.read(path)
-            self._recorder.ask(lambda: self._recorder.restore(saved)).result(_ANSWERED_WITHIN)
+            events = tuple(event_file.read(self._files.events, saved.time))
+            self._recorder.ask(lambda: self._recorder.restore(saved, events)).result(_ANSWERED_WITHIN)
         except TimeoutError:
             return
         except FileNotFoundError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.history import event_file, history_file
@@ -32,6 +31,5 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
         raise HistoryFileError(f"{files.history}: there is no such file") from None
     except (HistoryFileError, ValueError) as error:
         raise HistoryFileError(f"{files.history}: {error}") from None
-    for event in event_file.read(files.events, saved.time):  # a killed bridge's last ones
-        timeline.did(replace(event, number=0), event.time)
+    timeline.go_on(event_file.read(files.events, saved.time))
     return timeline.report(max(now, saved.time), seconds, running=False)

@@ -14,12 +14,12 @@ from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Level
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.history.timeline import Saved
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.history import HistoryReport
-    from rsb_bridge.model.snapshot import Snapshot
+    from rsb_bridge.model.snapshot import Event, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
 T = TypeVar("T")
@@ -125,8 +125,12 @@ class Recorder:
                     work()
             self._has_ended = True
 
-    def restore(self, saved: Saved) -> None:
-        """Go on from what was saved. What was seen since is forgotten: it is of the last seconds.
+    def restore(self, saved: Saved, events: Iterable[Event] = ()) -> None:
+        """Go on from what was saved. What was seen since this process began is forgotten: it is of the last seconds.
+
+        Args:
+            saved: by an earlier process.
+            events: those that it reported afterwards.
 
         Raises:
             ValueError: it contradicts itself, or the clock is days behind it.
@@ -135,6 +139,7 @@ class Recorder:
         if saved.time - wall > KEPT_FOR:
             raise ValueError("it is from the future: the clock was wrong then, or it is now")
         self._timeline = Timeline.restore(saved, self._name, self._role)
+        self._timeline.go_on(events)
         self._axis = Axis(self._clock.steady(), wall, floor=self._timeline.last)
         self._observed = self._axis.now
         self._followed, self._seen = 0, None
@@ -144,21 +149,22 @@ class Recorder:
         axis, timeline = self._axis, self._timeline
         wall = self._clock.time_ns() / 1e9
         axis.advance(self._clock.steady(), wall)
-        snapshot = self._latest()
         if axis.now - self._observed > _GAP:
-            self._slept(axis.now - self._observed)
+            timeline.cut()
         if axis.jump:
             self._clock_set(wall)
         self._follow()
-        if snapshot is self._seen:
-            return
-        self._seen, self._observed = snapshot, axis.now
-        if snapshot.running:
+        snapshot, seen = self._latest(), self._seen
+        if not snapshot.running:
+            timeline.cut()
+        elif snapshot is not seen:
+            if seen is not None and seen.running and axis.now - self._observed > _GAP:
+                self._slept(axis.now - self._observed)
+            self._observed = axis.now
             before = timeline.changes
             timeline.observe(snapshot, axis.now)
             self.changes += timeline.changes - before
-        else:
-            timeline.cut()
+        self._seen = snapshot
 
     def report(self, seconds: float) -> HistoryReport:
         """As `history`."""
@@ -177,8 +183,6 @@ class Recorder:
             self.changes += self._timeline.did(event, self._axis.of_wall(event.time))
 
     def _slept(self, seconds: float) -> None:
-        self._timeline.cut()
-        self._observed = self._axis.now
         text = f"nothing is known of the last {_span(seconds)}: the machine slept, or the process could not run"
         self._events.add(Level.WARNING, EventCode.ENGINE_GAP, text)
 

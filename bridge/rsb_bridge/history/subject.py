@@ -131,7 +131,7 @@ class Subject:
         elif now - self._born >= _OPENS_WITHIN:
             self._opening = False
             self._out += now - self._born
-            self._open = _Open(self._born, state, reason, with_link=_follows(link, now))
+            self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
     def count(self, total: int) -> None:
         """Take note of how many messages there were so far; fewer than before: they are counted anew.

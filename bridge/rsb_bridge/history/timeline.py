@@ -15,7 +15,7 @@ from rsb_bridge.model.history import KEPT_FOR, Gap, HistoryReport
 from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- msgspec resolves the hints
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from rsb_bridge.model.history import Outage, Track
     from rsb_bridge.model.snapshot import Snapshot, State
@@ -137,6 +137,13 @@ class Timeline:
             return False
         kept.append(replace(event, time=now))
         return True
+
+    def go_on(self, events: Iterable[Event]) -> None:
+        """Take in the last events of a process that was killed before it could save: it ran until then."""
+        for event in events:
+            self.did(event, event.time)
+            if self._runs and self._runs[-1][1] < event.time:
+                self._runs[-1] = (self._runs[-1][0], event.time)
 
     def cut(self) -> None:
         """Nobody watches any more: the bridge stops, or the machine has slept since the last `observe`."""

@@ -84,12 +84,12 @@ def rows_of(report: HistoryReport) -> list[Row]:
         for each in history.own(report.outages)
     ]  # fmt: skip
     rows += [
-        Row(f"event{each.time}{each.text}", each.time, "", each.link, each.topic, each.who or "bridge", "key",
-            history.did(each), None)
+        Row(f"event{each.time}{each.text}", each.time, "", each.link, each.topic,
+            each.who.partition(" ")[0] or "bridge", "key", history.did(each), None)
         for each in report.actions
     ]  # fmt: skip
     rows += [
-        Row(f"gap{gap.start:.0f}", gap.start, history.length(gap.seconds), "", "", "not known", "dim",
+        Row(f"gap{gap.start:.0f}", gap.start, history.length(gap.seconds), "", "", "unknown", "dim",
             "the bridge did not run, or the machine slept", None)
         for gap in report.gaps
     ]  # fmt: skip
@@ -306,7 +306,7 @@ def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
         most = max(rates, default=0.0)
         top = f"{formats.hertz(most)} Hz" if row.track.topic else formats.byte_rate(most)
         picture = sparkline(rates, len(rates))
-        words = f"  at most {top}; up {history.percent(row.track.up_ratio)} of {history.length(span)}"
+        words = f"  at most {top}; up {history.percent(row.track.up_ratio)} of the last {history.length(span)}"
         yield ((f"{'rate':<{_LABEL}}", "dim"), (picture, "plot"), (words, "dim"))
 
 

@@ -92,7 +92,9 @@ def how_long(outage: Outage) -> str:
     """How long it was out, and what is not known of that."""
     if outage.ongoing:
         return f"{length(outage.seconds)}, still so"
-    return f"at least {length(outage.seconds)}" if outage.cut_off else length(outage.seconds)
+    if outage.cut_off:
+        return f"at least {length(outage.seconds)}" if outage.seconds >= 1 else "not known how long"
+    return length(outage.seconds)
 
 
 def why(report: HistoryReport, outage: Outage) -> str:
@@ -147,15 +149,16 @@ def _totals(report: HistoryReport) -> Iterator[str]:
     links = [track for track in report.tracks if not track.topic]
     topics = [track for track in report.tracks if track.topic]
     for track in links:
-        yield f"{track.link}: linked {percent(track.up_ratio)} of the time{_count(track)}."
+        yield f"{track.link}: {_up('linked', track)}{_count(track)}."
     if topics:
         bad = [track for track in topics if track.outages]
         fine = len(topics) - len(bad)
-        yield f"{len(topics)} topics: {fine} without an outage{f', {len(bad)} with' if bad else ''}."
+        topics_are = f"{len(topics)} topic{'s' if len(topics) > 1 else ''}"
+        yield f"{topics_are}: {fine} without an outage{f', {len(bad)} with' if bad else ''}."
         worst = sorted(bad, key=lambda track: -track.out)
         for track in worst[:_WORST_TOPICS]:
             name = f"{track.link} {'→' if track.outgoing else '←'} {track.topic}"
-            yield f"  {name}: up {percent(track.up_ratio)} of the time{_count(track)}."
+            yield f"  {name}: {_up('up', track)}{_count(track)}."
         if len(worst) > _WORST_TOPICS:
             yield f"  and {len(worst) - _WORST_TOPICS} more."
 
@@ -170,6 +173,12 @@ def _ran(report: HistoryReport) -> str:
         f"The bridge ran for {length(report.watched)} of it ({percent(report.watched / report.span)}); "
         f"nothing is known of {gaps}{more}.{running}"
     )
+
+
+def _up(word: str, track: Track) -> str:
+    if track.up_ratio is None:
+        return f"not known how long it was {word}"
+    return f"{word} {percent(track.up_ratio)} of the time"
 
 
 def _count(track: Track) -> str:
