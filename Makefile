@@ -25,17 +25,21 @@ PARTS := lint test-wire $(addprefix test-,$(LONGEST) $(filter-out wire $(LONGEST
 test: $(STAMP) system
 	$(MAKE) --no-print-directory --keep-going --jobs=5 --output-sync=target $(PARTS)
 
+# What only computes gives way to what talks by DDS: where that starves, one participant of a process may discover another
+# without being discovered by it, for good (seen once in 700 starts on a core shared by eight).
+GIVES_WAY := nice -n 10
+
 test-wire: $(STAMP)
-	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
+	$(GIVES_WAY) timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 
 test-%: $(STAMP) system
-	timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/$*
+	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/$*
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports --no-cache
+	$(GIVES_WAY) $(BIN)/mypy
+	$(GIVES_WAY) $(BIN)/lint-imports --no-cache
 
 bench: $(STAMP)
 	$(BIN)/python -m bench.run
