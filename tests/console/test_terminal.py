@@ -276,7 +276,7 @@ def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Pat
     with FarSide(pair, tmp_path / "far"), talker(CHATTER), Tmux(tmp_path, command) as tmux:
         picture = tmux.wait_for("● LINKED")
         assert len(picture.rstrip("\n").splitlines()) == 36
-        assert "┌─ /console_" in tmux.wait_for("● ok")
+        assert "┌─ /console_" in tmux.wait_for("◇ UNHEARD")
 
         tmux("send-keys", "y")
         tmux.wait_for("copied to tmux")
@@ -285,7 +285,7 @@ def test_keys_resizing_detaching_and_attaching_in_tmux(pair: Pair, tmp_path: Pat
         tmux("send-keys", "/", "nothing")
         tmux.wait_for("0 of 1")
         tmux("send-keys", "Escape")
-        tmux.wait_for("▌● ok")
+        tmux.wait_for("▌◇ UNHEARD")
 
         tmux("resize-window", "-x", "80", "-y", "24")
         tmux.wait_for("┌─ /console_", there=False)
