@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.console.scripted import ScriptedEngine, route
+from tests.console.scripted import LINK, ScriptedEngine, route
 
 from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.command.reports import text_status
@@ -30,3 +30,23 @@ def test_what_has_no_room_is_what_flows() -> None:
     line = parts(*flowing, route("/late", State.DOWN, reason="link lost", ledger=Ledger()))
     assert line[0] == "← /late DOWN: link lost"
     assert line[-1] == "and 2 more"
+
+
+def test_what_is_wrong_with_a_link_is_said_once() -> None:
+    down = replace(LINK, name="robot2", state=State.DOWN, reason="the peer is silent")
+    twice = replace(LINK, warning="a second client, from 10.0.0.9, calls itself 'robot1' too")
+    routes = [route(f"/t{number}", State.DOWN, link="robot2", reason="the peer is silent") for number in range(5)]
+    snapshot = replace(ScriptedEngine().snapshot(), links=(twice, down), routes=(*routes, route("/odom")))
+    line = text_status(snapshot)
+    assert line.count("the peer is silent") == 1
+    assert line.split(" | ")[3:] == [
+        "robot1 a second client, from 10.0.0.9, calls itself 'robot1' too",
+        "robot2 DOWN: the peer is silent",
+        f"← /odom 10.0 Hz ({route('/odom').ledger.dropped_total} dropped)",
+    ]
+    assert "6 topics: 5 down, 1 ok" in line
+
+
+def test_one_topic_is_one() -> None:
+    snapshot = replace(ScriptedEngine().snapshot(), routes=(route("/odom"),))
+    assert "| 1 topic: 1 ok |" in text_status(snapshot)

@@ -170,11 +170,11 @@ async def test_links_with_a_fault_have_a_line_on_the_main_screen(app: ConsoleApp
     differ = replace(LINK, name="robot2", state=State.DOWN, cause="wrong_key", reason="the keys of 'robot2' differ: …")
     put(app, links=(LINK, differ), role="server")
     await shown(pilot, "✗ robot2: the keys of 'robot2' differ")
-    twice = replace(LINK, cause="name_taken", warning="a second machine, 10.0.0.9:4242, calls itself 'robot1' too")
+    twice = replace(LINK, cause="name_taken", warning="a second client, from 10.0.0.9, calls itself 'robot1' too")
     put(app, links=(twice,), role="server")
-    await shown(pilot, "● robot1: a second machine, 10.0.0.9:4242")
+    await shown(pilot, "● robot1: a second client, from 10.0.0.9")
     put(app, links=(LINK,), role="server")
-    await gone(pilot, "a second machine")
+    await gone(pilot, "a second client")
 
 
 @on_main()
@@ -194,6 +194,15 @@ async def test_what_is_wrong_is_counted_by_kind(app: ConsoleApp, pilot: Pilot[No
         await shown(pilot, words)
     await pilot.press("f")
     await shown(pilot, "6 of 8")
+
+
+@on_main(size=(100, 30))
+async def test_the_domain_is_not_cut_at_100_columns(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, links=(replace(LINK, encrypted=False),), address="192.168.100.200:49152")
+    await shown(pilot, "192.168.100.200:49152")
+    top = text(app).splitlines()[0]
+    assert "domain 3" in top
+    assert "NOT ENCRYPTED" in top
 
 
 @on_main(path=Path("robot1.yaml"))

@@ -75,6 +75,20 @@ def test_what_opens_at_once_or_is_paused_is_no_outage() -> None:
     assert (scan.up, scan.out) == (290, 0)
 
 
+def test_a_topic_that_nobody_hears_is_not_out() -> None:
+    world = World("/scan")
+    world.go(100)
+    world.put("/scan", State.UNHEARD, "nobody subscribes")
+    world.go(100)
+    world.put("/scan", State.SLOW, "2 Hz of 10 expected")
+    world.go(50)
+    world.put("/scan", State.UNHEARD, "nobody subscribes")
+    world.go(50)
+    assert brief(world.outages())[0][1:3] == (50, "slow")
+    scan = world.track("/scan")
+    assert (scan.up, scan.out, scan.outages) == (250, 50, 1)
+
+
 def test_topics_that_go_down_and_come_back_with_their_link_say_so() -> None:
     world = World("/scan", "/map")
     world.go(100)

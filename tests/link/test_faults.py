@@ -35,7 +35,7 @@ def test_a_wrong_key_is_a_fault_of_the_link_on_both_sides(bridge: Bridge) -> Non
     client = bridge.client(key_file=theirs)
     eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
     marks = [fingerprint(read_key(bridge.folder / name)) for name in (theirs, bridge.key_file)]
-    words = f"the keys of 'robot1' differ: the client's has the fingerprint {marks[0]}, the server's {marks[1]}"
+    words = f"the keys of 'robot1' differ: {marks[0]} on the client, {marks[1]} on the server"
     for engine in (client, server):
         assert link(engine).state is State.DOWN
         assert words in link(engine).reason

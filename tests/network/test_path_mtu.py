@@ -34,6 +34,10 @@ def test_large_packets_that_vanish_without_a_word(network: Network, robot: Host,
             reason = eventually(lambda side=side, at=(topic, cause): _down(side, *at), what=f"{topic} down: {cause}")
             assert reason.startswith(who), reason
             assert remedy in reason, reason
+    statuses = [each["status"]["routes"] for each in bridge.client.log if "status" in each]
+    odom = [(each["state"], each["reason"]) for routes in statuses for each in routes if each["topic"] == "/odom"]
+    first = next(reason for state, reason in odom if state == "down")
+    assert "nothing gets through its data connection" in first, "it is told before the kernel gives the connection up"
     pc.nft("delete table inet narrow")
     for topic in ("/scan", "/odom"):
         for side in (bridge.client, bridge.server):

@@ -34,6 +34,8 @@ FLOWS_WITHIN = 15.0
 """s from when nothing keeps a topic from flowing until its messages come out, and from a message to the other end."""
 SETTLED_WITHIN = 6.0
 """s after the last message until both sides have counted it."""
+SAME_VERDICT_WITHIN = 8.0
+"""s in which one side looks at its half of a route, tells the other what it makes of it, and is heard."""
 _SEEN_WITHIN = 5.0
 """s from when a task fails until somebody must have asked why."""
 _SWEEP_EVERY = 600.0
@@ -60,6 +62,7 @@ class Invariants:
         self._linked: set[Robot] = set()
         self._agreed: dict[Robot, float] = {}
         self._can_flow: dict[Flow, float] = {}
+        self._said: dict[Flow, tuple[float, tuple[str, ...]]] = {}
         self._next_sweep = _SWEEP_EVERY
 
     async def watch(self) -> None:
@@ -77,6 +80,7 @@ class Invariants:
             self._check_agreement(robot)
             for flow in robot.flows:
                 self._check_flow(robot, flow)
+                self._check_verdicts(robot, flow)
         self._check_ledgers()
         sweep = world.loop.time() >= self._next_sweep
         for run in world.runs():
@@ -169,6 +173,22 @@ class Invariants:
                 f"{flow} could flow for {waited:.1f} s, and does not: message {flow.sent} of life {flow.life} went in "
                 f"{now - flow.last_sent:.1f} s ago, the newest that came out are {flow.newest}; {world.state(flow)}"
             )
+
+    def _check_verdicts(self, robot: Robot, flow: Flow) -> None:
+        """Both sides show the same state of a topic, for the same cause, once they have told each other."""
+        world, now = self._world, self._world.loop.time()
+        ends = world.link_ends(robot)
+        routes = [route_of(link, flow) for link in ends] if ends and all(link.linked for link in ends) else []
+        shown = [each.judged.shown(each.own_verdict).verdict for each in routes if each is not None and each.accepted]
+        said = tuple([f"{each.state} {each.cause}" for each in shown])
+        if robot.troubles or len(said) < 2 or len(set(said)) < 2:
+            self._said.pop(flow, None)
+            return
+        since, before = self._said.setdefault(flow, (now, said))
+        if before != said:
+            self._said[flow] = now, said
+        elif now - max(since, robot.commanded, world.clear_since(robot)) > self._patience * SAME_VERDICT_WITHIN:
+            world.wrong(f"the two sides do not agree on {flow} since {now - since:.1f} s: {world.state(flow)}")
 
     def _can_flow_now(self, robot: Robot, flow: Flow) -> bool:
         ends = self._world.link_ends(robot)

@@ -20,6 +20,7 @@ from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.route.both_sides import BothSides
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.send_queue import SendQueue
@@ -122,6 +123,8 @@ def _differs(world: World) -> Coroutine[None, None, None]:
 
 _MANY = replace(STILL, topics=(4,), periods=(1.0, 4.0), checks=(1.0, 2.0))
 
+_SILENT = replace(STILL, topics=(4,), periods=(1e9, 1e9))
+
 # fmt: off
 MUTATIONS = (
     Mutation(
@@ -162,7 +165,7 @@ MUTATIONS = (
     Mutation(
         "a new connection is not told what is paused",
         ((RouteTable, "_propose", _unpaused),),
-        "disagree", LIVELY, 5, 1.0,
+        "disagree|do not agree", LIVELY, 5, 1.0,
     ),
     Mutation(
         "a silent peer is not given up",
@@ -173,6 +176,11 @@ MUTATIONS = (
         "UDP sockets of links that are down are not closed",
         ((UdpChannel, "close", _nothing),),
         "left open", STORM, 2, 2.0,
+    ),
+    Mutation(
+        "what the other side makes of a topic is not taken in",
+        ((BothSides, "take", _nothing),),
+        "do not agree on", _SILENT, 1, 0.5,
     ),
 )
 # fmt: on

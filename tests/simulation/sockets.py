@@ -91,8 +91,10 @@ class Socket:
         """Note an option."""
         self.options[level, option] = value
 
-    def getsockopt(self, level: int, option: int) -> int:
-        """Read an option."""
+    def getsockopt(self, level: int, option: int, size: int = 0) -> int | bytes:
+        """Read an option; of TCP's own figures, all are 0."""
+        if (level, option) == (real.IPPROTO_TCP, real.TCP_INFO):
+            return bytes(size)
         if (level, option) == (real.IPPROTO_IP, _IP_MTU):
             peer = self._machine.network.machine_at(self._remote[0]) if self._remote else None
             if peer is None:

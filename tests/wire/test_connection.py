@@ -102,7 +102,7 @@ def refused(client: ClientConnection, server: ServerConnection) -> Refused:
 def test_another_key(suite: Suite) -> None:
     refusal = refused(make_client(suite), make_server(suite, key=OTHER_KEY))
     ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
-    words = f"the keys of 'robot1' differ: the client's has the fingerprint {ours}, the server's {theirs}"
+    words = f"the keys of 'robot1' differ: {ours} on the client, {theirs} on the server"
     assert refusal == Refused(RefusalCode.WRONG_KEY, words)
 
 

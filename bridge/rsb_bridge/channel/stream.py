@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.framing import DataReader, DataWriter, Message
 
 
+_STUCK = (
+    "nothing gets through its data connection now; if the link stays up, large packets are lost on the way: set a "
+    "lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
+)
+
+
 class _StreamChannel(StreamHandler):
     """What both ends share.
 
@@ -31,7 +37,7 @@ class _StreamChannel(StreamHandler):
         stream.handler = self
 
     def trouble(self) -> str:
-        return ""
+        return _STUCK if self.carrier.stuck else ""
 
     def close(self, reason: str) -> None:
         self.carrier.handler = StreamHandler()

@@ -14,7 +14,9 @@ from rsb_bridge.model.text import sanitize_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-FINE = (State.OK, State.PAUSED)
+UP = (State.OK, State.UNHEARD)
+"""Messages cross as they should; that nobody hears them is no outage."""
+FINE = (*UP, State.PAUSED)
 """A pause is wanted; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
 """Outages kept of each, so that one that flaps displaces nobody else's."""
@@ -160,7 +162,7 @@ class Subject:
         self._seen = now
         self._known += passed
         self._amount += self._rate * passed
-        if self._state is State.OK:
+        if self._state in UP:
             self._up += passed
         elif self._state is not State.PAUSED and not self._opening:
             self._out += passed

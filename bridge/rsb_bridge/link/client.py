@@ -166,10 +166,12 @@ class ClientLink(Link):
             failure.code is not RefusalCode.NAME_TAKEN or self.attempts > _NAME_MAY_BE_FREED
         )
         repeated = failure.reason == self.reason
+        expected = self.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
         refused = _CAUSES.get(failure.code, LinkCause.REFUSED)
         self.set_down(refused if failure.refused else LinkCause.UNREACHABLE, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
-        self.log(Level.DEBUG if repeated else Level.ERROR, code, f"{failure.reason}; trying again", link_status=True)
+        level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
+        self.log(level, code, f"{failure.reason}; trying again", link_status=True)
 
     async def _pause(self) -> None:
         """Wait until the next attempt is due, or an operator asks for one."""

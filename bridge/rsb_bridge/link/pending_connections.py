@@ -27,7 +27,10 @@ _FAILURES = 5
 _FAILURES_WITHIN = 30.0
 _PENALTY = 1.0
 _HOSTS_REMEMBERED = 1024
-_LOGGED_EVERY = 10.0
+_LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
+"""s until the same refusal of the same host is logged again; twice as long each time."""
+_FORGOTTEN_AFTER = 60.0
+"""s without another one; a client that is refused tries again within 12 s."""
 _MOST_LOGGED = 256
 _CODES = {
     RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY,
@@ -35,6 +38,28 @@ _CODES = {
     RefusalCode.NAME_TAKEN: EventCode.LINK_NAME_TAKEN,
 }
 _TOO_MANY = "too many unauthenticated connections"
+
+
+class _Logged:
+    """A refusal that is in the log already.
+
+    Attributes:
+        tried_at: s, when it last happened.
+    """
+
+    def __init__(self, now: float) -> None:
+        self.tried_at = now
+        self._wait = _LOGGED_AFTER
+        self._due = now + self._wait
+
+    def due_again(self, now: float) -> bool:
+        """It happens again, at `now` (s): whether to log it."""
+        self.tried_at = now
+        if now < self._due:
+            return False
+        self._wait = min(2 * self._wait, _LOGGED_AFTER_AT_LAST)
+        self._due = now + self._wait
+        return True
 
 
 class Admission(Protocol):
@@ -90,7 +115,7 @@ class PendingConnections:
         self._present: dict[_PendingConnection, None] = {}  # the longest waiting first
         self._of_host: Counter[str] = Counter()
         self._failures: dict[str, deque[float]] = {}
-        self._logged: dict[tuple[str, str], float] = {}
+        self._logged: dict[tuple[str, str], _Logged] = {}
 
     def arrive(self) -> StreamHandler:
         """The handler of a new stream."""
@@ -138,7 +163,7 @@ class PendingConnections:
         self.log_rejection(stream, code, message, name)
 
     def log_rejection(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
-        """Log that a stream was rejected, at most once in 10 s for each host and message.
+        """Log that a stream was rejected, ever more rarely for each host and message.
 
         It takes nothing of the link's quota: whoever calls itself so need not be that client.
         """
@@ -146,9 +171,12 @@ class PendingConnections:
             self.context.events.add(Level.WARNING, code, f"rejected {stream.peer}: {message}", link=name)
 
     def _is_new(self, host: str, message: str) -> bool:
-        if (host, message) in self._logged or len(self._logged) >= _MOST_LOGGED:
+        now, logged = self.context.now(), self._logged.get((host, message))
+        if logged is not None:
+            return logged.due_again(now)
+        if len(self._logged) >= _MOST_LOGGED:
             return False
-        self._logged[host, message] = self.context.now()
+        self._logged[host, message] = _Logged(now)
         return True
 
     def shortage(self, message: str) -> None:
@@ -167,7 +195,7 @@ class PendingConnections:
                 times.popleft()
             if not times:
                 del self._failures[host]
-        self._logged = {key: time for key, time in self._logged.items() if now - time < _LOGGED_EVERY}
+        self._logged = {key: each for key, each in self._logged.items() if now - each.tried_at < _FORGOTTEN_AFTER}
 
     def close(self) -> None:
         """Reject all."""

@@ -30,12 +30,12 @@ class Notices:
         self._told = ""
         self._doubted = ""
 
-    def error(self, code: EventCode, reason: str) -> None:
+    def error(self, code: EventCode, reason: str, level: Level = Level.ERROR) -> None:
         """The route has failed. The next tries need not say the same, until messages flow."""
         self.last_error = reason
         if reason != self._told:
             self._told = reason
-            self._log(Level.ERROR, code, reason)
+            self._log(level, code, reason)
 
     def flowing(self) -> None:
         """Messages flow: what fails from now on is said again."""

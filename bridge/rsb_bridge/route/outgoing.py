@@ -175,7 +175,7 @@ class OutgoingRoute(Route):
         try:
             self._intake.subscribe()
         except RosError as error:
-            self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error))
+            self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
         self.stale.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")

@@ -236,10 +236,10 @@ class Route:
 
             self.losses.add(reason, self.context.loop, report)
 
-    def request_reopen(self, code: EventCode, reason: str) -> None:
-        """Close the route on both sides; its proposer opens it again."""
+    def request_reopen(self, code: EventCode, reason: str, level: Level = Level.WARNING) -> None:
+        """Close the route on both sides; its proposer opens it again, which as a rule is all that it needs."""
         if self.id:
-            self.notices.error(code, reason)
+            self.notices.error(code, reason, level)
             self._end_on_both_sides(reason)
 
     def _end_on_both_sides(self, reason: str) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import errno
 import os
 import socket
+import struct
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from rsb_bridge.transport.descriptors import MORE_DESCRIPTORS
@@ -20,6 +21,10 @@ BATCH_BYTES = 256 * 1024
 """As much as is worth one call, where the link is not slow."""
 
 _LINGER = 2.0
+_RETRANSMITS = struct.Struct("2xB")
+"""The third field of the kernel's tcp_info: how often in a row it has sent the oldest bytes again."""
+_IN_VAIN = 3
+"""Times, which take 1.4 s at the least."""
 _REMEDIES = {
     errno.ECONNREFUSED: "is the server running there?",
     errno.EMFILE: f"this process needs more file descriptors: {MORE_DESCRIPTORS}",
@@ -114,6 +119,18 @@ class Stream(asyncio.Protocol):
     def over(self) -> bool:
         """Whether it is closed or closing."""
         return self._transport is None or self._transport.is_closing()
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the kernel has sent the same bytes again and again, and no answer came; only TCP can tell."""
+        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
+        if sock is None:
+            return False
+        try:
+            info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _RETRANSMITS.size)
+        except OSError:
+            return False
+        return len(info) == _RETRANSMITS.size and bool(_RETRANSMITS.unpack(info)[0] >= _IN_VAIN)
 
     @property
     def gone(self) -> bool:

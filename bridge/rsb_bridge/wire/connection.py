@@ -386,8 +386,8 @@ def _wrong_key(offer: ControlPreamble, key: bytes | None) -> str:
             f"the first message of {offer.name!r} is damaged or forged: the fingerprints of both sides' keys are equal"
         )
     return (
-        f"the keys of {offer.name!r} differ: the client's has the fingerprint {format_fingerprint(offer.fingerprint)}, "
-        f"the server's {format_fingerprint(ours)}"
+        f"the keys of {offer.name!r} differ: {format_fingerprint(offer.fingerprint)} on the client, "
+        f"{format_fingerprint(ours)} on the server"
     )
 
 

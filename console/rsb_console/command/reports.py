@@ -12,9 +12,9 @@ from rsb_bridge.model.snapshot import State
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, Snapshot
 
-_TOPICS_IN_STATUS = 8
+_SHOWN_IN_STATUS = 8
 
 
 def clock(moment: float) -> str:
@@ -29,17 +29,32 @@ def text_event(event: Event) -> str:
 
 
 def text_status(snapshot: Snapshot) -> str:
-    """One line: how many peers are linked, how many topics flow, the traffic, and the first topics."""
+    """One line: how many peers are linked, how many topics flow, the traffic, and the first faults and topics."""
     received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
     sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
     parts = [
         *_counts(snapshot),
         f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-        *(rate_text(route) for route in faults_first(snapshot.routes)[:_TOPICS_IN_STATUS]),
+        *_some([f"{link.name} {_link_fault(link)}" for link in snapshot.links if link.reason or link.warning]),
+        *_some([rate_text(route) for route in faults_first(_of_links_that_are_up(snapshot))]),
     ]
-    if len(snapshot.routes) > _TOPICS_IN_STATUS:
-        parts.append(f"and {len(snapshot.routes) - _TOPICS_IN_STATUS} more")
     return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
+
+
+def _some(parts: list[str]) -> list[str]:
+    """As many as there is room for in a line."""
+    more = len(parts) - _SHOWN_IN_STATUS
+    return [*parts[:_SHOWN_IN_STATUS], f"and {more} more"] if more > 0 else parts
+
+
+def _link_fault(link: LinkSnapshot) -> str:
+    return link.warning if link.state is State.OK else f"{link.state.upper()}: {link.reason}"
+
+
+def _of_links_that_are_up(snapshot: Snapshot) -> list[RouteSnapshot]:
+    """What is wrong with a link is said once, and not of each of its topics."""
+    down = {link.name for link in snapshot.links if link.state is not State.OK}
+    return [route for route in snapshot.routes if route.link not in down]
 
 
 def summary(snapshot: Snapshot) -> str:

@@ -66,9 +66,11 @@ class StatusBar(LiveLines):
     def line(self, index: int) -> Line:
         width = self.width
         if index == 0:
-            if width >= ROOMY:
-                return _spread(self._identity, self._view, width)
-            return _spread(self._identity[2:] or self._identity[1:], self._view[-1:], width)
+            shorter = self._identity[2:] or self._identity[1:]
+            for left, right in ((self._identity, self._view), (shorter, self._view)):
+                if width >= ROOMY and width_of(left) + width_of(right) < width:
+                    return _spread(left, right, width)
+            return _spread(shorter, self._view[-1:], width)
         if index == 2:
             more = len(self._faults) - 1
             return _spread(self._faults[0], ((f"  and {more} more (links) " if more else "", "dim"),), width)
@@ -94,7 +96,7 @@ class StatusBar(LiveLines):
         )
         drops = sum(route.ledger.dropped_total for route in snapshot.routes)
         groups: list[Line] = [
-            ((f" {len(snapshot.routes)} topics", "strong"), *topics),
+            ((f" {len(snapshot.routes)} topic{'' if len(snapshot.routes) == 1 else 's'}", "strong"), *topics),
             ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
         ]
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
