@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -24,7 +23,8 @@ from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
 from rsb_console.screens.palette import ActionsProvider
 from rsb_console.terminal.driver import ConsoleDriver
-from rsb_console.terminal.shutdown import ShutdownReason, record_crash
+from rsb_console.terminal.input_queue import DIALOG, InputQueue
+from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
-_ENDS_WITHIN = 10.0
-_FAILURE = 1
 
 
 class ConsoleApp(App[None]):
@@ -100,6 +98,7 @@ class ConsoleApp(App[None]):
         self.config = themes.config_path() if config is None else config
         self.preferences = Preferences(self.config, theme)
         self.shutdown_reason = ShutdownReason.QUIT
+        self.input_queue = InputQueue(self, {Group.OPERATE, Group.SESSION})
         self.terminal = 1
         """File descriptor of the terminal."""
         console: Console = self
@@ -115,7 +114,7 @@ class ConsoleApp(App[None]):
         self._resources = ExitStack()
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
-        self._deadline: threading.Timer | None = None
+        self._forced_end = ForcedEnd(self.stop)
         self._filters_ascii = AsciiFilter()
         self._filters_control = ControlFilter()
         self._last_event = 0
@@ -316,6 +315,7 @@ class ConsoleApp(App[None]):
     # --- actions
 
     async def ask(self, dialog: Screen[T]) -> T | None:
+        self.input_queue.waits_for(dialog)
         return await self.push_screen_wait(dialog)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
@@ -353,16 +353,15 @@ class ConsoleApp(App[None]):
     def request_quit(self) -> None:
         self.action_quit()
 
-    @work(exclusive=True, group="quit")
+    @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
         if await self.sessions.confirm_end("Quit?", "Quit"):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:
-        """Handle an event as Textual does, but offer the filter keys that were forwarded to a widget out of focus."""
-        if isinstance(event, events.Key) and event.is_forwarded and self.main.type_ahead(event):
-            return
-        await super().on_event(event)
+        """Handle an event as Textual does, but input only when it is its turn."""
+        if not self.input_queue.takes(event):
+            await super().on_event(event)
 
     # --- end
 
@@ -373,20 +372,13 @@ class ConsoleApp(App[None]):
 
     def shut_down_soon(self, reason: ShutdownReason) -> None:
         """As `shut_down`, from a signal handler or another thread; ends the process if the app hangs."""
-        if self._deadline is None and not self.is_headless:
-            self._deadline = threading.Timer(_ENDS_WITHIN, self._end_at_once)
-            self._deadline.daemon = True
-            self._deadline.start()
+        if not self.is_headless:
+            self._forced_end.begin()
         self.call_later(self.shut_down, reason)
 
     def has_ended(self) -> None:
         """The app has ended by itself, so the process need not be ended."""
-        if self._deadline is not None:
-            self._deadline.cancel()
-
-    def _end_at_once(self) -> None:
-        self.stop()
-        os._exit(_FAILURE)
+        self._forced_end.cancel()
 
     def terminal_gone(self) -> None:
         """The terminal has hung up; called by the driver's thread."""

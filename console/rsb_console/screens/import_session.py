@@ -17,6 +17,7 @@ from rsb_console.screens.new_session import YES_NO, number
 from rsb_console.screens.saving import save_asking
 from rsb_console.screens.session_files import Opened, is_file, is_path, no_suggestion, suggestions, yaml_files
 from rsb_console.session.saving import path_problem
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
 
@@ -119,7 +120,7 @@ class ImportScreen(FormScreen[Opened]):
         assert self._made is not None
         return Opened(self._made, typed_path(values["path"]))
 
-    @work
+    @work(group=DIALOG)
     async def accept(self, result: Opened) -> None:
         """Save it, say what is different now, and ask whether to run it."""
         if await save_asking(self.console, result.session, result.path):

@@ -17,6 +17,7 @@ from rsb_bridge.config.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, 
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
 from rsb_console.session.saving import path_problem
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Notice, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
@@ -147,12 +148,14 @@ class KeysScreen(ModalScreen[None]):
         file = self.table.selected
         self._note.set_text("No key file yet: g makes one." if file is None else file.note)
 
-    @work
+    @work(group=DIALOG)
     async def action_generate(self) -> None:
         if self.console.readonly:
             return
         file = self.table.selected
-        path = await self.app.push_screen_wait(GenerateScreen(Path(DEFAULT_KEY_FILE) if file is None else file.path))
+        path = await self.console.ask(
+            GenerateScreen(self.console, Path(DEFAULT_KEY_FILE) if file is None else file.path)
+        )
         if path is not None:
             self._made.setdefault(path, "not in the session")
             self.look()
@@ -163,10 +166,12 @@ class GenerateScreen(FormScreen[Path]):
     """Make a key; gives its file.
 
     Args:
+        console: asks before a key is replaced.
         path: to begin with.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, console: Console, path: Path) -> None:
+        self.console = console
         advice = "Mode 0600. Copy it to the other side over a safe channel, and keep it secret."
         super().__init__("Generate a key", [Field(Spec("path", "File", advice, str(path), edited=True))], "Generate")
 
@@ -178,15 +183,13 @@ class GenerateScreen(FormScreen[Path]):
     def result(self, values: Mapping[str, str]) -> Path:
         return typed_path(values["path"])
 
-    @work
+    @work(group=DIALOG)
     async def accept(self, result: Path) -> None:
         """Write it; never over another without a yes."""
         exists = result.exists()  # noqa: ASYNC240 -- one stat
         if exists:
             message = "Whoever holds only the old key can no longer link. The old key is lost."
-            if not await self.app.push_screen_wait(
-                ConfirmScreen(f"Replace the key in {result.name}?", message, "Replace")
-            ):
+            if not await self.console.ask(ConfirmScreen(f"Replace the key in {result.name}?", message, "Replace")):
                 return
         try:
             key = write_key(result, force=exists)

@@ -221,13 +221,6 @@ class MainScreen(Screen[None]):
         self._filtered = self._list
         self.prompt.open("" if pattern is None else pattern.text)
 
-    def type_ahead(self, event: events.Key) -> bool:
-        """Whether `event` was meant for the filter: typed behind ``/`` before the focus could follow."""
-        if not self.prompt.display or not self.is_current or not event.is_printable or event.character is None:
-            return False
-        self.prompt.type(event.character)
-        return True
-
     def on_prompt_changed(self, event: Prompt.Changed) -> None:
         self._filtered.pattern = event.pattern
         self._filtered.relist()

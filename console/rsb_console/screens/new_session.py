@@ -15,6 +15,7 @@ from rsb_bridge.model.session import Session
 from rsb_console.screens.form import FormScreen
 from rsb_console.screens.saving import save_asking
 from rsb_console.session.saving import path_problem
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         )
         return NewSession(session, typed_path(values["path"] or f"{name}.yaml"))
 
-    @work
+    @work(group=DIALOG)
     async def accept(self, result: NewSession) -> None:
         """Make the key if there is none, then write the file; ask before one is overwritten."""
         if not await save_asking(self.console, result.session, result.path):
@@ -153,7 +154,7 @@ class NewSessionScreen(FormScreen[NewSession]):
         else:
             super().press(button)
 
-    @work
+    @work(group=DIALOG)
     async def _pick_bluetooth(self) -> None:
         from rsb_console.screens.bluetooth import BluetoothScreen  # noqa: PLC0415 -- needs D-Bus
 

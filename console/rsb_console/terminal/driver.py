@@ -12,6 +12,8 @@ from functools import partial
 from queue import Full
 from typing import TYPE_CHECKING, Any
 
+from textual._parser import ParseTimeout
+from textual._xterm_parser import XTermParser
 from textual.drivers import linux_driver
 from textual.drivers.linux_driver import LinuxDriver
 
@@ -20,9 +22,36 @@ if TYPE_CHECKING:
     from pathlib import Path
     from queue import Queue
 
+    from textual.message import Message
+
 # Textual 8 ends on bytes that are not UTF-8, such as the legacy mouse reports that tmux sends (its issue 6668).
+_ESCAPE = "\x1b"
+_CONTINUES_ESCAPE = "[Obf\x7f"  # begins a sequence, or is a word's key of line editing
 _lenient = partial(getincrementaldecoder("utf-8"), "replace")
 vars(linux_driver)["getincrementaldecoder"] = lambda _encoding: _lenient
+
+
+class KeyParser(XTermParser):
+    """Reads Escape and another key that arrive together as those two keys.
+
+    Textual reads them as Alt with the key, which means nothing to the console; and of two Escapes it makes ``^``.
+    """
+
+    _after_escape = False
+
+    def feed(self, data: str) -> Iterator[Message]:
+        if not data:
+            yield from super().feed(data)
+        for char in data:
+            waits = self._awaiting.timeout is not None
+            if self._after_escape and waits and char not in _CONTINUES_ESCAPE:
+                self._timeout_time = None
+                self._awaiting = self._gen.throw(ParseTimeout())
+            yield from super().feed(char)
+            self._after_escape = char == _ESCAPE
+
+
+vars(linux_driver)["XTermParser"] = KeyParser
 
 _LOOK_EVERY_MS = 500
 CLOSE_TIMEOUT = 1.0  # s; then a terminal that does not read is given up

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import threading
 import traceback
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -25,11 +27,41 @@ class ShutdownReason(Enum):
     CRASH = "crash"
 
 
+ENDS_WITHIN = 10.0  # s
+_FAILURE = 1  # exit status
+
 SIGNALS = {
     signal.SIGTERM: ShutdownReason.TERMINATED,
     signal.SIGINT: ShutdownReason.TERMINATED,
     signal.SIGHUP: ShutdownReason.HANGUP,
 }
+
+
+class ForcedEnd:
+    """Ends the process if the app hangs while it shuts down.
+
+    Args:
+        stop: called first; closes what must not stay open.
+    """
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self._stop = stop
+        self._timer: threading.Timer | None = None
+
+    def begin(self) -> None:
+        """The app shuts down: it has `ENDS_WITHIN`, from the first call on."""
+        if self._timer is None:
+            self._timer = threading.Timer(ENDS_WITHIN, self._end)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def cancel(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _end(self) -> None:
+        self._stop()
+        os._exit(_FAILURE)
 
 
 def shut_down_on_signals(shut_down: Callable[[ShutdownReason], None]) -> None:

@@ -159,8 +159,8 @@ class Form(VerticalScroll, can_focus=False):
 
     @property
     def values(self) -> dict[str, str]:
-        """The values of the visible fields, by their keys."""
-        return {key: field.value for key, field in self.fields.items() if field.display}
+        """The values of the fields that are not hidden, by their keys; also while the app ends, which displays none."""
+        return {key: field.value for key, field in self.fields.items() if field.styles.display != "none"}
 
     def show_problems(self, problems: Mapping[str, str]) -> None:
         """Show what is wrong now: with a field beneath it, else beneath the form.

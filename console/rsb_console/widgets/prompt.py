@@ -51,10 +51,6 @@ class Prompt(Horizontal):
         self.query_one("#problem", Static).update("")
         self.screen.set_focus(field)
 
-    def type(self, character: str) -> None:
-        """Add what was typed ahead."""
-        self.query_one(Input).insert_text_at_cursor(character)
-
     def on_input_changed(self, event: Input.Changed) -> None:
         """Filter by what stands there now."""
         event.stop()

@@ -1,0 +1,123 @@
+"""Gives keys, pastes and clicks to the app one at a time, each after all that the one before it has set off.
+
+Textual hands a key from widget to widget through their message queues, and runs its binding only once the key has come
+back to the app. By then the next keys of the same burst have gone to the widget that had the focus before: they are
+lost, or overtake one another. A slow line delivers such bursts, and so does a busy machine.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakKeyDictionary, WeakSet
+
+from textual import events
+from textual.command import CommandPalette
+from textual.worker import Worker, get_current_worker
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    from textual.app import App
+    from textual.message import Message
+    from textual.message_pump import MessagePump
+    from textual.screen import Screen
+
+DIALOG: Final = "dialog"
+"""Group of the workers of a screen that may open a dialog."""
+PATIENCE = 5.0  # s; input waits no longer for what the input before it has set off
+_LOOK_EVERY = 0.005  # s
+
+
+class InputQueue:
+    """Holds input back while the app has not finished with the input before it.
+
+    The app has finished when the widgets of its top screen have no message left, and no worker is about to open a
+    dialog. A worker that waits for an open dialog's answer holds nothing back: the input is for that dialog.
+
+    Args:
+        app: whose input it is.
+        groups: of the workers that may open a dialog, besides `DIALOG`.
+    """
+
+    def __init__(self, app: App[Any], groups: Collection[str]) -> None:
+        self._app = app
+        self._groups = {DIALOG, CommandPalette._GATHER_COMMANDS_GROUP, *groups}
+        self._waiting: deque[Message] = deque()
+        self._next: Message | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._dialogs: WeakKeyDictionary[Worker[Any], Screen[Any]] = WeakKeyDictionary()
+        self._abandoned: WeakSet[Worker[Any]] = WeakSet()
+        """Workers that input no longer waits for."""
+
+    def takes(self, event: Message) -> bool:
+        """Whether the queue takes an event of the app, which comes to the app again when it is the event's turn."""
+        if event.is_forwarded or not isinstance(event, events.InputEvent | events.Paste):
+            return False
+        if isinstance(event, events.MouseMove):
+            return False
+        if event is self._next:
+            self._next = None
+            return False
+        if self._task is None and self._app._pending_message is None and self._has_settled():
+            return False
+        self._waiting.append(event)
+        if self._task is None:
+            self._task = asyncio.create_task(self._deliver())
+        return True
+
+    def waits_for(self, dialog: Screen[Any]) -> None:
+        """The current worker waits for the answer of `dialog`."""
+        self._dialogs[get_current_worker()] = dialog
+
+    async def _deliver(self) -> None:
+        try:
+            while self._waiting:
+                await self._settle()
+                self._next = self._waiting.popleft()
+                if not self._app.post_message(self._next):
+                    return
+        finally:
+            self._task = None
+
+    async def _settle(self) -> None:
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + PATIENCE
+        while not (_is_idle(self._app) and self._has_settled()):
+            if clock() > deadline:
+                self._abandoned.update(self._opening())
+                return
+            await asyncio.sleep(_LOOK_EVERY)
+
+    def _has_settled(self) -> bool:
+        """Whether the app, but for the message that it handles now, has finished."""
+        app = self._app
+        if not app._message_queue.empty():
+            return False
+        if not app.screen_stack:
+            return True
+        screen = app.screen
+        return (
+            _is_idle(screen)
+            and all(_is_idle(widget) for widget in screen.walk_children())
+            and next(self._opening(), None) is None
+        )
+
+    def _opening(self) -> Iterator[Worker[Any]]:
+        """The workers that may open a dialog before they do anything else that concerns input."""
+        shown = self._app.screen_stack
+        return (
+            worker
+            for worker in self._app.workers
+            if worker.group in self._groups
+            and not worker.is_finished
+            and worker not in self._abandoned
+            and self._dialogs.get(worker) not in shown
+        )
+
+
+def _is_idle(pump: MessagePump) -> bool:
+    """Whether a message pump waits for its next message."""
+    ready: asyncio.Event = pump._message_queue.ready_event
+    return bool(ready._waiters) and not ready.is_set()

@@ -1,0 +1,11 @@
+"""The console in a real terminal, on an engine that plays a script: ``python -m tests.console.scripted_console``."""
+
+import sys
+from pathlib import Path
+
+from tests.console.driving import scripted_app
+from tests.console.scripted import SESSION
+
+if __name__ == "__main__":
+    options = {"session": None, "path": None} if "--empty" in sys.argv else {"session": SESSION}
+    scripted_app(**{"path": Path("nav2.yaml"), **options}).run()

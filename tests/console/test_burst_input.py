@@ -1,0 +1,135 @@
+"""Input that arrives in one read, as a slow line delivers it: every key has the effect that it has alone."""
+
+import os
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from tests.console.driving import drive, engine_of, form_of, on_main, scripted_app, shown, until
+from tests.console.scripted import SESSION
+from tests.console.tmux import Tmux
+from textual.app import App
+from textual.events import Key
+from textual.keys import _character_to_key
+from textual.pilot import Pilot
+
+from rsb_bridge.config.session_file import save
+from rsb_console.app import ConsoleApp
+from rsb_console.terminal.driver import KeyParser
+from rsb_console.widgets.field_input import FieldInput
+
+SENTENCE = "the quick brown fox jumps over y n q/the lazy dog 0123456789"
+CONTROL = {"\t": "tab", "\r": "enter", "\x1b": "escape", "\x7f": "backspace"}
+FORMS = {  # the keys that open each form, and words in it
+    "Add a topic": ("a", "Direction"),
+    "Edit": ("e", "Direction"),
+    "Sessions": ("o", "↑ ↓ and ⏎"),
+    "Save as": ("W", "Key files are relative"),
+    "New session": (["f2"], "Encryption"),
+    "Import": (["f3"], "Session file"),
+    "Generate a key": ("Kg", "Generate a key"),
+}
+
+
+def burst(app: App[None], keys: Sequence[str]) -> None:
+    """Type all keys before the app looks at the first."""
+    assert app._driver is not None
+    for key in keys:
+        named = CONTROL.get(key) or (key if len(key) > 1 else _character_to_key(key))
+        app._driver.send_message(Key(named, key if len(key) == 1 else None))
+
+
+def opened(words: str, keys: Sequence[str]) -> tuple[list[str], dict[str, int]]:
+    """The text fields of a form, and how many tabs lead to each."""
+    places: dict[str, int] = {}
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press(*keys)
+        await shown(pilot, words)
+        fields = form_of(app).fields
+        focusable = list(app.screen.focus_chain)
+        assert app.focused is not None
+        start = focusable.index(app.focused)
+        for key, field in fields.items():
+            if isinstance(field.control, FieldInput) and field.display:
+                places[key] = focusable.index(field.control) - start
+
+    drive(app, steps)
+    return list(places), places
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("form", FORMS)
+def test_a_sentence_typed_behind_the_key_that_opens_the_form_stands_in_each_field(form: str) -> None:
+    keys, words = FORMS[form]
+    names, places = opened(words, keys)
+    assert names
+    for name in names:
+        app = scripted_app()
+
+        async def steps(pilot: Pilot[None], app: ConsoleApp = app, name: str = name) -> None:
+            await shown(pilot, "/robot2/scan")
+            # The first backspace ends the selection: a field that is edited begins with its value's end.
+            tail = ["home", *"\x7f", *SENTENCE, "X", "left", "delete", "home", ">", "end", "<"]
+            burst(app, [*keys, *["tab"] * places[name], "ctrl+u", *tail])
+            await shown(pilot, words)
+            control = form_of(app).fields[name].control
+            await until(pilot, lambda: control.value.endswith("<"), f"the sentence in {name}")
+            assert control.value == f">{SENTENCE}<"
+
+        drive(app, steps)
+
+
+@on_main()
+async def test_a_filter_and_what_follows_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    burst(app, "/odmo\x7f\x7fom\rjeX")
+    await shown(pilot, "Edit /robot1/odom")
+    await until(pilot, lambda: "X" in form_of(app).values.values(), "the key behind e")
+    burst(app, "\x1b\x1b/robot2\rl/no route\r")
+    await until(pilot, lambda: not app.main.prompt.display and app.main.log_pane.pattern, "both filters")
+    texts = [pattern and pattern.text for pattern in (app.main.topics.pattern, app.main.log_pane.pattern)]
+    assert texts == ["robot2", "no route"]
+
+
+@on_main()
+async def test_a_question_is_answered_by_the_key_behind_it(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    burst(app, "dn/tf\rdy")
+    engine = engine_of(app)
+    await until(pilot, lambda: engine.commands, "a command")
+    assert engine.commands == [("remove", "/tf")]
+
+
+@on_main()
+async def test_the_palette_runs_what_was_typed(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    burst(app, ":show every key\r")
+    await shown(pilot, "PgDn")
+
+
+def test_escape_and_a_key_in_one_read_are_two_keys() -> None:
+    parser = KeyParser()
+    keys = [event.key for event in parser.feed("\x1b/a\x1b\x1bj\x1b[A\x1bOP\x1b") if isinstance(event, Key)]
+    assert keys == ["escape", "slash", "a", "escape", "escape", "j", "up", "f1"]
+
+
+@pytest.mark.usefixtures("folder")
+def test_in_tmux_whole_sentences_with_the_key_that_opens_the_form(tmp_path: Path) -> None:
+    save(SESSION, Path("nav2.yaml"))
+    command = shlex.join([sys.executable, "-m", "tests.console.scripted_console"])
+    path = os.pathsep.join(p for p in sys.path if p)
+    with Tmux(tmp_path, "env", f"PYTHONPATH={path}", "sh", "-c", f"exec {command}") as tmux:
+        tmux.wait_for("/robot2/scan")
+        tmux("send-keys", "-l", f"a{SENTENCE}\t\tlaser scan of \t20 \t/there it is")
+        picture = tmux.wait_for("/there it is")
+        for words in (SENTENCE, "laser scan of", "20", "/there it is"):
+            assert words in picture
+        tmux("send-keys", "-l", f"\x1b\x1b/{SENTENCE}")
+        picture = tmux.wait_for(f"/{SENTENCE} ")
+        assert "Direction" not in picture
+        tmux("send-keys", "-l", f"\x1bl/{SENTENCE}\rW\x15{SENTENCE}")
+        picture = tmux.wait_for("Key files are relative")
+        tmux.wait_for(f"File           {SENTENCE}")
+        tmux("send-keys", "-l", "\x1bqy")
