@@ -64,6 +64,14 @@ def test_events_are_lines_of_json(tmp_path: Path) -> None:
     assert (tmp_path / "rsb-console" / "robot1.jsonl").stat().st_mode & 0o777 == 0o600
 
 
+def test_a_fault_says_its_cause(tmp_path: Path) -> None:
+    file = EventFile(tmp_path / "robot1.jsonl")
+    fault = Event(0, 1.0, Level.WARNING, "route.fault", "/scan: slow", "robot1", "/scan", cause="slow")
+    file.write([fault])
+    file.close()
+    assert list(event_file.read(tmp_path / "robot1.jsonl", 0.0)) == [fault]
+
+
 def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
     event = Event(1, 1.0, Level.INFO, "link.lost", "a\nb\x1b[31m\u202ec\u200fd" + "x" * 10_000, link="\x07evil")
     line = event_file.encode(event)

@@ -34,6 +34,7 @@ class _Line(msgspec.Struct, omit_defaults=True):
     who: str = ""
     old: str = ""
     new: str = ""
+    cause: str = ""
 
 
 _decoder = msgspec.json.Decoder(_Line)
@@ -117,7 +118,8 @@ def numbered(path: Path, number: int) -> Path:
 def encode(event: Event) -> bytes:
     """An event as one line."""
     text = sanitize_text(event.text, _TEXT_LENGTH)
-    names = (sanitize_text(each) for each in (event.link, event.topic, event.who, event.old, event.new))
+    fields = (event.link, event.topic, event.who, event.old, event.new, event.cause)
+    names = (sanitize_text(each) for each in fields)
     return msgspec.json.encode(_Line(event.time, event.level, event.code, event.source, text, *names)) + b"\n"
 
 
@@ -136,5 +138,5 @@ def read(path: Path, since: float) -> Iterator[Event]:
                     if found.time >= since:
                         yield Event(
                             0, found.time, found.level, found.code, found.text, found.link, found.topic, found.who,
-                            found.old, found.new,
+                            found.old, found.new, found.cause,
                         )  # fmt: skip
