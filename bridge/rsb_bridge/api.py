@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.reloaded import Reloaded
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
 
 
@@ -80,6 +80,18 @@ class EngineApi(Protocol):
 
     def remove_topic(self, key: str) -> Future[None]:
         """Stop bridging a topic, on both sides."""
+        ...
+
+    def add_client(self, client: Client) -> Future[None]:
+        """Let one more client in, on a server; its key file is read where the bridge runs."""
+        ...
+
+    def change_client(self, client: Client) -> Future[None]:
+        """Put another entry in the place of a server's client of that name; its key file is read again."""
+        ...
+
+    def remove_client(self, name: str) -> Future[None]:
+        """Let a server's client in no more, and end its link."""
         ...
 
     def pause(self, key: str, paused: bool) -> Future[None]:

@@ -11,8 +11,12 @@ import contextlib
 import logging
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.validation import validate
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.reloading import Step
@@ -31,10 +35,11 @@ from rsb_bridge.transport.transport import ListenError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.peek import PeekedMessage
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
@@ -219,6 +224,31 @@ class Bridge:
             code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
             self._did(code, "paused" if paused else "resumed", route, old=old, new=_pause_word(paused=paused))
 
+    async def add_client(self, client: Client, key: Key | None) -> None:
+        """Let one more client in, on a server."""
+        with self._command():
+            await self._change_clients(with_client(self.session, client), {client.name: key})
+
+    async def change_client(self, client: Client, key: Key | None) -> None:
+        """Put another entry in a client's place. What is proposed to it stays."""
+        with self._command():
+            topics = client_named(self.session, client.name).topics
+            changed = msgspec.structs.replace(client, topics=topics)
+            await self._change_clients(with_changed_client(self.session, changed), {client.name: key})
+
+    async def remove_client(self, name: str) -> None:
+        """Let a client in no more, and end its link."""
+        with self._command():
+            await self._change_clients(without_client(self.session, name), {})
+
+    async def _change_clients(self, session: Session, keys: Keys) -> None:
+        for problem in validate(session):
+            raise LinkError(str(problem))
+        async with self._reloading:
+            _, failed = await self._reload(session, {**self._role.keys, **keys}, EventCode.OPERATOR_CLIENTS)
+        if failed:
+            raise LinkError("; ".join(failed))
+
     async def retry(self, link: str = "") -> None:
         """Connect now, and open refused topics again."""
         with self._command():
@@ -260,11 +290,14 @@ class Bridge:
             async with self._reloading:
                 return await self._reload(session, keys)
 
-    async def _reload(self, session: Session, keys: Keys) -> tuple[list[str], list[str]]:
+    async def _reload(
+        self, session: Session, keys: Keys, code: EventCode = EventCode.OPERATOR_RELOADED
+    ) -> tuple[list[str], list[str]]:
         steps = self._steps_to(session, keys)
         self.context.session = session
         done: list[str] = []
         failed: list[str] = []
+        why = "reload: " if code is EventCode.OPERATOR_RELOADED else ""
 
         def take(step: Step) -> None:
             try:
@@ -272,11 +305,11 @@ class Bridge:
             except (LinkError, ListenError, RosError, ValueError) as error:
                 failed.append(f"{step.text}: {error}")
                 self.context.events.add(
-                    Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, f"reload: not done: {failed[-1]}", who=operator()
+                    Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, f"{why}not done: {failed[-1]}", who=operator()
                 )
             else:
                 done.append(step.text)
-                self.context.events.add(Level.INFO, EventCode.OPERATOR_RELOADED, f"reload: {step.text}", who=operator())
+                self.context.events.add(Level.INFO, code, f"{why}{step.text}", who=operator())
 
         await in_slices(steps, take)
         return done, failed

@@ -12,6 +12,8 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, TypeVar
 
+import msgspec
+
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.bridge import Bridge
 from rsb_bridge.config.difference import is_another, kept
@@ -21,7 +23,6 @@ from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.history.disk import Disk
 from rsb_bridge.history.recorder import Recorder
-from rsb_bridge.link.roles import Keys, clients_of
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
@@ -36,9 +37,11 @@ from rsb_bridge.transport.registry import Transports, default_transports
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
+    from rsb_bridge.config.keys import Key
+    from rsb_bridge.link.roles import Keys
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Client, Session, Topic
 
 _STOP_WITHIN = 5.0
 _ROS_STOPS_WITHIN = 1.0
@@ -213,6 +216,15 @@ class Engine(EngineApi):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._command(lambda bridge: bridge.pause(key, paused=paused))
 
+    def add_client(self, client: Client) -> Future[None]:
+        return self._command(lambda bridge: self._with_key(bridge.add_client, client))
+
+    def change_client(self, client: Client) -> Future[None]:
+        return self._command(lambda bridge: self._with_key(bridge.change_client, client))
+
+    def remove_client(self, name: str) -> Future[None]:
+        return self._command(lambda bridge: bridge.remove_client(name))
+
     def retry(self, link: str = "") -> Future[None]:
         return self._command(lambda bridge: bridge.retry(link))
 
@@ -287,6 +299,21 @@ class Engine(EngineApi):
             started.set_result(None)
             await bridge.run()
 
+    async def _with_key(
+        self, command: Callable[[Client, Key | None], Coroutine[None, None, None]], client: Client
+    ) -> None:
+        """Run a command about a client with what is in its key file now.
+
+        Raises:
+            EngineError: there is no key, or the command fails.
+        """
+        if self._session.role != "server":
+            raise EngineError("only a server has clients")
+        base = self._base if self._file is None else self._file.parent
+        keys = await asyncio.to_thread(_load_keys, msgspec.structs.replace(self._session, clients=(client,)), base)
+        self._warn_of(keys)
+        await command(client, keys[client.name])
+
     async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:
         who = operator()
         try:
@@ -337,7 +364,7 @@ def _load_keys(session: Session, base: Path) -> Keys:
     Raises:
         EngineError: there is none.
     """
-    clients = clients_of(session) if session.role == "server" else ()
+    clients = session.accepted_clients if session.role == "server" else ()
     files = {client.name: client.key_file or session.key_file for client in clients} or {session.name: session.key_file}
     if not session.use_encryption:
         return dict.fromkeys(files)

@@ -102,8 +102,8 @@ class ConsoleApp(App[None]):
         self.terminal = 1
         """File descriptor of the terminal."""
         console: Console = self
-        self.sessions = SessionOperations(console)
         bridge = BridgeOperations(console, lambda: self.main.selected)
+        self.sessions = SessionOperations(console, bridge.reload)
         self.main: MainScreen = MainScreen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
         self.attached_to = ""
         self._session = session

@@ -337,7 +337,7 @@ def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     [
         ("rsb-console ke", {"keygen"}),
         ("rsb-console run --lo", {"--log-format"}),
-        ("rsb-console c", {"check", "control.yaml", "configs/"}),
+        ("rsb-console c", {"check", "client", "control.yaml", "configs/"}),
         ("rsb-console check configs/", {"configs/a.yml"}),
         ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
         ("rsb-console control.yaml --log-format ", {"text", "json"}),

@@ -11,7 +11,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.history import HistoryReport, Outage, Track
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import (
     Event,
     Ledger,
@@ -219,6 +219,15 @@ class ScriptedEngine:
 
     def pause(self, key: str, paused: bool) -> "Future[None]":
         return self._done(None, "pause", key, paused)
+
+    def add_client(self, client: Client) -> "Future[None]":
+        return self._done(None, "add client", client)
+
+    def change_client(self, client: Client) -> "Future[None]":
+        return self._done(None, "change client", client)
+
+    def remove_client(self, name: str) -> "Future[None]":
+        return self._done(None, "remove client", name)
 
     def retry(self, link: str = "") -> "Future[None]":
         return self._done(None, "retry", link)

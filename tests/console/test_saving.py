@@ -141,7 +141,7 @@ def test_a_file_that_was_changed_on_disk_can_be_overwritten_with_its_new_comment
     drive(app, steps)
 
 
-def test_a_file_that_was_changed_on_disk_can_be_opened_instead(folder: Path) -> None:
+def test_a_file_that_was_changed_on_disk_can_be_reloaded(folder: Path) -> None:
     path = folder / "nav2.yaml"
     save(SESSION, path)
     app = scripted_app(path=path)
@@ -153,13 +153,29 @@ def test_a_file_that_was_changed_on_disk_can_be_opened_instead(folder: Path) -> 
         save(later, path)
         await pilot.press("w")
         await shown(pilot, "nav2.yaml was changed on disk")
-        await pilot.click("#open")
-        await shown(pilot, "Run nav2.yaml instead?")
+        await pilot.click("#reload")
+        await shown(pilot, "Reload the session file?")
         await pilot.press("y")
-        await until(pilot, lambda: app.engine is not None and app.engine.session == later, "the file's session")
+        await shown(pilot, "reloaded")
+        assert engine_of(app).commands == [("reload", True), ("reload", False)]
 
     drive(app, steps)
     assert load(path) == later
+
+
+def test_quitting_does_not_ask_for_what_somebody_else_has_saved(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    app = scripted_app(path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        save(changed(app, Topic("/new", "transmit")), path)
+        await pilot.press("q")
+        await shown(pilot, "Quit?")
+        assert "Not saved" not in text(app)
+
+    drive(app, steps)
 
 
 def test_the_difference_is_shown_before_it_is_written(folder: Path) -> None:

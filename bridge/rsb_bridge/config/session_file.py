@@ -23,6 +23,10 @@ class ChangedOnDiskError(SessionError):
     """The file was changed by somebody else since it was opened."""
 
 
+class UnwritableError(SessionError):
+    """The file cannot be written, whatever it is to say."""
+
+
 class UneditableError(SessionError):
     """A change cannot be put into the text of a file; the file can only be written anew, without its comments."""
 
@@ -132,7 +136,8 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
 
     Raises:
         ChangedOnDiskError: the file was changed on disk since it was opened.
-        SessionError: the session has mistakes, or it could not be written. The old file is as it was.
+        UnwritableError: it cannot be written.
+        SessionError: the session has mistakes. In all cases the old file is as it was.
     """
     text = edited_text(session, path, opened)
     if opened is not None and opened.is_at(path):
@@ -143,7 +148,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
             replace_file(backup_path(path), path.read_bytes(), like=path)
         replace_file(path, text.encode(), like=path)
     except OSError as error:
-        raise SessionError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
+        raise UnwritableError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
     return SessionFile(path, text, session)
 
 

@@ -16,7 +16,9 @@ from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.folders import ControlError, NotServedError, try_connect
 from rsb_bridge.control.protocol import (
+    AddClient,
     AddTopic,
+    ChangeClient,
     Describe,
     EditTopic,
     Events,
@@ -31,6 +33,7 @@ from rsb_bridge.control.protocol import (
     ProtocolError,
     Refused,
     Reload,
+    RemoveClient,
     RemoveTopic,
     Reply,
     Request,
@@ -57,7 +60,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Client, Session, Topic
 
 T = TypeVar("T")
 ANSWERS_WITHIN = 5.0
@@ -184,6 +187,15 @@ class RemoteEngine(EngineApi):
 
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._request(Pause(key, paused), _nothing)
+
+    def add_client(self, client: Client) -> Future[None]:
+        return self._request(AddClient(client), _nothing)
+
+    def change_client(self, client: Client) -> Future[None]:
+        return self._request(ChangeClient(client), _nothing)
+
+    def remove_client(self, name: str) -> Future[None]:
+        return self._request(RemoveClient(name), _nothing)
 
     def retry(self, link: str = "") -> Future[None]:
         return self._request(Retry(link), _nothing)

@@ -15,7 +15,7 @@ import msgspec
 from rsb_bridge.model.history import HistoryReport  # noqa: TC001
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.session import Session, Topic  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.session import Client, Session, Topic  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
 
 if TYPE_CHECKING:
@@ -147,6 +147,24 @@ class Pause(_Message, frozen=True, tag="pause"):
     paused: bool
 
 
+class AddClient(_Message, frozen=True, tag="add_client"):
+    """See `AddTopic`."""
+
+    client: Client
+
+
+class ChangeClient(_Message, frozen=True, tag="change_client"):
+    """See `AddTopic`."""
+
+    client: Client
+
+
+class RemoveClient(_Message, frozen=True, tag="remove_client"):
+    """See `AddTopic`."""
+
+    name: str
+
+
 class Retry(_Message, frozen=True, tag="retry"):
     """See `AddTopic`."""
 
@@ -201,6 +219,9 @@ Command: TypeAlias = (
     | EditTopic
     | RemoveTopic
     | Pause
+    | AddClient
+    | ChangeClient
+    | RemoveClient
     | Retry
     | ShutDown
     | Restart
@@ -337,7 +358,10 @@ class Goodbye(_Message, frozen=True, tag="goodbye"):
 
 ToConsole: TypeAlias = Welcome | Refused | State | Events | Step | Reply | Failed | Goodbye
 
-CHANGING = (AddTopic, EditTopic, RemoveTopic, Pause, Retry, ShutDown, Restart, Reload, Stop)
+CHANGING = (
+    AddTopic, EditTopic, RemoveTopic, Pause, AddClient, ChangeClient, RemoveClient,
+    Retry, ShutDown, Restart, Reload, Stop,
+)  # fmt: skip
 """The commands that are refused to those who only watch."""
 
 _encoder = msgspec.msgpack.Encoder()

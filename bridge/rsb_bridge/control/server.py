@@ -11,7 +11,9 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.folders import is_trusted, name_of_peer
 from rsb_bridge.control.protocol import (
+    AddClient,
     AddTopic,
+    ChangeClient,
     Describe,
     EditTopic,
     Events,
@@ -26,6 +28,7 @@ from rsb_bridge.control.protocol import (
     ProtocolError,
     Refused,
     Reload,
+    RemoveClient,
     RemoveTopic,
     Reply,
     Request,
@@ -313,6 +316,12 @@ class _Console:
                 await _done(engine.remove_topic(command.key))
             case Pause():
                 await _done(engine.pause(command.key, command.paused))
+            case AddClient():
+                await _done(engine.add_client(command.client))
+            case ChangeClient():
+                await _done(engine.change_client(command.client))
+            case RemoveClient():
+                await _done(engine.remove_client(command.name))
             case Retry():
                 await _done(engine.retry(command.link))
             case ShutDown():

@@ -18,7 +18,6 @@ from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server import Entry, Server, ServerLink
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
@@ -28,6 +27,7 @@ from rsb_bridge.wire.sealing import Suite
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.route.route import Route
 
 _RESTART_WITHIN = 5.0
@@ -56,6 +56,11 @@ class BridgeRole(Protocol):
     @property
     def session(self) -> Session:
         """The session as operators have left it: with what this side proposes now. From any thread."""
+        ...
+
+    @property
+    def keys(self) -> Keys:
+        """Of each link."""
         ...
 
     def links(self) -> list[Link]:
@@ -87,15 +92,10 @@ class BridgeRole(Protocol):
         ...
 
 
-def clients_of(session: Session) -> tuple[Client, ...]:
-    """The clients that a server accepts."""
-    return session.clients or (Client(name=session.name),)
-
-
 def _entries(session: Session, keys: Keys) -> list[Entry]:
     return [
         Entry(client, keys[client.name], session.use_name if client.use_name is None else client.use_name)
-        for client in clients_of(session)
+        for client in session.accepted_clients
     ]
 
 
@@ -122,6 +122,10 @@ class ClientRole:
     @property
     def session(self) -> Session:
         return msgspec.structs.replace(self._context.session, topics=self._link.proposed_topics)
+
+    @property
+    def keys(self) -> Keys:
+        return {self._link.name: self._link.key}
 
     def links(self) -> list[Link]:
         return [self._link]
@@ -199,6 +203,10 @@ class ServerRole:
         if not session.clients and not any(client.topics for client in clients):
             return session
         return msgspec.structs.replace(session, clients=clients)
+
+    @property
+    def keys(self) -> Keys:
+        return {name: entry.key for name, entry in self._server.entries.items()}
 
     def links(self) -> list[Link]:
         return list(self._server.links.values())

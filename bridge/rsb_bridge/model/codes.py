@@ -38,6 +38,8 @@ class EventCode(StrEnum):
     OPERATOR_RESTARTED = "operator.restarted"
     OPERATOR_RELOADED = "operator.reloaded"
     """The session file was read again; one event says who had it read, and one each what has changed."""
+    OPERATOR_CLIENTS = "operator.clients"
+    """A client was added, changed or removed on a server that runs."""
     OPERATOR_STOPPED = "operator.stopped"
     ENGINE_CLOCK_SET = "engine.clock_set"
     """The wall clock jumped by more than 2 s."""

@@ -143,6 +143,11 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         return is_mac(self.server_ip)
 
     @property
+    def accepted_clients(self) -> tuple[Client, ...]:
+        """The clients that a server lets in."""
+        return self.clients or (Client(self.name),)
+
+    @property
     def adapter(self) -> str | None:
         """MAC of the server's Bluetooth adapter; None: the session does not use one."""
         return self.server_ip if self.is_bluetooth else self.bluetooth_address

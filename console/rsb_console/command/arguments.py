@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console.command import commands
-from rsb_console.command.remote_arguments import add_remote_commands
+from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands
 from rsb_console.command.shell import print_line
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop after N s")
     _service_arguments(command("service", commands.service, "run a session as a service of systemd"))
     add_remote_commands(command, _complete, commands.attach, _console_options)
+    add_client_commands(command, _complete)
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
 
-_ANSWERED_WITHIN = 60.0
+ANSWERED_WITHIN = 60.0
 _LOOK_EVERY = 0.1
 _EVENTS_WITHIN = 10.0
 
@@ -74,7 +74,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
     except EngineError as error:
         return _failed(arguments, str(error), FAILURE)
     except TimeoutError:
-        return _failed(arguments, f"the bridge has not answered for {_ANSWERED_WITHIN:.0f} s", FAILURE)
+        return _failed(arguments, f"the bridge has not answered for {ANSWERED_WITHIN:.0f} s", FAILURE)
 
 
 def _failed(arguments: Namespace, message: str, code: int) -> int:
@@ -181,10 +181,10 @@ def _topics(arguments: Namespace) -> int:
 
 
 def _available(engine: RemoteEngine, arguments: Namespace) -> int:
-    sides: dict[str, list[TopicInfo]] = {"": engine.topics().result(_ANSWERED_WITHIN)}
+    sides: dict[str, list[TopicInfo]] = {"": engine.topics().result(ANSWERED_WITHIN)}
     for link in engine.snapshot().links:
         if link.state is State.OK:
-            sides[link.name] = engine.topics(link.name).result(_ANSWERED_WITHIN)
+            sides[link.name] = engine.topics(link.name).result(ANSWERED_WITHIN)
     found = [
         {"side": side or "here", "topic": info.topic, "type": info.type_name, "publishers": info.publishers,
          "subscriptions": info.subscriptions}
@@ -331,7 +331,7 @@ def _reload(arguments: Namespace) -> int:
 def _stop(arguments: Namespace) -> int:
     with _attached(arguments) as engine:
         _result(engine.stop_bridge())
-        deadline = time.monotonic() + _ANSWERED_WITHIN
+        deadline = time.monotonic() + ANSWERED_WITHIN
         while not engine.unreachable:
             if time.monotonic() > deadline:
                 raise TimeoutError
@@ -340,7 +340,7 @@ def _stop(arguments: Namespace) -> int:
 
 
 def _result(future: Future[T]) -> T:
-    return future.result(_ANSWERED_WITHIN)
+    return future.result(ANSWERED_WITHIN)
 
 
 def _done(arguments: Namespace, **results: object) -> int:

@@ -94,11 +94,47 @@ def add_remote_commands(
     remote("stop", "end a running bridge", bridge_first=True)
 
 
-def _lazily(name: str) -> Callable[[argparse.Namespace], int]:
+def add_client_commands(command: AddCommand, complete: Complete) -> None:
+    """Add `client` and its own commands; the arguments are those of `add_remote_commands`."""
+    parent = command("client", _lazily("list", "client"), "add, remove, list and rekey a server's clients")
+    commands = parent.add_subparsers(metavar="COMMAND", required=True)
+
+    def client(name: str, summary: str, *, named: bool = True, hands_out: bool = False) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=summary, description=f"{summary}.")
+        parser.set_defaults(command=_lazily(name, "client"), saves=name != "show")
+        if named:
+            parser.add_argument("name", metavar="NAME", help="the client's")
+        which = "the server's file; default: that of the bridge that runs here"
+        complete(parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=which), "yaml_files")
+        complete(parser.add_argument("--bridge", metavar="BRIDGE", help="where several bridges run"), "bridge_names")
+        parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket")
+        parser.add_argument("--json", action="store_true", help="for programs")
+        if hands_out:
+            parser.add_argument(
+                "--address", default="", metavar="ADDRESS", help="the server's, as the client reaches it"
+            )
+            output = "for the client's session file; default: standard output"
+            parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=output)
+        return parser
+
+    add = client("add", "let one more client in: make its key, and print its session file", hands_out=True)
+    add.add_argument("--key-file", metavar="PATH", help="its key, made if there is none; default: NAME.key")
+    prefix = add.add_mutually_exclusive_group()
+    prefix.add_argument("--prefix", dest="use_name", action="store_true", default=None, help="NAME before its topics")
+    prefix.add_argument("--no-prefix", dest="use_name", action="store_false", default=None, help="no NAME before them")
+    add.add_argument("--allow", action="append", default=[], metavar="PATTERN", help="of topics; may be repeated")
+    add.add_argument("--deny", action="append", default=[], metavar="PATTERN", help="of topics; may be repeated")
+    client("remove", "let a client in no more; its key file stays")
+    client("list", "list the clients, with the fingerprints of their keys", named=False)
+    client("rekey", "make a new key for a client, and print its session file", hands_out=True)
+    client("show", "print a client's session file again", hands_out=True)
+
+
+def _lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], int]:
     """Import what the command needs only when it is run."""
 
     def run(arguments: argparse.Namespace) -> int:
-        code: int = import_module("rsb_console.command.remote").run(name, arguments)
+        code: int = import_module(f"rsb_console.command.{module}").run(name, arguments)
         return code
 
     return run

@@ -12,6 +12,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.folders import SUFFIX
 
 if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.session import Session
     from rsb_console.console import Console
@@ -22,10 +24,12 @@ class SessionOperations:
 
     Args:
         console: the app.
+        reload: has the bridge do what its session file says now, after a question.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, reload: Callable[[], Awaitable[None]]) -> None:
         self._console = console
+        self._reload = reload
 
     async def confirm_end(self, title: str, yes: str) -> bool:
         """Whether the session may end: asks while it is linked, or has changes that are not saved.
@@ -35,16 +39,16 @@ class SessionOperations:
             yes: the label of the button that ends it.
         """
         from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
-        from rsb_console.session.saving import unsaved  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.saving import file_of, unsaved  # noqa: PLC0415 -- keeps the start short
 
-        engine, saved, reasons = self._console.engine, self._console.saved, []
+        engine, saved, path, reasons = self._console.engine, self._console.saved, self._console.path, []
         if self._console.attached_to:
             reasons.append(f"The bridge {self._console.attached_to} goes on; only this console leaves it.")
         elif self._console.linked:
             reasons.append("The bridge stops: no topic crosses any more.")
         if engine is not None and saved is not None:
             changes = unsaved(saved, engine.session)
-            if changes:
+            if changes and (path is None or file_of(path, engine.session) is None):
                 reasons.append(f"Not saved (w saves): {changes}.")
         if not reasons:
             return True
@@ -187,8 +191,8 @@ class SessionOperations:
         if opened is not None and opened.is_at(path) and is_changed(opened):
             if file_of(path, session) is None:
                 match await self._console.ask(ChangedScreen(path)):
-                    case "open":
-                        await self._open(path)
+                    case "reload":
+                        await self._reload()
                         return
                     case "save_as":
                         await self.save_as()

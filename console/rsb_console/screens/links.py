@@ -136,6 +136,8 @@ class LinksScreen(ModalScreen[None]):
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
         Binding("r", "retry", show=False),
+        Binding("a", "add_client", show=False),
+        Binding("d", "remove_client", show=False),
     ]
 
     def __init__(self, console: Console) -> None:
@@ -149,7 +151,9 @@ class LinksScreen(ModalScreen[None]):
             dialog.border_title = "Links"
             yield self.table
             yield self.detail
-            yield Static("esc close" if self.console.readonly else "r try again now   esc close", classes="hint keys")
+            clients = "a add a client   d remove it   " if self._is_server else ""
+            keys = "" if self.console.readonly else f"{clients}r try again now   "
+            yield Static(f"{keys}esc close", classes="hint keys")
 
     def on_mount(self) -> None:
         self.set_interval(1 / self.console.refresh_rate, self.show)
@@ -170,3 +174,27 @@ class LinksScreen(ModalScreen[None]):
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly:
             await self.console.command(engine.retry(link.name), f"{link.name}: trying again")
+
+    @property
+    def _is_server(self) -> bool:
+        return self.console.snapshot().role == "server"
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Disable what only a server has, and what changes something while read-only (Textual's)."""
+        if action in ("add_client", "remove_client"):
+            return self._is_server and not self.console.readonly
+        return super().check_action(action, parameters)
+
+    @work
+    async def action_add_client(self) -> None:
+        from rsb_console.screens.clients import add_client  # noqa: PLC0415 -- seldom needed
+
+        await add_client(self.console)
+
+    @work
+    async def action_remove_client(self) -> None:
+        from rsb_console.screens.clients import remove_client  # noqa: PLC0415 -- seldom needed
+
+        link = self.table.selected
+        if link is not None:
+            await remove_client(self.console, link.name)

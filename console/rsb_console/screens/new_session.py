@@ -9,11 +9,13 @@ from textual.widgets import Button, Input
 
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
-from rsb_bridge.config.session_file import validate
+from rsb_bridge.config.session_file import SessionFile, validate
 from rsb_bridge.model.limits import CHANNEL, SAFE_DOMAIN
-from rsb_bridge.model.session import Session
+from rsb_bridge.model.session import Client, Session
+from rsb_console.screens.clients import HandoutScreen, words
 from rsb_console.screens.form import FormScreen
 from rsb_console.screens.saving import save_asking
+from rsb_console.session.clients import handed_out, key_file_name
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec
@@ -38,6 +40,8 @@ FIELDS = (
          blank="$ROS_DOMAIN_ID"),
     Spec("use_name", "Prefix", "On the server, the client's topics have its name as a prefix: /robot1/scan. The "
          "same on both sides.", options=tuple(reversed(YES_NO))),
+    Spec("clients", "Clients", "The robots that the server lets in: robot1, robot2. Each gets a key of its own. Empty: "
+         "one client, with the server's name and key.", blank="one, of the server's name"),
     Spec("use_encryption", "Encryption", "Without it everything crosses in the clear, and anyone may connect.",
          options=YES_NO),
     Spec("key_file", "Key file", "Beside the session file, or a path. It is made on one side and copied to the other.",
@@ -81,14 +85,23 @@ class NewSessionScreen(FormScreen[NewSession]):
             control = self._fields[key].control
             assert isinstance(control, Input)
             control.placeholder = f"{name}.{suffix}" if name else ""
-        self._fields["key_file"].display = encrypted
+        self._fields["clients"].display = values["role"] == "server"
+        self._fields["key_file"].display = encrypted and not self.result(self.form.values).session.clients
         super().check()
-        about_key = self._about_key(self.result(self.form.values)) if encrypted and name else ""
-        self._fields["key_file"].note.set_text(about_key)
+        new = self.result(self.form.values)
+        fleet = bool(new.session.clients)
+        about_key = self._about_keys(new) if encrypted and name else ""
+        self._fields["key_file"].note.set_text("" if fleet else about_key)
+        self._fields["clients"].note.set_text(about_key if fleet else "")
 
-    def _about_key(self, new: NewSession) -> str:
-        """What will become of the key."""
-        path = _key_path(new)
+    def _about_keys(self, new: NewSession) -> str:
+        """What will become of the keys."""
+        about = ((path.name, self._about_key(path)) for path in _key_paths(new))
+        if not new.session.clients:
+            return next(text for _, text in about)
+        return "\n".join(f"{name} {text}" for name, text in about if text)
+
+    def _about_key(self, path: Path) -> str:
         if path_problem(str(path)):
             return ""
         if not path.exists():
@@ -103,7 +116,11 @@ class NewSessionScreen(FormScreen[NewSession]):
         new = self.result(values)
         problems: dict[str, str] = {}
         for problem in validate(new.session):
-            problems.setdefault(problem.location, problem.message)
+            location = "clients" if problem.location.startswith("clients[") else problem.location
+            problems.setdefault(location, problem.message)
+        names = [client.name for client in new.session.clients]
+        if len(set(names)) < len(names):
+            problems["clients"] = f"{next(each for each in names if names.count(each) > 1)} is there twice"
         if not values["name"]:
             problems["name"] = "missing: give one"
         if not values["server_ip"]:
@@ -112,40 +129,48 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems |= _at("path", path_problem(str(new.path)))
         else:
             problems["path"] = "missing: name the file"
-        if new.session.use_encryption and "key_file" not in problems and "name" not in problems:
-            problems |= _at("key_file", _key_problem(_key_path(new)))
+        if not {"key_file", "name", "clients"} & problems.keys():
+            for path in _key_paths(new):
+                problems |= _at("clients" if new.session.clients else "key_file", _key_problem(path))
         return problems
 
     def result(self, values: Mapping[str, str]) -> NewSession:
         """The session; not to be used while there are problems."""
         name = values["name"]
+        encrypted = values["use_encryption"] == "yes"
+        names = words(values.get("clients", "")) if values["role"] == "server" else ()
         data = {key: number(values[key]) for key in NUMBERS if values[key]}
         session = Session(
             name=name,
             role="server" if values["role"] == "server" else "client",
             server_ip=values["server_ip"],
             use_name=values["use_name"] == "yes",
-            use_encryption=values["use_encryption"] == "yes",
-            key_file=values.get("key_file") or f"{name}.key" if values["use_encryption"] == "yes" else None,
+            use_encryption=encrypted,
+            key_file=values.get("key_file") or f"{name}.key" if encrypted and not names else None,
+            clients=tuple(Client(each, key_file_name(each) if encrypted else None) for each in names),
             **({"server_port": 0} | data),  # type: ignore[arg-type]  # what is no number is the rules' to refuse
         )
         return NewSession(session, typed_path(values["path"] or f"{name}.yaml"))
 
     @work(group=DIALOG)
     async def accept(self, result: NewSession) -> None:
-        """Make the key if there is none, then write the file; ask before one is overwritten."""
+        """Write the file, and make the keys that there are not; ask before a file is overwritten."""
         if not await save_asking(self.console, result.session, result.path):
             return
-        if result.session.use_encryption and not _key_path(result).exists():
+        for path in _key_paths(result):
+            if path.exists():
+                continue
             try:
-                key = write_key(_key_path(result))
+                key = write_key(path)
             except KeyFileError as error:
-                self.form.show_problems({"key_file": str(error)})
+                self.form.show_problems({"clients" if result.session.clients else "key_file": str(error)})
                 return
-            self.notify(
-                f"{_key_path(result)}: fingerprint {fingerprint(key)}. Copy it to the other side.",
-                title="A new key", markup=False, timeout=15,
-            )  # fmt: skip
+            if not result.session.clients:
+                message = f"{path}: fingerprint {fingerprint(key)}. Copy it to the other side."
+                self.notify(message, title="A new key", markup=False, timeout=15)
+        if result.session.clients:
+            handed = handed_out(SessionFile(result.path, "", result.session))
+            await self.console.ask(HandoutScreen("What the clients need", handed))
         self.dismiss(result)
 
     def press(self, button: str) -> None:
@@ -173,9 +198,10 @@ def number(text: str) -> int | str:
     return int(text) if text.isdecimal() else text
 
 
-def _key_path(new: NewSession) -> Path:
-    assert new.session.key_file is not None
-    return key_path(new.path.parent, new.session.key_file)
+def _key_paths(new: NewSession) -> list[Path]:
+    """Where the keys are, or are to be."""
+    names = [client.key_file for client in new.session.clients] or [new.session.key_file]
+    return [key_path(new.path.parent, name) for name in names if name is not None]
 
 
 def _key_problem(path: Path) -> str:

@@ -161,7 +161,7 @@ class DiffScreen(ConfirmScreen):
         self._diff.scroll_relative(y=lines, animate=False)
 
 
-ChangedAnswer = Literal["open", "overwrite", "save_as", ""]
+ChangedAnswer = Literal["reload", "overwrite", "save_as", ""]
 
 
 class ChangedScreen(ModalScreen[ChangedAnswer]):
@@ -188,19 +188,20 @@ class ChangedScreen(ModalScreen[ChangedAnswer]):
             dialog.border_title = f"{self._path.name} was changed on disk"
             yield Static(
                 "Somebody else has changed the file since it was opened here.\n"
-                "Open it: the session begins anew with what the file says; what was changed here is lost.\n"
-                "Overwrite: the file says what runs here; the difference is shown first.\n"
-                "Save as: under another name; the file stays as it is.",
+                "Reload: the bridge does what the file says; what was changed here and not saved is lost.\n"
+                "Overwrite: the file says what the bridge does here.\n"
+                "Save as: under another name; the file stays as it is.\n"
+                "Before a reload or an overwrite, the difference is shown.",
                 markup=False,
             )
             with Horizontal(classes="buttons"):
-                yield Button("Open it", id="open", compact=True)
+                yield Button("Reload…", id="reload", compact=True)
                 yield Button("Overwrite…", id="overwrite", variant="error", compact=True)
                 yield Button("Save as…", id="save_as", compact=True)
                 yield Button("Cancel", id="cancel", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
         answers: dict[str | None, ChangedAnswer] = {
-            "open": "open", "overwrite": "overwrite", "save_as": "save_as",
+            "reload": "reload", "overwrite": "overwrite", "save_as": "save_as",
         }  # fmt: skip
         self.dismiss(answers.get(event.button.id, ""))

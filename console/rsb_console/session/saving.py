@@ -13,7 +13,6 @@ import msgspec
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, load_file, read_text, same
-from rsb_bridge.model.session import Client
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,10 +37,7 @@ def _parts(session: Session) -> dict[tuple[str, str], object]:
         (name, ""): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
     }
     parts |= {(topic.topic, topic.direction): topic for topic in session.topics}
-    clients = session.clients
-    if session.role == "server" and not clients:
-        clients = (Client(session.name),)
-    for client in clients:
+    for client in session.accepted_clients if session.role == "server" else ():
         parts[f"client {client.name}", ""] = msgspec.structs.replace(client, topics=())
         parts |= {(f"{topic.topic} for {client.name}", topic.direction): topic for topic in client.topics}
     return parts

@@ -1,0 +1,72 @@
+"""The clients of a server's session: one more, another in one's place, one less."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING
+
+import msgspec
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.session import Client, Session
+
+
+class ClientError(ValueError):
+    """What was asked for cannot be done; the message says why, and what can."""
+
+
+def with_client(session: Session, client: Client) -> Session:
+    """A server's session with one more client. Those that it lets in already stay.
+
+    Raises:
+        ClientError: there is one of that name.
+    """
+    clients = _clients(session)
+    if any(each.name == client.name for each in clients):
+        raise ClientError(f"{client.name} is a client already; `client rekey {client.name}` makes a new key for it")
+    return msgspec.structs.replace(session, clients=(*clients, client))
+
+
+def with_changed_client(session: Session, client: Client) -> Session:
+    """A server's session with another entry for a client.
+
+    Raises:
+        ClientError: there is none of that name.
+    """
+    old = client_named(session, client.name)
+    clients = tuple(client if each == old else each for each in _clients(session))
+    return msgspec.structs.replace(session, clients=clients)
+
+
+def without_client(session: Session, name: str) -> Session:
+    """A server's session without one of its clients.
+
+    Raises:
+        ClientError: there is no such client, or no other.
+    """
+    old = client_named(session, name)
+    clients = tuple(each for each in _clients(session) if each != old)
+    if not clients:
+        raise ClientError(f"{name} is the server's only client: add another one first, or stop the server")
+    return msgspec.structs.replace(session, clients=clients)
+
+
+def client_named(session: Session, name: str) -> Client:
+    """One of a server's clients.
+
+    Raises:
+        ClientError: there is none of that name.
+    """
+    clients = _clients(session)
+    names = [each.name for each in clients]
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+        raise ClientError(f"{name} is no client of this server; {hint}")
+    return clients[names.index(name)]
+
+
+def _clients(session: Session) -> tuple[Client, ...]:
+    if session.role != "server":
+        raise ClientError("only a server has clients, and this is a client's session")
+    return session.accepted_clients

@@ -1,0 +1,234 @@
+"""`rsb-console client`: the clients of a server, in its session file and on the bridge that runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.clients import ClientError, client_named
+from rsb_bridge.config.keys import KeyFileError, fingerprint
+from rsb_bridge.config.session_file import SessionError, UnwritableError
+from rsb_bridge.control.bridges import ask, running_bridges
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.model.session import Client
+from rsb_console.command.remote import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
+from rsb_console.command.reports import json_line
+from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
+from rsb_console.session import clients
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.control.bridges import RunningBridge
+    from rsb_console.session.clients import Changed
+
+
+def run(name: str, arguments: Namespace) -> int:
+    """Run `client NAME`. Returns the exit code."""
+    try:
+        return reported(COMMANDS[name], arguments)
+    except (ClientError, SessionError, KeyFileError) as error:
+        if arguments.json:
+            print_line(json_line({"ok": False, "error": str(error)}))
+        else:
+            print_error(str(error))
+        return FAILURE if isinstance(error, UnwritableError | KeyFileError) else USAGE
+
+
+# --- the commands
+
+
+def _add(arguments: Namespace) -> int:
+    path = _session_path(arguments)
+    output: Path | None = arguments.output
+    if output is not None and output.exists():
+        raise ClientError(f"{output} exists already: name another file for the robot's session")
+    client = Client(
+        name=arguments.name,
+        key_file=arguments.key_file,
+        use_name=arguments.use_name,
+        allow=tuple(arguments.allow),
+        deny=tuple(arguments.deny),
+    )
+    changed = clients.add_client(path, client)
+    told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), "it lets the client in from now on")
+    return _handed_out(arguments, changed, told)
+
+
+def _rekey(arguments: Namespace) -> int:
+    path = _session_path(arguments)
+    changed = clients.rekey_client(path, arguments.name)
+    told = _tell(arguments, path, lambda engine: engine.change_client(changed.client), "only the new key counts now")
+    return _handed_out(arguments, changed, told)
+
+
+def _show(arguments: Namespace) -> int:
+    file = clients.open_server(_session_path(arguments))
+    client = client_named(file.session, arguments.name)
+    key_at = clients.key_path_of(file, client)
+    key, problem = clients.fingerprint_or_problem(key_at)
+    if key is None and key_at is not None:
+        raise ClientError(problem)
+    return _handed_out(arguments, clients.Changed(file, client, key_at, key), "")
+
+
+def _remove(arguments: Namespace) -> int:
+    path = _session_path(arguments)
+    changed = clients.remove_client(path, arguments.name)
+    told = _tell(arguments, path, lambda engine: engine.remove_client(arguments.name), "the client's link is closed")
+    if arguments.json:
+        print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
+        return OK
+    print_error(f"{path}: {arguments.name} is removed{_kept(changed.key_path)}; {told or _NOT_RUNNING}")
+    return OK
+
+
+def _list(arguments: Namespace) -> int:
+    file = clients.open_server(_session_path(arguments))
+    links = _links(file.path, arguments.control)
+    rows = []
+    for client in file.session.accepted_clients:
+        key_at = clients.key_path_of(file, client)
+        key, problem = clients.fingerprint_or_problem(key_at)
+        use_name = file.session.use_name if client.use_name is None else client.use_name
+        rows.append(
+            {
+                "name": client.name,
+                "key_file": None if key_at is None else str(key_at),
+                "fingerprint": "" if key is None else fingerprint(key),
+                "problem": problem,
+                "use_name": use_name,
+                "allow": client.allow,
+                "deny": client.deny,
+                "topics": [topic.topic for topic in client.topics],
+                "state": links.get(client.name, ""),
+            }
+        )
+    if arguments.json:
+        print_line(json_line({"session": str(file.path), "clients": rows}))
+        return OK
+    for row in rows:
+        key_text = row["fingerprint"] or row["problem"]
+        name = Path(str(row["key_file"])).name if row["key_file"] else "-"
+        state = str(row["state"]).upper() or "-"
+        print_line(f"{row['name']:<16} {state:<8} {name:<20} {key_text}")
+    return OK
+
+
+COMMANDS: dict[str, Callable[[Namespace], int]] = {
+    "add": _add, "remove": _remove, "list": _list, "rekey": _rekey, "show": _show,
+}  # fmt: skip
+
+_NOT_RUNNING = "no server of this file runs here; it counts from the next start"
+
+
+# --- what they share
+
+
+def _session_path(arguments: Namespace) -> Path:
+    """The session file: the one that is named, or that of the server that runs here.
+
+    Raises:
+        UsageError: it cannot be told which.
+        NoBridgeError: none is named, and no bridge runs.
+    """
+    if arguments.session is not None:
+        path: Path = arguments.session
+        return path
+    try:
+        bridge = chosen_bridge(arguments)
+    except NoBridgeError as error:
+        raise NoBridgeError(f"{error}: name the server's session file") from None
+    if bridge.info is None or bridge.info.file is None:
+        raise UsageError(f"{bridge.name} runs a session that is in no file: name the session file")
+    return Path(bridge.info.file)
+
+
+def _server_of(path: Path, control: Path | None) -> RunningBridge | None:
+    """The bridge on this machine that runs a session file; None: there is none.
+
+    Raises:
+        ControlError: a control socket was named, and nobody serves it.
+    """
+    if control is not None:
+        return ask(control)
+    files = ((each, each.info.file) for each in running_bridges() if each.info is not None)
+    return next((each for each, file in files if file is not None and Path(file).resolve() == path.resolve()), None)
+
+
+def _tell(arguments: Namespace, path: Path, command: Callable[[EngineApi], Future[None]], done: str) -> str:
+    """Have the bridge that runs a session file do what is in the file already.
+
+    Returns:
+        What it did, in words; empty: there is no such bridge.
+
+    Raises:
+        EngineError: it does not.
+    """
+    bridge = _server_of(path, arguments.control)
+    if bridge is None:
+        return ""
+    engine = RemoteEngine(bridge.path)
+    try:
+        engine.start()
+        command(engine).result(ANSWERED_WITHIN)
+    except EngineError as error:
+        remedy = f"restart it, or `rsb-console reload {bridge.name}`"
+        raise EngineError(f"{path} is saved, but the bridge that runs it refuses: {error}; {remedy}") from None
+    finally:
+        engine.stop()
+    return f"{bridge.name} runs (pid {bridge.pid}): {done}"
+
+
+def _links(path: Path, control: Path | None) -> dict[str, str]:
+    """The state of each link of the bridge that runs a session file; empty: there is none."""
+    bridge = _server_of(path, control)
+    if bridge is None:
+        return {}
+    engine = RemoteEngine(bridge.path, read_only=True)
+    try:
+        engine.start()
+        return {link.name: str(link.state) for link in engine.snapshot().links}
+    except EngineError:
+        return {}
+    finally:
+        engine.stop()
+
+
+def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
+    """Print what the robot needs: its session on standard output, the rest on standard error."""
+    file, client, key_at, key = changed
+    text = clients.robot_file(file.session, client, arguments.address)
+    output: Path | None = arguments.output
+    if output is not None:
+        try:
+            output.write_text(text)
+        except OSError as error:
+            raise ClientError(f"{output}: cannot be written: {error.strerror}") from None
+    advice = clients.copy_advice(client, key_at, output)
+    mark = "" if key is None else fingerprint(key)
+    if arguments.json:
+        print_line(
+            json_line(
+                {"ok": True, "name": client.name, "session": str(file.path),
+                 "key_file": None if key_at is None else str(key_at), "fingerprint": mark, "client_session": text,
+                 "output": None if output is None else str(output), "running": told or None}
+            )
+        )  # fmt: skip
+        return OK
+    if output is None:
+        print_line(text.removesuffix("\n"))
+    if key is not None:
+        print_error(f"{client.name}: key {key_at}, fingerprint {mark}")
+    if arguments.saves:
+        print_error(f"{file.path} is saved; {told or _NOT_RUNNING}")
+    print_error(f"for {client.name}: {advice}")
+    return OK
+
+
+def _kept(key_at: Path | None) -> str:
+    return f"; its key file {key_at} stays: remove it if nothing needs it" if key_at and key_at.exists() else ""

@@ -1,0 +1,181 @@
+"""A server's clients: adding and removing them while it runs, and what each robot is handed."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, ClassVar
+
+from textual.binding import Binding
+from textual.containers import Vertical, VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Static
+
+from rsb_bridge.config.clients import ClientError, with_client
+from rsb_bridge.config.keys import KeyFileError, fingerprint
+from rsb_bridge.config.session_file import SessionError, validate
+from rsb_bridge.model.session import Client
+from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.form import FormScreen
+from rsb_console.session import clients
+from rsb_console.session.saving import is_changed
+from rsb_console.terminal.clipboard import copy
+from rsb_console.widgets.form import Field, Spec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.session import Session
+    from rsb_console.console import Console
+    from rsb_console.session.clients import Changed
+
+_BETWEEN = re.compile(r"[\s,]+")
+PREFIXES = (("", "as the server's"), ("yes", "yes"), ("no", "no"))
+FIELDS = (
+    Spec("name", "Name", "As in the client's own session: robot2."),
+    Spec("key_file", "Key file", "Beside the session file. Empty: a new one. A file that exists is used as it is.",
+         blank="a new one"),
+    Spec("use_name", "Prefix", "Its topics here have its name as a prefix: /robot2/scan.", options=PREFIXES),
+    Spec("allow", "Allowed", "Patterns of the topics that it may bridge, like /camera/*. Empty: all.", blank="all"),
+    Spec("deny", "Denied", "Patterns of the topics that it may not bridge; stronger than those above.", blank="none"),
+)  # fmt: skip
+
+
+def words(text: str) -> tuple[str, ...]:
+    """The words of a field, with blanks or commas between them."""
+    return tuple(word for word in _BETWEEN.split(text) if word)
+
+
+async def add_client(console: Console) -> None:
+    """Ask for a client, add it to the session file, let the bridge have it, and show what the robot needs."""
+    path = _saved_path(console)
+    if path is None or console.engine is None:
+        return
+    client = await console.ask(AddClientScreen(console.engine.session, path.parent))
+    if client is None:
+        return
+    is_known = console.file is not None and not is_changed(console.file)
+    try:
+        changed = clients.add_client(path, client)
+    except (ClientError, KeyFileError, SessionError) as error:
+        console.notify(str(error), title="Not added", severity="error", markup=False, timeout=15)
+        return
+    await console.command(console.engine.add_client(changed.client))
+    _remember(console, changed, is_known=is_known)
+    await console.ask(HandoutScreen(f"{client.name} is added", (changed,)))
+
+
+async def remove_client(console: Console, name: str) -> None:
+    """Ask, then remove a client from the session file and from the bridge."""
+    path = _saved_path(console)
+    if path is None or console.engine is None:
+        return
+    message = (
+        "Its link is closed at once, and it is let in no more. The other clients stay linked. "
+        "Its key file stays; the client's own files are not touched."
+    )
+    if not await console.ask(ConfirmScreen(f"Remove the client {name}?", message, "Remove")):
+        return
+    is_known = console.file is not None and not is_changed(console.file)
+    try:
+        changed = clients.remove_client(path, name)
+    except (ClientError, SessionError) as error:
+        console.notify(str(error), title="Not removed", severity="error", markup=False, timeout=15)
+        return
+    await console.command(console.engine.remove_client(name), f"{name}: removed")
+    _remember(console, changed, is_known=is_known)
+
+
+def _saved_path(console: Console) -> Path | None:
+    """The file of the server's session; says so where there is none."""
+    if console.path is None or console.temporary:
+        console.notify("save the session first (w): its file lists the clients", severity="warning", timeout=8)
+        return None
+    return console.path
+
+
+def _remember(console: Console, changed: Changed, *, is_known: bool) -> None:
+    """Go on with the changed file; with changes of somebody else's in it, a save is still to tell of those."""
+    if is_known:
+        console.saved_to(changed.file.session, changed.file.path)
+
+
+class AddClientScreen(FormScreen[Client]):
+    """Describe a client.
+
+    Args:
+        session: the server's.
+        base: the folder that its key files are relative to.
+    """
+
+    def __init__(self, session: Session, base: Path) -> None:
+        super().__init__("Add a client", [Field(spec) for spec in FIELDS], "Add")
+        self._session, self._base = session, base
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """The session file's own rules for the client."""
+        client = self.result(values)
+        if not client.name:
+            return {"name": "missing: give one"}
+        try:
+            session = with_client(self._session, clients.with_key_file(self._session, client))
+        except ClientError:
+            return {"name": "is a client already"}
+        problems: dict[str, str] = {}
+        here = f"clients[{len(session.clients) - 1}]."
+        for problem in validate(session):
+            if problem.location.startswith(here):
+                field = problem.location.removeprefix(here).partition("[")[0]
+                problems.setdefault(field, problem.message)
+        if not client.key_file and (self._base / clients.key_file_name(client.name)).exists():
+            problems["key_file"] = f"{clients.key_file_name(client.name)} exists already: name it here to use it"
+        return problems
+
+    def result(self, values: Mapping[str, str]) -> Client:
+        use_name = {"yes": True, "no": False}.get(values["use_name"])
+        return Client(
+            name=values["name"],
+            key_file=values["key_file"] or None,
+            use_name=use_name,
+            allow=words(values["allow"]),
+            deny=words(values["deny"]),
+        )
+
+
+class HandoutScreen(ModalScreen[None]):
+    """What each new client needs: its session file, to be copied from here, and its key, by a safe way.
+
+    Args:
+        title: of the dialog.
+        handed: one for each client.
+    """
+
+    BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False), Binding("y", "copy", show=False)]
+
+    def __init__(self, title: str, handed: Sequence[Changed]) -> None:
+        super().__init__()
+        self._title = title
+        self._handed = handed
+
+    def compose(self) -> ComposeResult:
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = self._title
+            with VerticalScroll(classes="handout"):
+                for changed in self._handed:
+                    yield Static(self._about(changed), markup=False)
+            yield Static("y copy the session files   ↑ ↓ scroll   esc close", classes="hint keys")
+
+    def _about(self, changed: Changed) -> str:
+        mark = "" if changed.key is None else f"key {changed.key_path}, fingerprint {fingerprint(changed.key)}\n"
+        advice = clients.copy_advice(changed.client, changed.key_path)
+        return f"{_robot_text(changed)}\n{mark}For {changed.client.name}: {advice}.\n"
+
+    def action_copy(self) -> None:
+        copy(self.app, "\n".join(map(_robot_text, self._handed)))
+        self.notify("the session files are copied", timeout=3)
+
+
+def _robot_text(changed: Changed) -> str:
+    return clients.robot_file(changed.file.session, changed.client)

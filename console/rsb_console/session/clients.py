@@ -1,0 +1,220 @@
+"""The clients of a server's session file: adding, removing and rekeying them, and the files that a robot needs."""
+
+from __future__ import annotations
+
+import re
+import socket
+from contextlib import suppress
+from itertools import chain, count
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.config.clients import ClientError, client_named, with_changed_client, with_client, without_client
+from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key, write_key
+from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
+from rsb_bridge.model.session import Client, Session
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_ANY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 (looked for, not bound)
+_FAR_AWAY = (("192.0.2.1", socket.AF_INET), ("2001:db8::1", socket.AF_INET6))  # RFC 5737, RFC 3849: nobody's
+_NOT_IN_FILE_NAMES = re.compile(r"[^\w.-]+")
+
+
+class Changed(NamedTuple):
+    """What became of a server's session file.
+
+    Attributes:
+        file: as it is now.
+        client: whom it was about.
+        key_path: the client's key file; None: without encryption.
+        key: in that file; None: without encryption, or the file cannot be read.
+    """
+
+    file: SessionFile
+    client: Client
+    key_path: Path | None
+    key: Key | None
+
+
+def open_server(path: Path) -> SessionFile:
+    """Read a server's session file.
+
+    Raises:
+        ClientError: it is a client's.
+        SessionError: it cannot be read, or has mistakes.
+    """
+    file = load_file(path)
+    if file.session.role != "server":
+        raise ClientError(f"{path}: this is a client's session; only a server's lists clients")
+    return file
+
+
+def key_file_name(name: str) -> str:
+    """The file for a client's key, unless it is given another."""
+    return f"{_NOT_IN_FILE_NAMES.sub('_', name)}.key"
+
+
+def with_key_file(session: Session, client: Client) -> Client:
+    """A client with the name of a key file of its own, if it needs one and has none."""
+    if client.key_file is not None or not session.use_encryption:
+        return client
+    return msgspec.structs.replace(client, key_file=key_file_name(client.name))
+
+
+def key_path_of(file: SessionFile, client: Client) -> Path | None:
+    """Where a client's key is; None: there is no encryption."""
+    name = client.key_file or file.session.key_file
+    return None if name is None or not file.session.use_encryption else key_path(file.path.parent, name)
+
+
+def add_client(path: Path, client: Client) -> Changed:
+    """Add a client to a server's session file, and make its key.
+
+    Args:
+        path: of the file.
+        client: whom to add. Its key file is used if it exists; where it has none, a new one is made beside the session.
+
+    Raises:
+        ClientError: there is one of that name, or the key's file exists although it was not asked for.
+        KeyFileError: the key cannot be made or read.
+        SessionError: the session has mistakes, or cannot be saved. No key is left then.
+    """
+    file = open_server(path)
+    made_here = client.key_file is None
+    client = with_key_file(file.session, client)
+    session = with_client(file.session, client)
+    edited_text(session, path, file)  # before there is a key
+    key_at, key, is_new = key_path_of(file, client), None, False
+    if key_at is not None and key_at.exists():
+        if made_here:
+            raise ClientError(f"{key_at} exists already: give another file, or this one explicitly to use its key")
+        key = read_key(key_at)
+    elif key_at is not None:
+        key, is_new = write_key(key_at), True
+    try:
+        return Changed(save(session, path, file), client, key_at, key)
+    except BaseException:
+        if is_new and key_at is not None:
+            key_at.unlink()
+        raise
+
+
+def remove_client(path: Path, name: str) -> Changed:
+    """Remove a client from a server's session file. Its key file stays.
+
+    Raises:
+        ClientError: there is no such client, or no other.
+        SessionError: the file cannot be saved.
+    """
+    file = open_server(path)
+    client = client_named(file.session, name)
+    saved = save(without_client(file.session, name), path, file)
+    return Changed(saved, client, key_path_of(file, client), None)
+
+
+def rekey_client(path: Path, name: str) -> Changed:
+    """Make a new key for a client of a server's session file. A client that shared a key gets one of its own.
+
+    Raises:
+        ClientError: there is no such client, or no encryption.
+        KeyFileError: the key cannot be made.
+        SessionError: the file cannot be saved.
+    """
+    file = open_server(path)
+    client = client_named(file.session, name)
+    if not file.session.use_encryption:
+        raise ClientError(f"{path}: encryption is off (use_encryption): there are no keys")
+    others = {key_path_of(file, each) for each in file.session.accepted_clients if each.name != name}
+    key_at = key_path_of(file, client)
+    if key_at is not None and key_at not in others:
+        return Changed(file, client, key_at, write_key(key_at, force=True))
+    renewed = msgspec.structs.replace(client, key_file=_free_key_file(path.parent, name))
+    key_at = key_path_of(file, renewed)
+    assert key_at is not None
+    session = with_changed_client(file.session, renewed)
+    edited_text(session, path, file)  # before there is a key
+    key = write_key(key_at)
+    return Changed(save(session, path, file), renewed, key_at, key)
+
+
+def _free_key_file(folder: Path, name: str) -> str:
+    """The name of a key file that does not exist yet."""
+    own = key_file_name(name)
+    others = (f"{own.removesuffix('.key')}-{number}.key" for number in count(2))
+    return next(each for each in chain((own,), others) if not (folder / each).exists())
+
+
+# --- what the robot needs
+
+
+def handed_out(file: SessionFile) -> list[Changed]:
+    """What all clients of a server need."""
+    places = [(client, key_path_of(file, client)) for client in file.session.accepted_clients]
+    return [Changed(file, client, key_at, fingerprint_or_problem(key_at)[0]) for client, key_at in places]
+
+
+def robot_file(session: Session, client: Client, address: str = "") -> str:
+    """The text of a client's own session file.
+
+    Args:
+        session: the server's.
+        client: for whom.
+        address: of the server, as the client reaches it; empty: the one that the server binds, or a guess.
+    """
+    guessed = not address and session.server_ip in _ANY_ADDRESS
+    key_file = client.key_file or session.key_file
+    robot = Session(
+        name=client.name,
+        role="client",
+        server_ip=address or (own_address() if guessed else session.server_ip),
+        server_port=session.server_port,
+        bluetooth_address=session.bluetooth_address,
+        use_encryption=session.use_encryption,
+        key_file=key_file.rpartition("/")[2] if key_file is not None and session.use_encryption else None,
+    )
+    lines = dump(robot).splitlines()
+    if guessed:
+        at = next(number for number, line in enumerate(lines) if line.startswith("server_ip:"))
+        lines[at] += "   # one address of the server; is it the one that this client reaches?"
+    head = f"# {client.name}, a client of the server {session.name}. Its key file belongs beside this file."
+    topics = "topics: []   # - {topic: /scan, direction: transmit}"
+    return "".join(f"{line}\n" for line in (head, *lines, topics))
+
+
+def own_address() -> str:
+    """This machine's address on the way to other networks; its host name, where there is no such way."""
+    for address, family in _FAR_AWAY:
+        with suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((address, 9))  # sends nothing
+            own: str = probe.getsockname()[0]
+            return own
+    return socket.gethostname()
+
+
+def copy_advice(client: Client, key_at: Path | None, robot_at: Path | None = None) -> str:
+    """Say how the key gets to the robot.
+
+    Args:
+        client: whose.
+        key_at: its key file; None: without encryption.
+        robot_at: the robot's session file, where it is in one already.
+    """
+    files = " ".join(str(path) for path in (robot_at, key_at) if path is not None)
+    save_as = "" if robot_at is not None else f"save the session there as {key_file_name(client.name)[:-4]}.yaml"
+    copy = f"copy with `scp -p {files} USER@ROBOT:` (the key is secret: never by mail or chat)" if files else ""
+    if not key_at:
+        copy = f"copy with `scp {files} USER@ROBOT:`" if files else ""
+    return "; ".join(part for part in (save_as, copy) if part)
+
+
+def fingerprint_or_problem(key_at: Path | None) -> tuple[Key | None, str]:
+    """The key in a file, or what is wrong with that file."""
+    if key_at is None:
+        return None, "not encrypted"
+    try:
+        return read_key(key_at), ""
+    except KeyFileError as error:
+        return None, str(error)

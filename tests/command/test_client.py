@@ -1,0 +1,219 @@
+"""`rsb-console client`: files that are written, what a running server is told, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+import pytest
+from msgspec.structs import replace
+from tests.command.test_remote import Ran
+from tests.console.scripted import LINK, ScriptedEngine
+
+from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.config.session_file import dump, load, parse, save
+from rsb_bridge.model.session import Client, Session, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.control import Machine
+
+Run: TypeAlias = "Callable[..., Ran]"
+ROBOT1, ROBOT2 = Client("robot1", key_file="robot1.key"), Client("robot2", key_file="robot2.key")
+SERVER = Session(name="pc", role="server", server_ip="10.0.0.20", server_port=49152, clients=(ROBOT1,))
+TEXT = """\
+# the fleet
+name: pc
+role: server
+server_ip: 10.0.0.20
+server_port: 49152
+clients:
+  - {name: robot1, key_file: robot1.key}   # the first
+"""
+
+
+@pytest.fixture(autouse=True)
+def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A server's session file, with its client's key beside it."""
+    path = tmp_path / "pc.yaml"
+    path.write_text(TEXT)
+    write_key(tmp_path / "robot1.key")
+    return path
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    return lambda *arguments: Ran(capsys, "client", *arguments)
+
+
+def test_a_robot_is_added_with_all_that_it_needs(path: Path, run: Run) -> None:
+    ran = run("add", "robot2", str(path), "--deny", "/camera/*")
+    assert ran.code == 0
+    assert path.read_text() == TEXT + "  - {name: robot2, key_file: robot2.key, deny: [/camera/*]}\n"
+    assert path.with_name("pc.yaml~").read_text() == TEXT
+    key_at = path.with_name("robot2.key")
+    assert key_at.stat().st_mode & 0o777 == 0o600
+    assert parse(ran.out, Path("robot2.yaml")) == Session(
+        name="robot2", role="client", server_ip="10.0.0.20", server_port=49152, key_file="robot2.key"
+    )
+    assert f"key {key_at}, fingerprint {fingerprint(read_key(key_at))}" in ran.err
+    assert "no server of this file runs here; it counts from the next start" in ran.err
+    assert f"save the session there as robot2.yaml; copy with `scp -p {key_at} USER@ROBOT:`" in ran.err
+    shown = run("show", "robot2", str(path))
+    assert (shown.code, shown.out) == (0, ran.out)
+    assert "is saved" not in shown.err
+
+
+def test_the_robots_file_is_written_where_it_is_wanted(path: Path, run: Run) -> None:
+    assert run("add", "robot2", str(path), "-o", "robot2.yaml", "--address", "pc.local").out == ""
+    assert load(Path("robot2.yaml")).server_ip == "pc.local"
+    again = run("add", "robot3", str(path), "-o", "robot2.yaml")
+    assert (again.code, "robot2.yaml exists already: name another file" in again.err) == (2, True)
+    assert "robot3" not in path.read_text()
+    assert not Path("robot3.key").exists()
+
+
+def test_a_running_server_is_told(path: Path, run: Run, machine: Machine) -> None:
+    engine = ScriptedEngine(SERVER)
+    machine.serve(engine, file=path)
+    ran = run("add", "robot2", "--json")  # the file is that of the bridge that runs
+    assert ran.code == 0
+    assert ran.json["session"] == str(path)
+    assert "it lets the client in from now on" in ran.json["running"]
+    assert "pid" in run("rekey", "robot2", str(path)).err
+    assert "the client's link is closed" in run("remove", "robot1", str(path)).err
+    assert engine.commands == [("add client", ROBOT2), ("change client", ROBOT2), ("remove client", "robot1")]
+    assert load(path).clients == (ROBOT2,)
+    assert path.with_name("robot1.key").exists()
+
+
+def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) -> None:
+    """It has no list: its client has its own name and key."""
+    path = tmp_path / "robot1.yaml"
+    write_key(tmp_path / "robot1.key")
+    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=()), path)
+    assert run("add", "robot2", str(path)).code == 0
+    assert load(path).clients == (Client("robot1"), ROBOT2)
+
+
+def test_a_key_is_renewed(path: Path, run: Run) -> None:
+    before = read_key(path.with_name("robot1.key"))
+    ran = run("rekey", "robot1", str(path), "--json")
+    now = read_key(path.with_name("robot1.key"))
+    assert now != before
+    assert ran.json["fingerprint"] == fingerprint(now)
+    assert path.read_text() == TEXT
+
+
+def test_the_key_of_a_server_of_one_client_is_renewed_in_place(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "robot1.yaml"
+    before = write_key(tmp_path / "robot1.key")
+    save(replace(SERVER, name="robot1", key_file="robot1.key", clients=()), path)
+    assert run("rekey", "robot1", str(path)).code == 0
+    assert read_key(tmp_path / "robot1.key") != before
+    assert load(path).clients == ()
+
+
+def test_a_client_that_shares_a_key_gets_one_of_its_own(path: Path, run: Run) -> None:
+    shared = write_key(path.with_name("all.key"))
+    save(replace(SERVER, key_file="all.key", clients=(Client("robot1"), Client("robot2"))), path)
+    path.with_name("robot2.key").write_text("somebody else's")
+    assert run("rekey", "robot2", str(path)).code == 0
+    assert load(path).clients == (Client("robot1"), Client("robot2", "robot2-2.key"))
+    assert read_key(path.with_name("all.key")) == shared
+
+
+def test_the_list_says_who_is_linked_and_which_key_is_missing(path: Path, run: Run, machine: Machine) -> None:
+    kept = replace(ROBOT2, topics=(Topic("/map", "transmit"),))
+    save(replace(SERVER, clients=(ROBOT1, kept)), path)
+    engine = ScriptedEngine(SERVER)
+    engine.now = dataclasses.replace(engine.now, links=(LINK,))
+    machine.serve(engine, file=path)
+    ran = run("list", "--json")
+    first, second = ran.json["clients"]
+    assert (first["name"], first["state"], first["problem"]) == ("robot1", "ok", "")
+    assert first["fingerprint"] == fingerprint(read_key(path.with_name("robot1.key")))
+    assert (second["state"], second["topics"]) == ("", ["/map"])
+    assert "no such key file" in second["problem"]
+    lines = run("list", str(path)).out.splitlines()
+    assert lines[0].split()[:3] == ["robot1", "OK", "robot1.key"]
+    assert "no such key file" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("add", "robot1"), 2, "robot1 is a client already; `client rekey robot1` makes a new key"),
+        (("add", "robot2", "--key-file", "gone/robot2.key"), 1, "gone/robot2.key: cannot be written"),
+        (("add", ""), 2, "clients[1].name: '' is not a name"),
+        (("add", "robot2", "--allow", "scan"), 2, "clients[1].allow[0]: 'scan' matches no topic"),
+        (("remove", "robot1"), 2, "robot1 is the server's only client: add another one first"),
+        (("remove", "robto1"), 2, "robto1 is no client of this server; did you mean robot1?"),
+        (("rekey", "x"), 2, "x is no client of this server; there are robot1"),
+        (("show", "x"), 2, "x is no client of this server"),
+    ],
+)
+def test_refusals_are_in_words_and_change_nothing(
+    arguments: tuple[str, ...], code: int, words: str, path: Path, run: Run
+) -> None:
+    before = sorted(path.parent.rglob("*"))
+    name, *options = arguments[1:]
+    ran = run(arguments[0], name, str(path), *options)
+    assert ran.code == code
+    assert words in ran.err
+    assert path.read_text() == TEXT
+    assert sorted(path.parent.rglob("*")) == before
+    assert json.loads(run(arguments[0], name, str(path), *options, "--json").out)["ok"] is False
+
+
+def test_files_that_cannot_take_a_client(path: Path, run: Run) -> None:
+    path.with_name("robot2.key").write_text("mine")
+    ran = run("add", "robot2", str(path))
+    assert (ran.code, "robot2.key exists already" in ran.err) == (2, True)
+    path.with_name("robot2.key").unlink()
+
+    path.chmod(0o444)
+    ran = run("add", "robot2", str(path))
+    assert (ran.code, "it is read-only" in ran.err) == (1, True)
+    assert not path.with_name("robot2.key").exists(), "a key for nobody"
+
+    robot = path.with_name("robot1.yaml")
+    robot.write_text(dump(Session(name="robot1", role="client", server_ip="a", server_port=1, key_file="robot1.key")))
+    ran = run("add", "robot2", str(robot))
+    assert (ran.code, "this is a client's session; only a server's lists clients" in ran.err) == (2, True)
+    ran = run("list")
+    assert (ran.code, "name the server's session file" in ran.err) == (3, True)
+
+
+def test_an_existing_key_is_used_where_it_is_named(path: Path, run: Run) -> None:
+    key = write_key(path.with_name("other.key"))
+    assert run("add", "robot2", str(path), "--key-file", "other.key").code == 0
+    assert load(path).clients[1].key_file == "other.key"
+    assert read_key(path.with_name("other.key")) == key
+
+
+def test_where_the_server_binds_every_address_the_robots_file_has_a_guess(path: Path, run: Run) -> None:
+    path.write_text(TEXT.replace("10.0.0.20", "0.0.0.0"))
+    ran = run("add", "robot2", str(path))
+    assert "server_ip" in ran.out
+    assert "is it the one that this client reaches?" in ran.out
+    assert parse(ran.out, Path("robot2.yaml")).server_ip != "0.0.0.0"
+
+
+def test_without_encryption_there_is_no_key(path: Path, run: Run) -> None:
+    path.write_text(f"{TEXT}use_encryption: false\n".replace(", key_file: robot1.key", ""))
+    ran = run("add", "robot2", str(path))
+    assert ran.code == 0
+    assert not path.with_name("robot2.key").exists()
+    assert "key" not in ran.err
+    assert parse(ran.out, Path("robot2.yaml")).use_encryption is False
+    assert run("rekey", "robot2", str(path)).code == 2

@@ -1,0 +1,103 @@
+"""Clients added, changed and removed on a server that runs: the others' links stay."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import carries, find, happened, heard, link, linked
+from tests.support.domain import text
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+CHAT, MAP = Topic("/chat", "transmit"), Topic("/map", "transmit")
+ROBOT2 = Client("robot2", "robot2.key", topics=(MAP,))
+
+
+def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    there, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, first = bridge.both(CHAT)
+    carries([out], server, ["/chat"])
+    since = link(server).since
+    bridge.make_key("robot2")
+
+    second = bridge.client(name="robot2", key_file="robot2.key")
+    eventually(lambda: "knows no client of the name 'robot2'" in link(second, "robot2").reason)
+    server.add_client(ROBOT2).result(60)
+    second.retry().result(60)
+    eventually(lambda: linked(server, "robot2"))
+    assert server.session.clients == (Client("robot1"), ROBOT2)
+    eventually(lambda: find(second, "/map"), what="its topic is proposed to it")
+
+    server.remove_client("robot2").result(60)
+    eventually(lambda: not linked(second, "robot2"))
+    eventually(lambda: "robot2" in link(second, "robot2").reason, what="the client is told")
+    assert [each.name for each in server.snapshot().links] == ["robot1"]
+    assert [each.name for each in server.session.clients] == ["robot1"]
+    assert find(server, "/map") is None
+
+    out.publish(text("all along"))
+    assert heard(there, 1) == [text("all along")]
+    assert link(server).since == since
+    assert linked(first)
+
+
+def test_a_key_is_changed(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    path = bridge.folder / "renewed.key"
+    key = write_key(path)
+    server.change_client(Client("robot1", "renewed.key")).result(60)
+    eventually(lambda: not linked(client))
+    eventually(lambda: "fingerprint" in link(client).reason, what="the old key is refused")
+    client.stop()
+    bridge.client(key_file="renewed.key")
+    eventually(lambda: linked(server))
+    assert link(server).fingerprint == fingerprint(key)
+    assert server.session.clients == (Client("robot1", "renewed.key"),)
+
+
+def test_the_same_file_with_another_key_counts(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    write_key(bridge.folder / bridge.key_file, force=True)
+    server.change_client(Client("robot1")).result(60)
+    eventually(lambda: link(server).fingerprint == fingerprint(read_key(bridge.folder / bridge.key_file)))
+    eventually(lambda: not linked(client))
+
+
+def test_what_cannot_be_done_is_refused_and_changes_nothing(bridge: Bridge) -> None:
+    server, client = bridge.both()
+    session = server.session
+    refused: tuple[tuple[Callable[[], Future[None]], str], ...] = (
+        (lambda: server.add_client(Client("robot1")), "robot1 is a client already"),
+        (lambda: server.add_client(Client("robot2", "gone.key")), "gone.key: no such key file"),
+        (lambda: server.add_client(Client("robot2", deny=("scan",))), "'scan' matches no topic"),
+        (lambda: server.change_client(Client("robot2")), "robot2 is no client of this server"),
+        (lambda: server.remove_client("robot2"), "robot2 is no client of this server"),
+        (lambda: server.remove_client("robot1"), "robot1 is the server's only client"),
+        (lambda: client.add_client(Client("robot2")), "only a server has clients"),
+    )
+    for command, words in refused:
+        with pytest.raises(EngineError, match=words):
+            command().result(60)
+    assert server.session == session
+    assert linked(server)
+
+
+def test_the_log_says_who_came_and_went(bridge: Bridge) -> None:
+    server = bridge.server()
+    bridge.make_key("robot2")
+    server.add_client(ROBOT2).result(60)
+    server.remove_client("robot2").result(60)
+    assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: added")
+    assert happened(server, EventCode.OPERATOR_CLIENTS, "client robot2: removed")
