@@ -20,7 +20,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control import bridges, client, folders, protocol, server
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Topic
+from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 
 if TYPE_CHECKING:
@@ -71,6 +71,10 @@ def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine)
     assert remote.edit_topic("k", topic).result(10) == "k"
     remote.remove_topic("k").result(10)
     remote.pause("k", True).result(10)
+    robot2 = Client("robot2", "robot2.key", deny=("/a",), topics=(topic,))
+    remote.add_client(robot2).result(10)
+    remote.change_client(robot2).result(10)
+    remote.remove_client("robot2").result(10)
     remote.retry("robot1").result(10)
     remote.shut_down().result(10)
     steps: list[str] = []
@@ -82,6 +86,9 @@ def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine)
         ("edit", "k", topic),
         ("remove", "k"),
         ("pause", "k", True),
+        ("add client", robot2),
+        ("change client", robot2),
+        ("remove client", "robot2"),
         ("retry", "robot1"),
         ("shut down",),
         ("restart",),
@@ -116,6 +123,9 @@ def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
         remote.edit_topic("k", topic),
         remote.remove_topic("k"),
         remote.pause("k", True),
+        remote.add_client(Client("robot2")),
+        remote.change_client(Client("robot2")),
+        remote.remove_client("robot2"),
         remote.retry(),
         remote.shut_down(),
         remote.restart(),

@@ -197,7 +197,7 @@ class GenerateScreen(FormScreen[Path]):
             self.form.show_problems({"path": str(error)})
             return
         self.notify(
-            f"{result}: fingerprint {fingerprint(key)}. A running session uses it once it is opened again (o).",
+            f"{result}: fingerprint {fingerprint(key)}. A running session uses it after a reload (f6).",
             title="A new key", markup=False, timeout=10,
         )  # fmt: skip
         self.dismiss(result)
