@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tests.console.driving import drive, engine_of, fill, scripted_app, shown, text, until
+from tests.console.driving import NARROW, drive, engine_of, fill, scripted_app, shown, text, until
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
@@ -197,6 +197,21 @@ def test_the_difference_is_shown_before_it_is_written(folder: Path) -> None:
 
     drive(app, steps)
     assert "max_rate" not in path.read_text()
+
+
+def test_a_long_line_of_the_difference_is_shown_whole(folder: Path) -> None:
+    path = folder / "nav2.yaml"
+    save(msgspec.structs.replace(SESSION, topics=(Topic("/a", "transmit"),)), path)
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        changed(app, Topic("/a", "transmit", type="sensor_msgs/msg/LaserScan", protocol="udp", max_rate=12.5))
+        await pilot.press("w")
+        await shown(pilot, "Save nav2.yaml?")
+        await shown(pilot, "max_rate: 12.5}")
+
+    drive(app, steps, size=NARROW)
 
 
 def test_a_layout_that_cannot_be_edited_is_written_anew_only_after_a_question(folder: Path) -> None:

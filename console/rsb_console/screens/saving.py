@@ -13,7 +13,7 @@ from rsb_bridge.config.keys import KeyFileError, copy_key
 from rsb_bridge.config.session_file import SessionError, UneditableError, backup_path, edited_text, save
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.session.saving import difference, file_of, moved, rescued, text_of, unsaved
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.lines import Line, LiveLines, clip
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _LOOKS = {"+": "ok", "-": "down", "@": "dim"}
 _MOST_LINES = 16
+_UNWRAPPED, _NARROWEST = 1 << 20, 10  # cells
 
 
 async def save_elsewhere(console: Console, session: Session, path: Path, opened: SessionFile | None) -> bool:
@@ -108,21 +109,38 @@ def _question(session: Session, path: Path, opened: SessionFile | None) -> tuple
 
 
 class DiffLines(LiveLines, can_focus=False):
-    """The lines of a diff, coloured."""
+    """The lines of a diff, coloured; a long one goes on in the next line.
+
+    Args:
+        lines: of the diff.
+    """
 
     def __init__(self, lines: Sequence[str]) -> None:
         super().__init__(id="diff")
-        self._lines = lines
-        self.styles.height = min(len(lines), _MOST_LINES)
+        self._diff = lines
+        self._wrap(_UNWRAPPED)
 
     @property
     def line_count(self) -> int:
-        """One a line of the diff."""
+        """What the diff takes at the present width."""
         return len(self._lines)
 
     def line(self, index: int) -> Line:
-        text = self._lines[index]
-        return fit(((text, _LOOKS.get(text[:1], "")),), self.width)
+        return self._lines[index]
+
+    def on_resize(self) -> None:
+        self._wrap(max(_NARROWEST, self.size.width))
+        super().on_resize()
+
+    def _wrap(self, width: int) -> None:
+        self._lines: list[Line] = []
+        for text in self._diff:
+            look, rest = _LOOKS.get(text[:1], ""), text or " "
+            while rest:
+                piece = clip(rest, width)
+                self._lines.append(((piece, look),))
+                rest = rest[len(piece) :]
+        self.styles.height = min(len(self._lines), _MOST_LINES)
 
 
 class DiffScreen(ConfirmScreen):
