@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -112,6 +113,18 @@ def test_a_key_is_renewed(path: Path, run: Run) -> None:
     assert now != before
     assert ran.json["fingerprint"] == fingerprint(now)
     assert path.read_text() == TEXT
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_the_keys_that_root_makes_belong_to_whoever_runs_the_server(path: Path, run: Run) -> None:
+    for file in (path, path.with_name("robot1.key")):
+        os.chown(file, 1234, 5678)
+    assert run("add", "robot2", str(path)).code == 0
+    assert run("rekey", "robot1", str(path)).code == 0
+    for name in ("pc.yaml", "pc.yaml~", "robot1.key", "robot2.key"):
+        status = path.with_name(name).stat()
+        assert (name, status.st_uid, status.st_gid) == (name, 1234, 5678)
+    assert path.with_name("robot1.key").stat().st_mode & 0o777 == 0o600
 
 
 def test_the_key_of_a_server_of_one_client_is_renewed_in_place(tmp_path: Path, run: Run) -> None:

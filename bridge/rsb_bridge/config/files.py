@@ -37,8 +37,8 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     Args:
         path: of the file, which need not exist. A symbolic link is followed, and stays one.
         content: the whole file.
-        like: a file whose mode, owner and group the new one gets, as far as this user may give them; if it is None or
-            does not exist, the mode is 0600.
+        like: a file whose mode, owner and group the new one gets. None: the mode is 0600, owner and group are those of
+            the file that is replaced. Both are as far as this user may give them.
 
     Raises:
         OSError: the file cannot be written, or the path leads to something else (a device, a FIFO, a folder).
@@ -46,13 +46,14 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, f"is {kind_of_file(target.stat().st_mode)}, not a file", str(path))
-    model = like.stat() if like is not None and like.exists() else None
+    model = like if like is not None else target
     handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)  # mkstemp's mode is 0600
     try:
         with os.fdopen(handle, "wb") as file:
-            if model is not None:
-                _give_owner(handle, model)
-                os.fchmod(handle, stat.S_IMODE(model.st_mode))
+            if model.exists():
+                give_owner(handle, model)
+                if like is not None:
+                    os.fchmod(handle, stat.S_IMODE(model.stat().st_mode))
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -64,11 +65,17 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
     _sync_folder(target.parent)
 
 
-def _give_owner(handle: int, model: os.stat_result) -> None:
-    """Give an open file the owner and the group of another; where only the group may be given, that."""
+def give_owner(file: int | Path, like: Path) -> None:
+    """Give a file the owner and the group of another; where only the group may be given, that.
+
+    Args:
+        file: its path or descriptor.
+        like: the other one.
+    """
+    model = like.stat()
     for owner in (model.st_uid, -1):
-        with suppress(PermissionError):
-            os.fchown(handle, owner, model.st_gid)
+        with suppress(OSError):  # not permitted, or a user that there is not in this container
+            os.chown(file, owner, model.st_gid)
             return
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.config.clients import ClientError, client_named, with_changed_client, with_client, without_client
+from rsb_bridge.config.files import give_owner
 from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.model.session import Client, Session
@@ -94,6 +95,7 @@ def add_client(path: Path, client: Client) -> Changed:
         key = read_key(key_at)
     elif key_at is not None:
         key, is_new = write_key(key_at), True
+        give_owner(key_at, path)  # whoever runs the server has to read it
     try:
         return Changed(save(session, path, file), client, key_at, key)
     except BaseException:
@@ -137,6 +139,7 @@ def rekey_client(path: Path, name: str) -> Changed:
     session = with_changed_client(file.session, renewed)
     edited_text(session, path, file)  # before there is a key
     key = write_key(key_at)
+    give_owner(key_at, path)
     return Changed(save(session, path, file), renewed, key_at, key)
 
 
