@@ -21,9 +21,11 @@ from rsb_console.look.message_lines import hex_lines, message_lines, plain
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
+from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.ros.descriptions import installed_description
@@ -131,6 +133,22 @@ def test_nothing_in_a_message_is_obeyed_by_the_screen() -> None:
         engine_of(app).peeked.append(peeked(String(data="\x1b[2J [red]markup[/] \u202e\u200b")))
         await pilot.press("v")
         await shown(pilot, 'data: "\\x1b[2J [red]markup[/] \\u202e\\u200b"')
+
+    drive(app, steps)
+
+
+def test_a_message_of_many_lines_shows_the_first() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        markers = MarkerArray(markers=[Marker(points=[Point()] * 100)] * 300)
+        engine_of(app).described = installed_description("visualization_msgs/msg/MarkerArray")
+        engine_of(app).peeked.append(peeked(markers))
+        await pilot.press("v")
+        await shown(pilot, " of 300 visualization_msgs/msg/Marker")
+        await pilot.press("G")
+        await shown(pilot, "only the first 2 000 lines are shown")
 
     drive(app, steps)
 

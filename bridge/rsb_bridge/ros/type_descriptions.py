@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from rsb_bridge.cdr.description import DescriptionError, read_description
+from rsb_bridge.cdr.description import DescriptionError, hash_of_text, read_description
 from rsb_bridge.ros.api import RosError
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class TypeDescriptions:
             nodes = dict.fromkeys(each.node for each in endpoints if each.node and each.type_hash == type_hash)
             for node in list(nodes)[:_NODES]:
                 text = ros.ask_description(node, type_name, type_hash, lambda: not self._closed)
-                if text is not None:
+                if text is not None and hash_of_text(text) == type_hash:
                     return text
         except RosError:
             pass  # whoever asks is told that nobody knows it

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from itertools import islice
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -34,6 +35,7 @@ _ITEMS = 64
 _STEPS = 20_000
 """Values that are decoded at most: about 20 ms."""
 _HEX = 1024  # bytes
+_MOST_LINES = 2_000
 _TRIED_AGAIN_AFTER = 1.0  # s
 _KEYS = " esc back · space hold · y copy "
 
@@ -89,6 +91,7 @@ class MessageScreen(ModalScreen[None]):
         self._read: ReadMessage | None = None
         self._goes_on = asyncio.Event()  # cleared: the message that is shown is held
         self._goes_on.set()
+        self._laid_out: tuple[ReadMessage, int, list[Line]] | None = None
         self._problem = ""
         self._waits_since = time.monotonic()
 
@@ -165,13 +168,21 @@ class MessageScreen(ModalScreen[None]):
         if self._read.age is not None:
             yield ((age_text(self._read.age), "dim" if self._read.age.latency is not None else "stale"),)
         yield ()
-        if self._read.decoded is not None:
-            yield from message_lines(self._read.decoded.message, self._pane.scrollable_content_region.width)
-        else:
-            yield from hex_lines(peeked.payload, _HEX)
-        if self._read.problem:
-            yield ()
-            yield ((escape_text(self._read.problem), "stale"),)
+        yield from self._content(self._read, self._pane.scrollable_content_region.width)
+
+    def _content(self, read: ReadMessage, width: int) -> list[Line]:
+        """The message itself; laid out once."""
+        if self._laid_out is None or self._laid_out[0] is not read or self._laid_out[1] != width:
+            if read.decoded is not None:
+                lines = list(islice(message_lines(read.decoded.message, width), _MOST_LINES + 1))
+            else:
+                lines = list(hex_lines(read.peeked.payload, _HEX))
+            if len(lines) > _MOST_LINES:
+                lines[-1] = ((f"… only the first {formats.thousands(_MOST_LINES)} lines are shown", "stale"),)
+            if read.problem:
+                lines += [(), ((escape_text(read.problem), "stale"),)]
+            self._laid_out = read, width, lines
+        return self._laid_out[2]
 
     def _state_lines(self, route: RouteSnapshot | None) -> Iterator[Line]:
         """What keeps messages from coming, and for how long none has come."""

@@ -1,0 +1,157 @@
+"""What a peer answers about types is bounded, and believed only where the type's hash proves it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import zstandard
+
+from rsb_bridge.cdr.description import DESCRIPTION_LIMIT, Field, FieldType, MessageType, TypeDescription, hash_of_text
+from rsb_bridge.cdr.description import text_of as text_of_description
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.type_questions import TypeQuestions
+from rsb_bridge.ros import type_descriptions
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.type_descriptions import TypeDescriptions
+from rsb_bridge.wire.messages import AskType, TypeText
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+TEXT = text_of_description(TypeDescription(MessageType("a_msgs/msg/B", (Field("x", FieldType(6, 0, 0, "")),)), ()))
+HASH = hash_of_text(TEXT)
+
+
+class Ros:
+    """A side on which nothing is installed; its nodes say what they are given."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, str | None] = {}
+        self.asked: list[str] = []
+        self.fails = False
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return None
+
+    def publishers(self, topic: str) -> list[Any]:
+        if self.fails:
+            raise RosError("it is not running")
+        return [type("End", (), {"node": node, "type_hash": HASH}) for node in self.nodes]
+
+    def subscriptions(self, topic: str) -> list[Any]:
+        return []
+
+    def ask_description(self, node: str, type_name: str, type_hash: str, still_wanted: Any) -> str | None:
+        self.asked.append(node)
+        assert still_wanted()
+        return self.nodes[node]
+
+
+class Route:
+    id = 3
+    type_name, type_hash, local_topic = "a_msgs/msg/B", HASH, "/b"
+
+
+class Side:
+    """One side's questions and answers, on a clock of its own."""
+
+    def __init__(self) -> None:
+        self.ros, self.time = Ros(), 0.0
+        self.sent: list[Any] = []
+        self.known = TypeDescriptions(self.ros, lambda: self.time)  # type: ignore[arg-type]
+        self.tasks: list[asyncio.Task[None]] = []
+        self.has_sent = asyncio.Event()
+        self.questions = TypeQuestions(self.known, lambda _: Route(), self._send, self._spawn)  # type: ignore[arg-type, return-value]
+
+    def _send(self, message: Any) -> None:
+        self.sent.append(message)
+        self.has_sent.set()
+
+    def _spawn(self, work: Coroutine[None, None, None]) -> None:
+        self.tasks.append(asyncio.ensure_future(work))
+
+    async def ask(self, answer: bytes | None) -> str:
+        """Ask, and have the peer answer; None: the link ends."""
+        asking = asyncio.ensure_future(self.questions.describe(Route(), linked=True))  # type: ignore[arg-type]
+        await self.has_sent.wait()
+        assert self.sent == [AskType(route=3)]
+        if answer is None:
+            self.questions.disconnected()
+        else:
+            self.questions.handle(TypeText(route=3, text=answer))
+        return await asking
+
+
+def test_an_answer_that_proves_itself_is_kept() -> None:
+    async def run() -> None:
+        side = Side()
+        assert await side.ask(zstandard.compress(TEXT.encode())) == TEXT
+        side.questions.handle(TypeText(route=3, text=b"late"))
+        assert await side.questions.describe(Route(), linked=False) == TEXT  # type: ignore[arg-type]
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"",
+        b"garbage",
+        zstandard.compress(b""),
+        zstandard.compress(b"\xff\xfe"),
+        zstandard.compress(TEXT.replace("x", "y").encode()),
+        zstandard.compress(bytes(100 << 20)),
+        zstandard.compress(b" " * (DESCRIPTION_LIMIT + 1)),
+        None,
+    ],
+    ids=["unknown", "garbage", "empty", "no text", "another type", "a bomb", "too long", "link lost"],
+)
+def test_any_other_is_as_none(answer: bytes | None) -> None:
+    async def run() -> None:
+        with pytest.raises(LinkError, match="a_msgs/msg/B is not installed on either side"):
+            await Side().ask(answer)
+
+    asyncio.run(run())
+
+
+def test_answers_are_given_one_at_a_time() -> None:
+    async def run() -> None:
+        side = Side()
+        side.ros.nodes = {"/node": TEXT}
+        for _ in range(100):
+            side.questions.handle(AskType(route=3))
+        await asyncio.gather(*side.tasks)
+        (answer,) = side.sent
+        assert zstandard.decompress(answer.text).decode() == TEXT
+        assert side.ros.asked == ["/node"]
+
+    asyncio.run(run())
+
+
+def test_nodes_that_know_nothing_are_asked_again_after_a_while() -> None:
+    async def run() -> None:
+        side = Side()
+        side.ros.nodes = {f"/node{number}": TEXT.replace("x", "y") if number else None for number in range(9)}
+        for moment in (0.0, 9.0, 11.0):
+            side.time = moment
+            assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
+        assert side.ros.asked == ["/node0", "/node1", "/node2"] * 2, "three at a time, and after 10 s again"
+        side.time, side.ros.fails = 30.0, True
+        assert await side.known.find("a_msgs/msg/B", HASH, "/b") is None
+
+    asyncio.run(run())
+
+
+def test_what_is_kept_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type_descriptions, "_KEPT", 3 * len(TEXT))
+    known = TypeDescriptions(Ros(), lambda: 0.0)  # type: ignore[arg-type]
+    texts = [TEXT.replace('"x"', f'"{letter}"') for letter in "abcde"]
+    hashes = [hash_of_text(text) for text in texts]
+    for text, type_hash in zip(texts[:3], hashes[:3], strict=True):
+        assert known.add(text, type_hash)
+    assert known.known(hashes[0]) == texts[0], "used, and so kept"
+    assert known.add(texts[3], hashes[3])
+    assert [known.known(each) is not None for each in hashes] == [True, False, True, True, False]
+    assert not known.add(texts[4], hashes[0])
