@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+import threading
+from typing import TYPE_CHECKING, Self
 
 import pytest
 from tests.control.test_attaching import Stalled, consoles
@@ -17,6 +19,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tests.support.bridge import Bridge
     from tests.support.control import Machine
     from tests.support.domain import Domain
@@ -32,8 +36,12 @@ from rsb_bridge.control.client import RemoteEngine
 remote = RemoteEngine(Path(sys.argv[1]))
 remote.start()
 print("attached", flush=True)
+said = False
 while True:
-    remote.snapshot()
+    delivered = sum(route.ledger.delivered for route in remote.snapshot().routes)
+    if delivered and delivered == int(sys.argv[2]) and not said:
+        print("delivered", flush=True)
+        said = True
     time.sleep(0.1)
 """
 
@@ -72,36 +80,113 @@ def test_it_is_seen_and_changed_from_elsewhere(bridge: Bridge, machine: Machine)
     eventually(lambda: linked(client))
 
 
-def test_consoles_that_are_many_stalled_or_killed_cost_no_message(
-    bridge: Bridge, robot: Domain, pc: Domain, machine: Machine
-) -> None:
-    topics = [Topic(f"/topic{number}_tcp", "transmit", type="std_msgs/msg/String") for number in range(5)]
-    server, client = bridge.both(*topics)
-    machine.serve(client)
-    listeners = [pc.listener(topic.topic) for topic in topics]
-    publishers = [robot.publisher(topic.topic) for topic in topics]
-    carries(publishers, server, [topic.topic for topic in topics])
+class Traffic:
+    """Five topics over a bridge, whose client is served; every message has to arrive, whatever consoles do."""
 
-    stalled = Stalled(machine)
-    remotes = [machine.attach() for _ in range(20)]
-    command = [sys.executable, "-c", WATCHES, str(machine.folder / "robot1.sock")]
-    with contextlib.closing(stalled.connection), subprocess.Popen(command, stdout=subprocess.PIPE) as killed:
-        assert killed.stdout
-        assert killed.stdout.readline() == b"attached\n"
-        assert consoles(machine) == 22
-        for number in range(200):
-            for publisher in publishers:
-                publisher.publish(_text(number))
-            for remote in remotes:
+    def __init__(self, bridge: Bridge, robot: Domain, pc: Domain, machine: Machine) -> None:
+        topics = [Topic(f"/topic{number}_tcp", "transmit", type="std_msgs/msg/String") for number in range(5)]
+        server, self.client = bridge.both(*topics)
+        machine.serve(self.client)
+        self._listeners = [pc.listener(topic.topic) for topic in topics]
+        self._publishers = [robot.publisher(topic.topic) for topic in topics]
+        carries(self._publishers, server, [topic.topic for topic in topics])
+        self._published = 0
+
+    def flow(self, messages: int, looking: Sequence[RemoteEngine] = ()) -> None:
+        """Publish so many on each topic, while consoles look at the bridge; all of them arrive."""
+        for _ in range(messages):
+            for publisher in self._publishers:
+                publisher.publish(_text(self._published))
+            for remote in looking:
                 remote.snapshot()
-            if number == 100:
-                killed.kill()
-        for listener in listeners:
-            assert len(heard(listener, 200)) == 200
-        eventually(lambda: consoles(machine) == 21, what="the killed one is gone")
+            self._published += 1
+        for listener in self._listeners:
+            assert len(heard(listener, self._published)) == self._published
+        assert sum(route.ledger.dropped_total for route in self.client.snapshot().routes) == 0
+
+    @property
+    def delivered(self) -> int:
+        """Messages so far."""
+        return len(self._listeners) * self._published
+
+
+@pytest.fixture
+def traffic(bridge: Bridge, robot: Domain, pc: Domain, machine: Machine) -> Traffic:
+    return Traffic(bridge, robot, pc, machine)
+
+
+class Watching:
+    """A console in a process of its own, which looks all the time, and says so when it sees so many delivered."""
+
+    def __init__(self, machine: Machine, delivered: int) -> None:
+        command = [sys.executable, "-c", WATCHES, str(machine.folder / "robot1.sock"), str(delivered)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
+        self.says("attached")
+
+    def says(self, line: str) -> None:
+        assert self.process.stdout
+        assert self.process.stdout.readline() == f"{line}\n".encode()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+def delivered(remote: RemoteEngine) -> int:
+    return sum(route.ledger.delivered for route in remote.snapshot().routes)
+
+
+def test_twenty_consoles_and_one_that_reads_nothing_cost_no_message(traffic: Traffic, machine: Machine) -> None:
+    with contextlib.closing(Stalled(machine).connection):
+        remotes = [machine.attach() for _ in range(20)]
+        assert consoles(machine) == 21
+        traffic.flow(200, looking=remotes)
         for remote in remotes:
-            eventually(lambda r=remote: sum(route.ledger.delivered for route in r.snapshot().routes) == 1000)
-    assert sum(route.ledger.dropped_total for route in client.snapshot().routes) == 0
+            eventually(lambda r=remote: delivered(r) == traffic.delivered)
+
+
+def test_a_console_that_is_killed_costs_no_message(traffic: Traffic, machine: Machine) -> None:
+    remote = machine.attach()
+    with Watching(machine, 0) as watching:
+        assert consoles(machine) == 2
+        traffic.flow(50, looking=[remote])
+        watching.process.kill()
+        traffic.flow(50, looking=[remote])
+        eventually(lambda: consoles(machine) == 1, what="the killed one is gone")
+        eventually(lambda: delivered(remote) == traffic.delivered)
+
+
+def test_a_console_that_is_stopped_for_30_s_costs_no_message_and_goes_on(traffic: Traffic, machine: Machine) -> None:
+    """The 30 s pass on the clock of the bridge's control thread."""
+    remote = machine.attach()
+    with Watching(machine, 500) as watching:
+        watching.process.send_signal(signal.SIGSTOP)
+        traffic.flow(50, looking=[remote])
+        for _ in range(30):
+            pass_a_second(machine)
+            remote.snapshot()
+        traffic.flow(50, looking=[remote])
+        assert consoles(machine) == 2, "it may come back"
+        watching.process.send_signal(signal.SIGCONT)
+        watching.says("delivered")
+        eventually(lambda: delivered(remote) == traffic.delivered == 500)
+
+
+def pass_a_second(machine: Machine) -> None:
+    """Let a second pass for the control thread, which does its regular work then."""
+    loop = machine.served[-1]._loop
+    assert loop is not None
+    passed, real = threading.Event(), loop.time
+
+    def jump() -> None:
+        loop.time = lambda: real() + 1.0  # type: ignore[method-assign]
+        loop.call_later(0.3, passed.set)  # longer than a tick
+
+    loop.call_soon_threadsafe(jump)
+    assert passed.wait(60)
 
 
 def _text(number: int) -> bytes:
