@@ -5,8 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from tests.console.driving import drive, engine_of, scripted_app, shown
+from tests.console.scripted import NOW
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.reloaded import Reloaded
+from rsb_bridge.model.snapshot import Event, Level
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot
@@ -42,5 +45,18 @@ def test_what_cannot_change_is_said() -> None:
         await pilot.press("f6")
         await shown(pilot, "the bridge does what the session file says")
         assert engine_of(app).commands == [("reload", True), ("reload", True)]
+
+    drive(app, steps)
+
+
+def test_what_operators_did_is_in_the_log() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        text = "/chat: paused by anna (uid 1000, pid 7)"
+        engine_of(app).happened.append(Event(5, NOW, Level.INFO, EventCode.OPERATOR_PAUSED, text, topic="/chat"))
+        app.pull()
+        await shown(pilot, f"operator {text}")
 
     drive(app, steps)

@@ -25,7 +25,7 @@ def clock(moment: float) -> str:
 def text_event(event: Event) -> str:
     """An event as one line."""
     link = f"{event.link}: " if event.link else ""
-    return f"{clock(event.time)} {event.level:<7} {event.source:<6} {link}{event.text}"
+    return f"{clock(event.time)} {event.level:<7} {event.source:<8} {link}{event.text}"
 
 
 def text_status(snapshot: Snapshot) -> str:

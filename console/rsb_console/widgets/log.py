@@ -111,7 +111,7 @@ class LogPane(SelectableList):
         return (
             (f" {formats.time_of_day(event.time)} ", "dim"),
             (f"{WORD[event.level]:<6}", look),
-            (f"{event.source:<7}", "dim"),
+            (f"{event.source:<6} ", "dim"),
             (_named(event), "dim" if event.level is Level.DEBUG else ""),
         )
 
