@@ -72,13 +72,16 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
 
 
 TAKE_TERMINAL = (
-    "import fcntl, os, sys, termios; fcntl.ioctl({}, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
+    "import fcntl, os, sys, termios; fcntl.ioctl({}, termios.TIOCSCTTY, 0); os.execvp(sys.argv[1], sys.argv[1:])"
 )
 
 
-def start(path: Path, environ: dict[str, str], terminal: int | None = None) -> subprocess.Popen[str]:
+def start(
+    path: Path, environ: dict[str, str], terminal: int | None = None, *, nohup: bool = False
+) -> subprocess.Popen[str]:
     """The program, in a session of its own: without a terminal, unless it is given one's descriptor."""
     first = [] if terminal is None else [sys.executable, "-c", TAKE_TERMINAL.format(terminal)]
+    first += ["nohup"] if nohup else []
     return subprocess.Popen(
         [*first, COMMAND, "run", "--no-ui", "--log-format", "json", "--status-every", "3600", str(path)],
         stdin=subprocess.DEVNULL,
@@ -149,6 +152,23 @@ def test_sighup_with_a_terminal_ends_the_bridge(path: Path, systemd: Systemd) ->
             os.close(here)
             os.close(there)
             assert process.wait(ENDS_WITHIN) == 0
+        finally:
+            process.kill()
+
+
+def test_nohup_keeps_the_bridge_when_the_terminal_goes(path: Path, systemd: Systemd) -> None:
+    here, there = pty.openpty()
+    with start(path, {"NOTIFY_SOCKET": str(systemd.path)}, there, nohup=True) as process:
+        try:
+            systemd.hear("READY=1")
+            os.close(here)
+            os.close(there)
+            process.send_signal(signal.SIGHUP)
+            assert command("status", "--json").returncode == 1, "it runs, and is not linked"
+            process.terminate()
+            assert process.wait(ENDS_WITHIN) == 0
+            assert process.stdout
+            assert '"stopping": "SIGTERM"' in process.stdout.read()
         finally:
             process.kill()
 

@@ -221,18 +221,21 @@ class Signals:
         self.caught = ""
         self._reload = False
         self._hangup_reloads = not has_terminal
-        self._ignore_hangup = ignore_hangup and has_terminal
+        self._ignore_hangup = ignore_hangup
         self._before: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
 
     def __enter__(self) -> Self:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            ignored = number == signal.SIGHUP and self._ignore_hangup
+            ignored = number == signal.SIGHUP and not self._hangup_reloads and self._ignores_hangup()
             self._before[number] = signal.signal(number, signal.SIG_IGN if ignored else self._catch)
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def _ignores_hangup(self) -> bool:
+        return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored
 
     def takes_reload(self) -> bool:
         """Whether a reload was asked for since this was called last."""
