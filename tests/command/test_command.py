@@ -96,7 +96,7 @@ def test_version_and_help() -> None:
 
 def test_check_says_what_would_be_bridged_and_warns() -> None:
     run = rsb_console("check", "robot1.yaml")
-    assert run.returncode == 2, "it would not start"
+    assert run.returncode == 3, "it would not start"
     assert "client robot1 to 10.0.0.1 port 49152" in run.stdout
     assert "transmit /scan over udp: type auto, qos auto, at most 5 Hz" in run.stdout
     assert "encryption on, prefix /robot1 where the server has use_name on" in run.stdout
@@ -160,7 +160,17 @@ def test_check_warns_of_what_is_allowed_but_unwise() -> None:
     assert len(warnings) == 3
     assert "in the clear" in warnings[0]
     assert "domain 150" in warnings[1]
-    assert "topics[0]: /scan closes the bridge, too" in warnings[2]
+    assert "topic /scan: it closes the bridge, too" in warnings[2]
+
+
+def test_check_warns_of_types_that_are_not_installed() -> None:
+    rsb_console("keygen")
+    Path("types.yaml").write_text(f"{SESSION}  - {{topic: /odd, direction: transmit, type: std_msgs/msg/Strin}}\n")
+    run = rsb_console("check", "types.yaml")
+    assert run.returncode == 0
+    warnings = [line for line in run.stdout.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 1
+    assert "topic /odd, type: std_msgs/msg/Strin is not installed here" in warnings[0]
 
 
 @pytest.mark.parametrize("arguments", [("check",), ("run", "--no-ui"), ("run",), ()])
@@ -171,7 +181,7 @@ def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]
     assert run.stdout == ""
     assert run.stderr.splitlines()[1:] == [
         "bad.yaml:4: server_port: 0 is not a valid port: 1 to 65535",
-        "bad.yaml:7: topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
+        "bad.yaml:7: topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
     ]
     assert rsb_console(*arguments, "none.yaml").stderr == "rsb-console: none.yaml: no such file\n"
 
@@ -282,7 +292,7 @@ def test_bad_arguments_are_refused_in_words() -> None:
 
 def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     Path("checks").write_text(SESSION.replace("udp", "tpc"))
-    assert "checks:7: topics[0].protocol" in rsb_console("checks").stderr
+    assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr
 
 
 def breaking(error: str) -> str:
@@ -416,8 +426,8 @@ def test_more_interrupts_while_it_stops_change_nothing_and_json_lines_are_alike(
         output, errors = run.communicate(timeout=120)
     assert (run.returncode, errors) == (0, "")
     lines += [json.loads(line) for line in output.splitlines()]
-    assert [line["stopping"] for line in lines if "stopping" in line] == ["SIGINT"]
-    assert all({"time", "level"} <= line.keys() and "number" not in line for line in lines)
+    assert [line["text"] for line in lines if line["code"] == "engine.stopping"] == ["stopping: SIGINT"]
+    assert all({"time", "level", "code", "text"} <= line.keys() and "number" not in line for line in lines)
 
 
 @pytest.fixture

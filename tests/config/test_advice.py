@@ -31,7 +31,7 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         (CLIENT, "150", "domain_id", "domain 150 can collide"),
         (CLIENT, "300", "domain_id", "ROS_DOMAIN_ID is '300'"),
         ({**SERVER, "server_port": 80}, None, "server_port", "ports below 1024 need root"),
-        (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "/shutdown closes the bridge, too"),
+        (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "it closes the bridge, too"),
         (topics(Topic("/a", "transmit", port=80)), None, "topics[0].port", "refuses ports below 1024"),
         (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", f"a server takes {ROUTES_PER_LINK} topics"),
         (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", f"a server binds {PORTS_PER_CLIENT} ports"),

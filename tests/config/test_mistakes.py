@@ -33,12 +33,16 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        (topic("protocol: tpc"), 7, "topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)"),
+        (
+            topic("protocol: tpc"),
+            7,
+            "topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
+        ),
         (topic("protocol: TCP"), 7, "(did you mean tcp?)"),
-        (topic("protcol: tcp"), 7, "topics[0].protcol: unknown key (did you mean protocol?)"),
+        (topic("protcol: tcp"), 7, "topic /scan, protcol: unknown key (did you mean protocol?)"),
         (topic("qos: sensor-data"), 7, "(did you mean sensor_data?)"),
-        (topic("qos: 0"), 7, "topics[0].qos: depth: 0 is out of range: 1 to 100000"),
-        (topic("qos: {depth: -1}"), 7, "topics[0].qos: depth: -1 is out of range"),
+        (topic("qos: 0"), 7, "topic /scan, qos: depth: 0 is out of range: 1 to 100000"),
+        (topic("qos: {depth: -1}"), 7, "topic /scan, qos: depth: -1 is out of range"),
         (
             topic("qos: {reliability: reliabel}"),
             7,
@@ -48,18 +52,18 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (
             topic("qos: {profile: sensor-data}"),
             7,
-            "topics[0].qos: profile: 'sensor-data' is not one of default, sensor",
+            "topic /scan, qos: profile: 'sensor-data' is not one of default, sensor",
         ),
         (
             topic("qos: {deadline: 1e400}"),
             7,
-            "topics[0].qos: deadline: inf s is out of range: 0.001 to 1000000000 s, or 0 for none",
+            "topic /scan, qos: deadline: inf s is out of range: 0.001 to 1000000000 s, or 0 for none",
         ),
-        (topic("qos: 99999999999999999999"), 7, "topics[0].qos: depth: 99999999999999999999 is out of range"),
-        (topic("qos: [1]"), 7, "topics[0].qos: [1] is not text or a whole number or a mapping"),
+        (topic("qos: 99999999999999999999"), 7, "topic /scan, qos: depth: 99999999999999999999 is out of range"),
+        (topic("qos: [1]"), 7, "topic /scan, qos: [1] is not text or a whole number or a mapping"),
         (topic("type: LaserScann"), 7, "did you mean sensor_msgs/msg/LaserScan"),
-        (topic("type: sensor_msgs.msg.LaserScan"), 7, "topics[0].type:"),
-        (topic("port: 0"), 7, "topics[0].port: 0 is not a valid port: 1 to 65535"),
+        (topic("type: sensor_msgs.msg.LaserScan"), 7, "topic /scan, type:"),
+        (topic("port: 0"), 7, "topic /scan, port: 0 is not a valid port: 1 to 65535"),
         (topic("port: 65536"), 7, "65536 is not a valid port"),
         (topic("port: '49153'"), 7, "'49153' is not a whole number (leave out the quotes)"),
         (topic("port: 31", BLUETOOTH), 7, "31 is not a valid RFCOMM channel: 1 to 30"),
@@ -74,27 +78,31 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (topic("protocol: bluetooth, port: 31", f"{CLIENT}bluetooth_address: {MAC}\n"), 8, "31"),
         (f"{CLIENT}bluetooth_address: 10.0.0.1\n", 6, "'10.0.0.1' is not a Bluetooth MAC"),
         (f"{BLUETOOTH}bluetooth_address: {MAC}\n", 6, "server_ip is a Bluetooth MAC already"),
-        (topic("max_rate: 0"), 7, "topics[0].max_rate: 0.0 is out of range"),
-        (topic("max_rate: 1e-310"), 7, "topics[0].max_rate: 1e-310 is out of range: 0.001 to 1000000 Hz"),
-        (topic("max_rate: 1e7"), 7, "topics[0].max_rate: 10000000.0 is out of range"),
-        (topic("expected_rate: -1"), 7, "topics[0].expected_rate:"),
-        (topic("expected_rate: 1e-310"), 7, "topics[0].expected_rate: 1e-310 is out of range"),
-        (topic("stale_after: -1"), 7, "topics[0].stale_after:"),
+        (topic("max_rate: 0"), 7, "topic /scan, max_rate: 0.0 is out of range"),
+        (topic("max_rate: 1e-310"), 7, "topic /scan, max_rate: 1e-310 is out of range: 0.001 to 1000000 Hz"),
+        (topic("max_rate: 1e7"), 7, "topic /scan, max_rate: 10000000.0 is out of range"),
+        (topic("expected_rate: -1"), 7, "topic /scan, expected_rate:"),
+        (topic("expected_rate: 1e-310"), 7, "topic /scan, expected_rate: 1e-310 is out of range"),
+        (topic("stale_after: -1"), 7, "topic /scan, stale_after:"),
         (
             topic("stale_after: 1e-300"),
             7,
-            "topics[0].stale_after: 1e-300 is out of range: 0.1 to 1000000 s, or 0 to never warn",
+            "topic /scan, stale_after: 1e-300 is out of range: 0.1 to 1000000 s, or 0 to never warn",
         ),
         (CLIENT + "stale_after: 1e300\n", 6, "stale_after: 1e+300 is out of range"),
-        (topic("paused: yes"), 7, "topics[0].paused: 'yes' is not true or false"),
-        (topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"), 7, "topics[0].remote_topic: '/_rsb_bridge/published' is what"),
-        (topic("remote_topic: scan"), 7, "topics[0].remote_topic: 'scan' is not an absolute topic name"),
+        (topic("paused: yes"), 7, "topic /scan, paused: 'yes' is not true or false"),
+        (
+            topic(f"remote_topic: {ANNOUNCEMENT_TOPIC}"),
+            7,
+            "topic /scan, remote_topic: '/_rsb_bridge/published' is what",
+        ),
+        (topic("remote_topic: scan"), 7, "topic /scan, remote_topic: 'scan' is not an absolute topic name"),
         (topic("remote_topic: ~/scan"), 7, "(did you mean /scan?)"),
         (topic("remote_topic: /front-scan/2"), 7, "(did you mean /front_scan/_2?)"),
-        (topic("topic: /other"), 7, "topics[0].topic: duplicate key, first on line 7"),
+        (topic("topic: /other"), 7, "topic: duplicate key, first on line 7"),
         (CLIENT + "topics:\n  - {topic: scan, direction: transmit}\n", 7, "(did you mean /scan?)"),
-        (CLIENT + "topics:\n  - topic: /scan\n", 7, "topics[0].direction: missing: give one of transmit, receive"),
-        (CLIENT + "topics:\n  - /scan\n", 7, "topics[0]: '/scan' is not a mapping of topic, direction"),
+        (CLIENT + "topics:\n  - topic: /scan\n", 7, "topic /scan, direction: missing: give one of transmit, receive"),
+        (CLIENT + "topics:\n  - /scan\n", 7, "topic 1: '/scan' is not a mapping of topic, direction"),
         (CLIENT + "topics: /scan\n", 6, "topics: '/scan' is not a list"),
         (CLIENT + "topics:\n", 6, "topics: has no value"),
         (CLIENT + "name: other\n", 6, "name: duplicate key, first on line 1"),
@@ -124,28 +132,28 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (
             SERVER + 'clients:\n  - {name: a, allow: ["/\\ud800"]}\n',
             7,
-            "clients[0].allow[0]: '/\\ud800' matches no topic",
+            "client a, allow[0]: '/\\ud800' matches no topic",
         ),
         (SERVER + "topics: [{topic: /a, direction: receive}]\n", 2, "role: a server has no topics"),
         (
             SERVER + "clients:\n  - {name: a}\n  - {name: a}\n",
             8,
-            "clients[1].name: 'a' is the name of clients[0] already",
+            "client a, name: 'a' is the name of client number 1 already",
         ),
-        (SERVER + "clients:\n  - {name: a, allow: [scan]}\n", 7, "clients[0].allow[0]: 'scan' matches no topic"),
-        (SERVER + "clients:\n  - {name: a, deny: scan}\n", 7, "clients[0].deny: 'scan' is not a list"),
-        (SERVER + "clients:\n  - {name: a b, use_name: true}\n", 7, "clients[0].name: 'a b' cannot be a prefix"),
-        (SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"), 5, "clients[0].key_file: missing"),
         (
             SERVER + "clients:\n  - name: a\n    topics:\n      - {topic: /b, direction: transmit, protocol: tpc}\n",
             9,
-            "clients[0].topics[0].protocol: 'tpc' is not one of tcp, udp, bluetooth",
+            "client a, topic /b, protocol: 'tpc' is not one of tcp, udp, bluetooth",
         ),
         (
             SERVER + "clients:\n  - name: a\n    topics:" + 2 * "\n    - {topic: /b, direction: transmit}",
             10,
-            "clients[0].topics[1]: /b (transmit) is there already, as clients[0].topics[0]",
+            "client a, topic /b: /b (transmit) is there already, as number 1",
         ),
+        (SERVER + "clients:\n  - {name: a, allow: [scan]}\n", 7, "client a, allow[0]: 'scan' matches no topic"),
+        (SERVER + "clients:\n  - {name: a, deny: scan}\n", 7, "client a, deny: 'scan' is not a list"),
+        (SERVER + "clients:\n  - {name: a b, use_name: true}\n", 7, "client a b, name: 'a b' cannot be a prefix"),
+        (SERVER.replace("key_file: key.txt\n", "clients: [{name: a}]\n"), 5, "client a, key_file: missing"),
     ],
 )
 def test_a_mistake_is_named_with_its_line_and_what_would_be_right(text: str, line: int, words: str) -> None:
@@ -167,10 +175,10 @@ def test_every_mistake_of_a_file_comes_at_once_in_its_order() -> None:
         ("3", "server_ip"),
         ("4", "server_port"),
         ("5", "colour"),
-        ("7", "topics[0].topic"),
-        ("7", "topics[0].protocol"),
-        ("7", "topics[0].max_rate"),
-        ("8", "topics[1].direction"),
+        ("7", "topic scan, topic"),
+        ("7", "topic scan, protocol"),
+        ("7", "topic scan, max_rate"),
+        ("8", "topic /map, direction"),
     }
     assert [int(line) for line, _ in places] == sorted(int(line) for line, _ in places)
 
@@ -179,21 +187,21 @@ def test_a_mistake_is_not_held_against_what_rests_on_it() -> None:
     """A mistyped direction could be either: it makes no duplicate of the topic's other direction."""
     found = refusals(CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: recieve}\n")
     assert len(found) == 1
-    assert "topics[1].direction" in found[0]
+    assert "topic /a, direction" in found[0]
 
 
 def test_the_same_topic_twice_in_one_direction_is_refused_and_both_ways_is_not() -> None:
     both = CLIENT + "topics:\n  - {topic: /a, direction: transmit}\n  - {topic: /a, direction: receive}\n"
     assert len(parse(both, FILE).topics) == 2
     (refusal,) = refusals(both + "  - {topic: /a, direction: receive, protocol: udp}\n")
-    assert refusal.startswith("robot1.yaml:9: topics[2]: /a (receive) is there already, as topics[1]")
+    assert refusal.startswith("robot1.yaml:9: topic /a: /a (receive) is there already, as number 2")
 
 
 def test_two_topics_cannot_have_one_port_of_their_own_unless_protocols_differ() -> None:
     text = CLIENT + "topics:\n  - {topic: /a, direction: transmit, port: 5000}\n"
     assert parse(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: udp}\n", FILE)
     (refusal,) = refusals(text + "  - {topic: /b, direction: transmit, port: 5000, protocol: tcp}\n")
-    assert "topics[1].port: tcp port 5000 is taken by topics[0]" in refusal
+    assert "topic /b, port: tcp port 5000 is taken by /a" in refusal
 
 
 @pytest.mark.parametrize("head", [BLUETOOTH, f"{CLIENT}bluetooth_address: {MAC}\n"])
@@ -218,12 +226,15 @@ def test_topics_may_share_a_channel_of_their_own(head: str) -> None:
         (CLIENT + "domain_id: KEY\n", "robot1.yaml:6: domain_id: is a key itself"),
         (CLIENT + "stale_after: key KEY\n", "robot1.yaml:6: stale_after: 'key <a key>' is not a number"),
         (CLIENT + "stale_after: [KEY]\n", "robot1.yaml:6: stale_after: ['<a key>'] is not a number"),
-        (CLIENT + "topics: [KEY]\n", "robot1.yaml:6: topics[0]: '<a key>' is not a mapping"),
-        (CLIENT + "topics: [{topic: KEY, direction: receive}]\n", "robot1.yaml:6: topics[0].topic: is a key itself"),
-        (topic("qos: KEY"), "robot1.yaml:7: topics[0].qos: is a key itself"),
-        (topic("qos: {profile: KEY}"), "robot1.yaml:7: topics[0].qos: profile: '<a key>' is not one of"),
-        (topic("type: KEY"), "robot1.yaml:7: topics[0].type: is a key itself"),
-        (SERVER + "clients:\n  - {name: a, allow: [KEY]}\n", "robot1.yaml:7: clients[0].allow[0]: is a key itself"),
+        (CLIENT + "topics: [KEY]\n", "robot1.yaml:6: topic 1: '<a key>' is not a mapping"),
+        (
+            CLIENT + "topics: [{topic: KEY, direction: receive}]\n",
+            "robot1.yaml:6: topic <a key>, topic: is a key",
+        ),
+        (topic("qos: KEY"), "robot1.yaml:7: topic /scan, qos: is a key itself"),
+        (topic("qos: {profile: KEY}"), "robot1.yaml:7: topic /scan, qos: profile: '<a key>' is not one of"),
+        (topic("type: KEY"), "robot1.yaml:7: topic /scan, type: is a key itself"),
+        (SERVER + "clients:\n  - {name: a, allow: [KEY]}\n", "robot1.yaml:7: client a, allow[0]: is a key itself"),
         ("name: !!KEY x\n", "robot1.yaml:1: name: the tag tag:yaml.org,2002:<a key> is not allowed"),
         ("name: !KEY! x\n", "robot1.yaml:1: while scanning a tag"),
         ("name: *KEY\n", "robot1.yaml:1: while scanning an alias"),

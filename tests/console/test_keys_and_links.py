@@ -116,7 +116,7 @@ def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
         engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
         await pilot.press("c")
         await shown(pilot, "▌✗ DOWN  robot2")
-        await shown(pilot, "no answer; attempt 4 in 3 s")
+        await shown(pilot, "no answer; retry 4 in 3 s")
         assert "● ok    robot1" in text(app)
         await pilot.press("j")
         await shown(pilot, "▌● ok    robot1")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter, RateMeter
+from rsb_bridge.telemetry.meters import ClockOffset, LatencyMeter, RateMeter, Smoothed
 
 
 @pytest.mark.parametrize("absurd", [-1.79e9, -3600.0, 1.79e9])
@@ -102,3 +102,12 @@ def test_a_tick_right_after_another_makes_no_rate() -> None:
     meter.tick(60.001)
     assert meter.rate == pytest.approx(10.0)
     assert meter.history[-1] == 10
+
+
+def test_a_rate_of_nothing_comes_to_zero() -> None:
+    rate = Smoothed(0.0)
+    rate.add(1e6, 1.0)
+    assert rate.rate == 5e5
+    for second in range(2, 60):
+        rate.add(0.0, float(second))
+    assert rate.rate == 0.0

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
+import re
 import socket
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join
@@ -15,7 +18,9 @@ from rsb_bridge.model.limits import (
     SAFE_DOMAIN,
     TOPIC_PORT,
 )
+from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
+from rsb_bridge.model.type_names import expand_type_name, split_type_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -60,23 +65,48 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
     if len(ports) > PORTS_PER_CLIENT:
         yield Problem(where, f"a server binds {PORTS_PER_CLIENT} ports for a client's topics, and refuses the others")
     for at, topic in enumerate(topics):
-        location = join(where, at)
+        location, place = join(where, at), f"topic {topic.topic}"
         if topic.topic == session.shutdown_topic:
-            yield Problem(location, f"{topic.topic} closes the bridge, too: it is the shutdown_topic")
+            yield Problem(location, "it closes the bridge, too: it is the shutdown_topic", place=place)
         transport = transport_of(topic, session)
         if topic.port is not None and topic.port not in transport.topic_ports:
             yield Problem(
                 join(location, "port"),
                 f"a server refuses {transport.port_kind}s below {transport.topic_ports.low} for topics",
+                place=f"{place}, port",
             )
-        yield from _depth(topic, join(location, "qos"))
+        for message in _depth(topic):
+            yield Problem(join(location, "qos"), message, place=f"{place}, qos")
 
 
-def _depth(topic: Topic, location: str) -> Iterator[Problem]:
+def uninstalled_types(session: Session) -> Iterator[Problem]:
+    """The types of topics that are not installed here. Looks only whether there are such packages, and imports none."""
+    if importlib.util.find_spec("rclpy") is None:
+        return  # no ROS here: none is installed
+    for at, topic in enumerate(session.topics):
+        name = expand_type_name(topic.type) if topic.type != AUTO else None
+        if name and not _is_installed(*split_type_name(name)):
+            yield Problem(
+                join(join("topics", at), "type"),
+                f"{name} is not installed here: if it is right, the topic crosses once a publisher is there",
+                place=f"topic {topic.topic}, type",
+            )
+
+
+def _is_installed(package: str, kind: str, name: str) -> bool:
+    spec = importlib.util.find_spec(package)
+    for folder in (spec and spec.submodule_search_locations) or ():
+        index = Path(folder, kind, "__init__.py")  # which rosidl writes
+        if index.is_file() and re.search(rf"\bimport {name}\b", index.read_text(encoding="utf-8")):
+            return True
+    return False
+
+
+def _depth(topic: Topic) -> Iterator[str]:
     qos = topic.parsed_qos()
     if qos is None or qos.history == "keep_all":
         return
     most = LATCHED_DEPTH if qos.latched else KEPT_DEPTH
     if qos.depth > most:
         kept = "for late joiners" if qos.latched else "in its publisher"
-        yield Problem(location, f"depth {qos.depth}: the receiving side keeps {most} messages {kept}")
+        yield f"depth {qos.depth}: the receiving side keeps {most} messages {kept}"

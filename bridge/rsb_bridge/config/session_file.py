@@ -12,7 +12,7 @@ import msgspec
 
 from rsb_bridge.config.bringup import bridge_nodes
 from rsb_bridge.config.files import kind_of_file, replace_file
-from rsb_bridge.config.validation import build, validate, validate_topic
+from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
 from rsb_bridge.model.session import Problem, Session, Topic
 
@@ -94,7 +94,8 @@ def parse(text: str, path: Path) -> Session:
         raise SessionError(path, [Problem("", message)])
     session, problems = build(document.data)
     if document.problems or problems:
-        raise SessionError(path, document.problems + [document.locate(problem) for problem in problems])
+        in_text = [placed(problem, document.data) for problem in document.problems]
+        raise SessionError(path, in_text + [document.locate(problem) for problem in problems])
     return session
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.transports import TransportTraits
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
+_ENTRY = re.compile(r"(?P<list>topics|clients)\[(?P<at>\d+)\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
 
@@ -38,7 +40,22 @@ def build(data: object) -> tuple[Session, list[Problem]]:
     """
     problems: list[Problem] = []
     session = read(data, Session, problems)
-    return session, problems + _unreported(_session(session), problems)
+    found = problems + _unreported(_session(session), problems)
+    return session, [placed(problem, data) for problem in found]
+
+
+def placed(problem: Problem, data: object) -> Problem:
+    """Name the topic or client that a problem is about, by its name if it has one, else by its number from 1."""
+    parts, rest, around = [], problem.location, data
+    while (match := _ENTRY.match(rest)) and isinstance(around, dict):
+        kind, name = ("topic", "topic") if match["list"] == "topics" else ("client", "name")
+        around, rest = around[match["list"]][int(match["at"])], rest[match.end() :].removeprefix(".")
+        called = around.get(name) if isinstance(around, dict) else None
+        if isinstance(called, str) and called and len(called) <= NAME_BYTES and called.isprintable():
+            parts.append(f"{kind} {conceal(called)}")
+        else:
+            parts.append(f"{kind} {int(match['at']) + 1}")
+    return replace(problem, place=", ".join([*parts, rest] if rest else parts)) if parts else problem
 
 
 def validate(session: Session) -> list[Problem]:
@@ -292,8 +309,8 @@ def _topics(topics: Sequence[Topic], location: str, session: Session, client: st
 def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
     """Topics of one link that are there twice, or want one port."""
     routes: dict[tuple[str, str], int] = {}
-    ports: dict[tuple[str, int], str] = {}
-    shared = "its server_port"
+    ports: dict[tuple[str, int], int] = {}
+    shared = -1
     link = transports.of_link(session.server_ip)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared
@@ -301,17 +318,17 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[
         location = join(where, at)
         first = routes.setdefault((topic.topic, topic.direction), at)
         if first != at:
-            yield Problem(location, f"{topic.topic} ({topic.direction}) is there already, as {join(where, first)}")
+            yield Problem(location, f"{topic.topic} ({topic.direction}) is there already, as number {first + 1}")
         if topic.port is None:
             continue
         transport = transport_of(topic, session)
-        holder = ports.setdefault((transport.name, topic.port), location)
+        holder = ports.setdefault((transport.name, topic.port), at)
         if holder == shared:
             yield Problem(join(location, "port"), f"{topic.port} is the server_port: leave port out to share it")
-        elif holder != location and not transport.multiplexed:
+        elif holder != at and not transport.multiplexed:
             yield Problem(
                 join(location, "port"),
-                f"{transport.name} {transport.port_kind} {topic.port} is taken by {holder}: "
+                f"{transport.name} {transport.port_kind} {topic.port} is taken by {topics[holder].topic}: "
                 "give another, or leave it out",
             )
 
@@ -330,7 +347,9 @@ def _clients(session: Session) -> Iterator[Problem]:
         yield from _name(client.name, join(location, "name"), use_name=use_name)
         first = names.setdefault(client.name, at)
         if first != at:
-            yield Problem(join(location, "name"), f"{show(client.name)} is the name of clients[{first}] already")
+            yield Problem(
+                join(location, "name"), f"{show(client.name)} is the name of client number {first + 1} already"
+            )
         yield from _patterns(client, location)
         yield from _topics(client.topics, join(location, "topics"), session, client.name if use_name else None)
 

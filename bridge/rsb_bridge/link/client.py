@@ -117,6 +117,8 @@ class ClientLink(Link):
         key = self.key
         if not self.attempts:
             self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.address}", link_status=True)
+        else:
+            self.retry_at = self.context.now()
         secret = key.secret if key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
         host = self.transport.host(self.context.session)

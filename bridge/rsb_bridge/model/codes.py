@@ -17,6 +17,8 @@ class EventCode(StrEnum):
     ENGINE_RELOAD_INCOMPLETE = "engine.reload_incomplete"
     """The session file was read again, and this part of it needs a restart of the process."""
     ENGINE_SHUTDOWN = "engine.shutdown"
+    ENGINE_STOPPING = "engine.stopping"
+    """A bridge without a console is about to end; the text says why."""
     ENGINE_STOPPED = "engine.stopped"
     ENGINE_SHORTAGE = "engine.shortage"
     """The process or the system lacks descriptors or memory; new connections wait."""

@@ -29,6 +29,8 @@ SAFE_DOMAIN = Range(0, 101)
 """ROS domains whose ports are clear of Linux's ephemeral range (docs.ros.org, "The ROS_DOMAIN_ID")."""
 PORT = Range(1, 65535)
 """TCP and UDP (RFC 9293, section 3.1; RFC 768); 0 lets the kernel choose."""
+DEFAULT_PORT = 7060
+"""Below the ports of DDS (7400 + 250 for each domain), and of the kernel for outgoing connections (32768 to 60999)."""
 TOPIC_PORT = Range(1024, PORT.high)
 """Ports that a server binds for a client's topics: lower ones are the system's (RFC 6335, section 6)."""
 CHANNEL = Range(1, 30)

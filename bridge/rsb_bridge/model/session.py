@@ -35,14 +35,17 @@ class Problem:
         location: where it is: ``topics[2].protocol``; empty is the session as a whole.
         message: what is wrong, and what would be right.
         line: of the session file, from 1; None where there is no file.
+        place: the location for a person: ``topic /scan, protocol``; empty: as `location`.
     """
 
     location: str
     message: str
     line: int | None = None
+    place: str = ""
 
     def __str__(self) -> str:
-        return f"{self.location}: {self.message}" if self.location else self.message
+        place = self.place or self.location
+        return f"{place}: {self.message}" if place else self.message
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

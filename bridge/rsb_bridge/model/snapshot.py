@@ -206,7 +206,7 @@ class LinkSnapshot:
         peer: address of the other side, ``host:port`` or ``MAC channel n``; while it is down, where it was last seen.
         state: OK if linked, WAITING before the first attempt, else DOWN; `reason` says why.
         since: s since the epoch, when this state began.
-        retry_in: s until the next attempt; None: none is planned.
+        retry_in: s until the next attempt; 0: it is under way; None: none is planned.
         attempts: failed attempts since it was last linked.
         encrypted: False must be shown in red.
         cipher: ``AESGCM``, ``ChaChaPoly``, or empty.

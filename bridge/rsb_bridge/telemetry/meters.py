@@ -21,6 +21,10 @@ _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
 
 
+_LEAST = 1e-3
+"""Per second; a smaller smoothed rate is 0, which halving alone would never reach."""
+
+
 class Smoothed:
     """A rate that is smoothed over about two seconds.
 
@@ -39,7 +43,8 @@ class Smoothed:
         elapsed = now - self._at
         if elapsed > 0:
             self._at = now
-            self.rate += (1 - 0.5**elapsed) * (amount / elapsed - self.rate)
+            rate = self.rate + (1 - 0.5**elapsed) * (amount / elapsed - self.rate)
+            self.rate = rate if rate >= _LEAST else 0.0
 
 
 class RateMeter:

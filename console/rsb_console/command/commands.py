@@ -9,12 +9,12 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.advice import advise
+from rsb_bridge.config.advice import advise, uninstalled_types
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.thesis import import_bringup
 from rsb_bridge.config.validation import domain_of, transport_of
-from rsb_console.command.shell import FAILURE, OK, USAGE, allow_many_descriptors, print_error, print_line
+from rsb_console.command.shell import FAILURE, NO_KEY, OK, USAGE, allow_many_descriptors, print_error, print_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -87,7 +87,7 @@ def attach(arguments: Namespace) -> int:
 
 
 def check(arguments: Namespace) -> int:
-    """Print what a session would do, and what an operator should mend first; a key that is missing is a mistake."""
+    """Print what a session would do, and what an operator should mend first; a missing key has its own exit code."""
     path: Path = arguments.session
     try:
         session = load(path)
@@ -98,7 +98,7 @@ def check(arguments: Namespace) -> int:
     keys = tuple(_keys(session, path))
     for warning in _warnings(session, keys):
         print_line(f"warning: {warning}")
-    return USAGE if any(isinstance(key, KeyFileError) for key in keys) else OK
+    return NO_KEY if any(isinstance(key, KeyFileError) for key in keys) else OK
 
 
 def _refuse(error: SessionError) -> int:
@@ -189,6 +189,7 @@ def _warnings(session: Session, keys: Iterable[Key | KeyFileError]) -> Iterator[
         else:
             yield from key.warnings
     yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
+    yield from map(str, uninstalled_types(session))
 
 
 def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:

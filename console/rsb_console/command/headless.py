@@ -18,7 +18,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_console.command.log_writer import LogWriter
-from rsb_console.command.reports import clock, json_event, json_line, json_status, text_event, text_status
+from rsb_console.command.reports import json_event, json_status, text_event, text_status
 from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, OK, keep_output_clean, print_error
 from rsb_console.command.supervisor import Supervisor
 
@@ -120,7 +120,6 @@ def bridge_until_told(
     """
     format_event = json_event if log_format == "json" else text_event
     status = json_status if log_format == "json" else text_status
-    stopping = _json_stopping if log_format == "json" else _text_stopping
     writer = LogWriter(sys.stdout.fileno(), lambda lost, reason: format_event(_lines_lost(lost, reason)))
 
     def log(events: Iterable[Event]) -> None:
@@ -145,7 +144,7 @@ def bridge_until_told(
             next_status = now + status_every
             writer.write(status(snapshot))
         reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
-    writer.write(stopping(reason))
+    writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
     if supervisor is not None:
         supervisor.stopping()
     failed = not engine.snapshot().running
@@ -252,11 +251,3 @@ class Signals:
 def _lines_lost(lost: int, reason: str) -> Event:
     text = f"{lost:,} log line{'s' if lost > 1 else ''} lost: {reason}"
     return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)
-
-
-def _text_stopping(reason: str) -> str:
-    return f"{clock(time.time())} stopping: {reason}"
-
-
-def _json_stopping(reason: str) -> str:
-    return json_line({"time": time.time(), "level": Level.INFO, "stopping": reason})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 
@@ -77,6 +78,23 @@ def clock(seconds: float) -> str:
     """Format a duration as hours, minutes and seconds: ``00:12:04``."""
     whole = max(0, int(seconds))
     return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+def retry(number: int, seconds: float | None) -> str:
+    """Format when a link is tried again: ``retry 4 in 3 s``, ``retry 4 now``.
+
+    Args:
+        number: of the attempt.
+        seconds: s until then, rounded up; 0: it is under way; None: none is planned, and nothing is to be said.
+    """
+    if seconds is None:
+        return ""
+    return f"retry {number} in {math.ceil(seconds)} s" if seconds else f"retry {number} now"
+
+
+def counted(count: int, what: str) -> str:
+    """Format a count of things: ``1 topic``, ``8 topics``."""
+    return f"{thousands(count)} {what}{'' if count == 1 else 's'}"
 
 
 def time_of_day(epoch: float) -> str:

@@ -104,8 +104,7 @@ class LinkDetail(LiveLines, can_focus=False):
 
 def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
     if link.state is not State.OK or link.warning:
-        retry = "" if link.retry_in is None else f"; attempt {link.attempts + 1} in {link.retry_in:.0f} s"
-        fault = f"{link_fault(link, server=server)}{retry}"
+        fault = "; ".join(filter(None, (link_fault(link, server=server), formats.retry(link.attempts + 1, link.retry_in))))
         for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
             yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"

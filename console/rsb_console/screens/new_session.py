@@ -10,7 +10,7 @@ from textual.widgets import Button, Input
 from rsb_bridge.config.files import typed_path
 from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionFile, validate
-from rsb_bridge.model.limits import CHANNEL, SAFE_DOMAIN
+from rsb_bridge.model.limits import CHANNEL, DEFAULT_PORT, SAFE_DOMAIN
 from rsb_bridge.model.session import Client, Session
 from rsb_console.screens.clients import HandoutScreen, words
 from rsb_console.screens.form import FormScreen
@@ -35,7 +35,8 @@ FIELDS = (
          options=(("client", "client (robot)"), ("server", "server (control PC)"))),
     Spec("name", "Name", "The same on both sides, like robot1."),
     Spec("server_ip", "Server", "IPv4, IPv6, host name, or Bluetooth MAC. On the server: what to bind (0.0.0.0: all)."),
-    Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.", "49152"),
+    Spec("server_port", "Port", f"TCP and UDP port, or RFCOMM channel ({CHANNEL}): the same on both sides.",
+         str(DEFAULT_PORT)),
     Spec("domain_id", "Domain", f"ROS domain of this side, {SAFE_DOMAIN}. Empty: $ROS_DOMAIN_ID, else 0.",
          blank="$ROS_DOMAIN_ID"),
     Spec("use_name", "Prefix", "On the server, the client's topics have its name as a prefix: /robot1/scan. The "
@@ -125,6 +126,8 @@ class NewSessionScreen(FormScreen[NewSession]):
             problems["name"] = "missing: give one"
         if not values["server_ip"]:
             problems["server_ip"] = "missing: give the server's address"
+        if not values["server_port"]:
+            problems["server_port"] = "missing: give the port"
         if values["name"] or values["path"]:
             problems |= _at("path", path_problem(str(new.path)))
         else:

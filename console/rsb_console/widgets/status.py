@@ -96,7 +96,7 @@ class StatusBar(LiveLines):
         )
         drops = sum(route.ledger.dropped_total for route in snapshot.routes)
         groups: list[Line] = [
-            ((f" {len(snapshot.routes)} topic{'' if len(snapshot.routes) == 1 else 's'}", "strong"), *topics),
+            ((f" {formats.counted(len(snapshot.routes), 'topic')}", "strong"), *topics),
             ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
         ]
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
@@ -163,9 +163,12 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
     (link,) = links
     if linked:
         return f"   ● LINKED {formats.clock(now - link.since)}", "ok"
-    retry = "" if link.retry_in is None else f" · retry {link.attempts + 1} in {link.retry_in:.0f} s"
+    retry = formats.retry(link.attempts + 1, link.retry_in)
     state = link.state
-    return f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry}", state.value
+    return (
+        f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry and f' · {retry}'}",
+        state.value,
+    )
 
 
 def _link_faults(snapshot: Snapshot) -> list[Line]:
