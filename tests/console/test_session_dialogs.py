@@ -158,7 +158,7 @@ def test_a_new_session_is_a_valid_file_with_a_key_of_its_own(folder: Path, size:
 
     drive(app, steps, size=size)
     expected = Session(
-        name="robot1", role="client", server_ip="10.0.0.20", server_port=49152, domain_id=3, use_name=True,
+        name="robot1", role="client", server_ip="10.0.0.20", server_port=7060, domain_id=3, use_name=True,
         key_file="robot1.key",
     )  # fmt: skip
     assert load(folder / "robot1.yaml") == expected == engine_of(app).session
