@@ -43,7 +43,7 @@ def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[i
         assert "not an absolute topic name" not in text(app), "what is looked for is no mistake"
         await pilot.press("down", "enter")  # the second: from the server's graph
         await shown(pilot, "sensor_msgs/msg/Image")
-        await shown(pilot, "● receive")
+        await shown(pilot, "◉ receive")
         await pilot.press("enter")
         await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
         expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image")  # QoS stays auto
@@ -249,7 +249,7 @@ def test_on_a_server_the_form_asks_which_client() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
-        await shown(pilot, "● robot1   ○ robot2")
+        await shown(pilot, "◉ robot1   ○ robot2")
         assert "transmit ←" in text(app)
         await choose(pilot, "link", "robot2")
         await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")

@@ -37,6 +37,7 @@ class Action:
         changes: whether it changes the bridge or a file, so that ``--readonly`` disables it.
         needs_topic: whether it acts on the topic under the cursor.
         in_footer: whether the footer shows it.
+        also: other words by which the palette finds it.
     """
 
     id: str
@@ -48,6 +49,7 @@ class Action:
     changes: bool = False
     needs_topic: bool = False
     in_footer: bool = False
+    also: str = ""
 
 
 # The footer shows them in this order, as many as fit: what an operator needs most comes first.
@@ -60,7 +62,8 @@ ACTIONS: tuple[Action, ...] = (
     Action("page_up", "pageup", "page up", "One page up", Group.MOVE),
     Action("add_topic", "a", "add", "Add a topic, picked from what either side has",
            Group.OPERATE, changes=True, in_footer=True),
-    Action("edit_topic", "e", "edit", "Edit the topic", Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
+    Action("edit_topic", "e", "edit", "Edit the topic", Group.OPERATE, changes=True, needs_topic=True, in_footer=True,
+           also="limit the rate, bandwidth, throttle, type, QoS, protocol, port, compression"),
     Action("remove_topic", "d", "remove", "Remove the topic",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
     Action("pause", "p", "pause", "Pause or resume the topic",
@@ -69,7 +72,7 @@ ACTIONS: tuple[Action, ...] = (
            Group.VIEW, needs_topic=True, in_footer=True),
     Action("message", "v", "message", "View the topic's latest message", Group.VIEW, needs_topic=True),
     Action("back", "escape", "back", "Close what is open, or drop the filter", Group.VIEW),
-    Action("filter", "slash", "filter", "Filter by a regular expression; /! shows what does not match",
+    Action("filter", "slash", "filter", "Filter: text, or state: robot: type: via: why:; ! inverts",
            Group.VIEW, in_footer=True),
     Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
     Action("previous_match", "N", "previous", "Previous match; without a filter, previous fault", Group.VIEW),
@@ -77,6 +80,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("sort_left", "less_than_sign", "sort", "Sort by the column to the left", Group.VIEW),
     Action("sort_right", "greater_than_sign", "sort", "Sort by the column to the right", Group.VIEW),
     Action("reverse", "s", "reverse", "Reverse the order", Group.VIEW),
+    Action("group", "u", "group", "Keep the topics of each robot together", Group.VIEW),
     Action("freeze", "space", "freeze", "Freeze the view; the bridge goes on", Group.VIEW),
     Action("faster", "plus", "faster", "Refresh more often", Group.VIEW),
     Action("slower", "minus", "slower", "Refresh less often", Group.VIEW),

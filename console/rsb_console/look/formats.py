@@ -35,6 +35,16 @@ def byte_rate(bytes_per_second: float) -> str:
     return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
 
 
+def byte_count(count: int) -> str:
+    """Format a number of bytes in at most seven characters: ``412 B``, ``9.4 kB``, ``312 MB``, ``3.1 TB``."""
+    value, unit = float(count), "B"
+    for larger in ("kB", "MB", "GB", "TB", "PB"):
+        if value < 999.5:
+            break
+        value, unit = value / 1e3, larger
+    return f"{value:.1f} {unit}" if value < 9.95 and unit != "B" else f"{value:.0f} {unit}"
+
+
 def kilobytes(bytes_per_second: float) -> str:
     """Format a data rate in kB/s, without the unit, in at most six characters."""
     value = bytes_per_second / 1e3

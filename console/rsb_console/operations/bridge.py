@@ -9,10 +9,11 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
+    from rsb_console.screens.topic import Draft
 
 
 _LINES_SHOWN = 12
@@ -47,9 +48,14 @@ class BridgeOperations:
         engine = self._console.engine
         if engine is None:
             return
-        draft = await self._console.ask(TopicScreen(engine))
+
+        def add(draft: Draft) -> Awaitable[object]:
+            return asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
+
+        draft = await self._console.ask(TopicScreen(engine, add))
         if draft is not None:
-            await self._console.command(engine.add_topic(draft.topic, draft.link), f"{draft.topic.topic}: added")
+            self._console.notify(f"{draft.topic.topic}: added", markup=False, timeout=3)
+            self._console.pull()
 
     async def edit_topic(self) -> None:
         from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
@@ -57,9 +63,13 @@ class BridgeOperations:
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
             return
-        draft = await self._console.ask(TopicScreen(engine, route))
-        if draft is not None and draft.topic != route.spec:
-            await self._console.command(engine.edit_topic(route.key, draft.topic))
+
+        async def edit(draft: Draft) -> None:
+            if draft.topic != route.spec:
+                await asyncio.wrap_future(engine.edit_topic(route.key, draft.topic))
+
+        if await self._console.ask(TopicScreen(engine, edit, route)) is not None:
+            self._console.pull()
 
     async def remove_topic(self) -> None:
         """Remove the topic under the cursor, after a question."""

@@ -104,12 +104,14 @@ class SessionOperations:
     async def sessions(self) -> None:
         from rsb_console.screens.session_files import SessionsScreen  # noqa: PLC0415 -- keeps the start short
 
-        runs = self._console.engine is not None
-        chosen = await self._console.ask(SessionsScreen(runs=runs, readonly=self._console.readonly))
-        if isinstance(chosen, str):
-            await self._begin(chosen)
-        elif chosen is not None:
-            await self._run(chosen.session, chosen.path)
+        runs, path = self._console.engine is not None, ""
+        while chosen := await self._console.ask(SessionsScreen(path, runs=runs, readonly=self._console.readonly)):
+            if isinstance(chosen, str):
+                await self._begin(chosen)
+                return
+            if await self._run(chosen.session, chosen.path):
+                return
+            path = str(chosen.path)
 
     async def _open(self, path: Path) -> None:
         from rsb_bridge.config.session_file import SessionError, load  # noqa: PLC0415 -- not needed without a file
@@ -124,9 +126,9 @@ class SessionOperations:
     async def new_session(self, server_ip: str = "") -> None:
         from rsb_console.screens.new_session import NewSessionScreen  # noqa: PLC0415 -- keeps the start short
 
-        new = await self._console.ask(NewSessionScreen(self._console, server_ip))
+        new = await self._console.ask(NewSessionScreen(self._console, self._may_run, server_ip))
         if new is not None:
-            await self._run(new.session, new.path)
+            await self._console.run_session(new.session, new.path)
 
     async def import_session(self) -> None:
         """Import a bringup.yaml of the thesis."""
@@ -155,10 +157,16 @@ class SessionOperations:
         else:
             await self._console.run_session(demo.session, demo.path, resources, temporary=True)
 
-    async def _run(self, session: Session, path: Path) -> None:
-        """Run a session instead of the present one, if the operator agrees."""
-        if await self.confirm_end(f"Run {path.name} instead?", "Run"):
+    async def _may_run(self, path: Path) -> bool:
+        """Whether the operator agrees to run the session of a file instead of the present one."""
+        return await self.confirm_end(f"Run {path.name} instead?", "Run")
+
+    async def _run(self, session: Session, path: Path) -> bool:
+        """Run a session instead of the present one, if the operator agrees; whether they did."""
+        agreed = await self._may_run(path)
+        if agreed:
             await self._console.run_session(session, path)
+        return agreed
 
     # --- saving it
 
@@ -176,34 +184,38 @@ class SessionOperations:
         if engine is None:
             self._console.notify("no session runs: there is nothing to save")
             return
-        path = await self._console.ask(SaveAsScreen(self._console.path or Path(f"{engine.session.name}.yaml")))
-        if path is not None:
-            await self._save_to(path)
+        path: Path | None = self._console.path or Path(f"{engine.session.name}.yaml")
+        while path is not None and (path := await self._console.ask(SaveAsScreen(path))) is not None:
+            if await self._save_to(path):
+                return
 
-    async def _save_to(self, path: Path) -> None:
+    async def _save_to(self, path: Path) -> bool:
+        """Save the session to a file; False: not, and the operator may name another one."""
         from rsb_console.screens.saving import ChangedScreen, save_elsewhere  # noqa: PLC0415 -- keeps the start short
         from rsb_console.session.saving import file_of, is_changed, reopened  # noqa: PLC0415 -- keeps the start short
 
         engine, opened = self._console.engine, self._console.file
         if engine is None:
-            return
+            return True
         session = engine.session
         if opened is not None and opened.is_at(path) and is_changed(opened):
             if file_of(path, session) is None:
                 match await self._console.ask(ChangedScreen(path)):
                     case "reload":
                         await self._reload()
-                        return
+                        return True
                     case "save_as":
                         await self.save_as()
-                        return
+                        return True
                     case "overwrite":
                         pass
                     case _:
-                        return
+                        return False
             opened = reopened(path)
         if await save_elsewhere(self._console, session, path, opened):
             self._console.saved_to(session, path)
+            return True
+        return False
 
     # --- looking at what belongs to it
 

@@ -28,6 +28,7 @@ class ConfirmScreen(ModalScreen[bool]):
         Binding("left,right", "app.focus_next", show=False),
     ]
     AUTO_FOCUS = "#no"
+    KEYS = "y yes   n no   ← → ⏎ choose"
 
     def __init__(self, title: str, message: str, yes: str) -> None:
         super().__init__()
@@ -39,6 +40,7 @@ class ConfirmScreen(ModalScreen[bool]):
             yield Static(self._message, markup=False)
             with Horizontal(classes="buttons"):
                 yield from self.compose_buttons()
+            yield Static(self.KEYS, classes="hint keys", markup=False)
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant="error", compact=True)

@@ -34,7 +34,7 @@ class KeyList(LiveLines, can_focus=True):
 
     def __init__(self, make: Callable[[int], Iterator[Line]]) -> None:
         super().__init__(classes="dialog -wide")
-        self.border_title = "Keys"
+        self.border_title = "Help: every key"
         self._make_lines = make
         self._lines = list(make(94))
 

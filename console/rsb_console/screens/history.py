@@ -221,7 +221,11 @@ class HistoryScreen(ModalScreen[None]):
         if report is None:
             self.summary.put([((self._problem or "asking the bridge", "down" if self._problem else "dim"),)])
             return
-        rows = [row for row in rows_of(report) if self.pattern is None or self.pattern.matches(row.plain)]
+        rows = [
+            row
+            for row in rows_of(report)
+            if self.pattern is None or self.pattern.matches({"": row.plain, "robot": row.robot, "topic": row.topic})
+        ]
         if self._by_topic:
             rows.sort(key=lambda row: (row.robot, row.topic))
         self.summary.put(list(self._totals(report, rows)))

@@ -128,7 +128,7 @@ class KeysScreen(ModalScreen[None]):
     def compose(self) -> ComposeResult:
         """The table, and what is to be known of the file under the cursor."""
         with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = "Keys"
+            dialog.border_title = "Key files"
             yield self.table
             yield self._note
             keys = "" if self.console.readonly else "g generate a key   "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
@@ -17,6 +18,7 @@ from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.status import link_fault
+from rsb_console.widgets.topics import TopicsTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -104,7 +106,9 @@ class LinkDetail(LiveLines, can_focus=False):
 
 def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
     if link.state is not State.OK or link.warning:
-        fault = "; ".join(filter(None, (link_fault(link, server=server), formats.retry(link.attempts + 1, link.retry_in))))
+        fault = "; ".join(
+            filter(None, (link_fault(link, server=server), formats.retry(link.attempts + 1, link.retry_in)))
+        )
         for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
             yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
@@ -129,11 +133,51 @@ def _span(seconds: float | None) -> str:
     return f"-{formats.span(-seconds)}" if seconds < 0 else formats.span(seconds)
 
 
+class LinkScreen(ModalScreen[None]):
+    """One link, with its topics, live.
+
+    Args:
+        console: whose link it is.
+        name: the link's.
+    """
+
+    BINDINGS: ClassVar = [Binding("escape,q,enter", "dismiss", show=False)]
+
+    def __init__(self, console: Console, name: str) -> None:
+        super().__init__()
+        self.console, self._name = console, name
+        self.detail, self.topics = LinkDetail(), TopicsTable()
+
+    def compose(self) -> ComposeResult:
+        with Vertical(classes="dialog -wide") as dialog:
+            dialog.border_title = f"Link {self._name}"
+            yield self.detail
+            yield self.topics
+            yield Static("esc close", classes="hint keys")
+
+    def on_mount(self) -> None:
+        self.set_interval(1 / self.console.refresh_rate, self.show)
+        self.show()
+
+    def show(self) -> None:
+        """Show the link as it is now; a link that is gone closes its screen."""
+        now = self.console.snapshot()
+        link = next((link for link in now.links if link.name == self._name), None)
+        if link is None:
+            self.dismiss()
+            return
+        self.detail.show(link, server=now.role == "server")
+        self.topics.show(replace(now, routes=tuple(route for route in now.routes if route.link == self._name)))
+        self.topics.explain("No topic of this link.")
+        self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))
+
+
 class LinksScreen(ModalScreen[None]):
     """All links, live."""
 
     BINDINGS: ClassVar = [
         Binding("escape,q", "dismiss", show=False),
+        Binding("enter", "open", show=False),
         Binding("r", "retry", show=False),
         Binding("a", "add_client", show=False),
         Binding("d", "remove_client", show=False),
@@ -152,7 +196,7 @@ class LinksScreen(ModalScreen[None]):
             yield self.detail
             clients = "a add a client   d remove it   " if self._is_server else ""
             keys = "" if self.console.readonly else f"{clients}r try again now   "
-            yield Static(f"{keys}esc close", classes="hint keys")
+            yield Static(f"⏎ detail   {keys}esc close", classes="hint keys")
 
     def on_mount(self) -> None:
         self.set_interval(1 / self.console.refresh_rate, self.show)
@@ -167,6 +211,15 @@ class LinksScreen(ModalScreen[None]):
     def on_selectable_list_cursor_moved(self) -> None:
         """The detail follows."""
         self.detail.show(self.table.selected, server=self.console.snapshot().role == "server")
+
+    def action_open(self) -> None:
+        """Show the link under the cursor with its topics."""
+        if self.table.selected is not None:
+            self.app.push_screen(LinkScreen(self.console, self.table.selected.name))
+
+    def on_selectable_list_chosen(self) -> None:
+        """A second click opens."""
+        self.action_open()
 
     @work
     async def action_retry(self) -> None:

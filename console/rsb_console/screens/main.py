@@ -230,7 +230,7 @@ class MainScreen(Screen[None]):
         self.set_focus(self._filtered)
 
     def _show_title(self) -> None:
-        parts = ["Topics"]
+        parts = ["Topics by robot" if self.topics.grouped else "Topics"]
         if self.topics.faults_only:
             parts.append("faults only")
         if self.topics.pattern is not None:
@@ -261,6 +261,12 @@ class MainScreen(Screen[None]):
 
     def action_reverse(self) -> None:
         self.topics.reverse()
+
+    def action_group(self) -> None:
+        """Group by robot, or not."""
+        self.topics.grouped = not self.topics.grouped
+        self.topics.relist()
+        self._show_title()
 
     def action_freeze(self) -> None:
         """Hold the picture, or let it go on."""

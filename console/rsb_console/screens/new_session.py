@@ -21,7 +21,7 @@ from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Awaitable, Callable, Mapping
     from pathlib import Path
 
     from textual.app import ComposeResult
@@ -63,11 +63,14 @@ class NewSessionScreen(FormScreen[NewSession]):
 
     Args:
         console: asks and tells.
+        may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
+            stays.
         server_ip: to begin with.
     """
 
-    def __init__(self, console: Console, server_ip: str = "") -> None:
+    def __init__(self, console: Console, may_run: Callable[[Path], Awaitable[bool]], server_ip: str = "") -> None:
         self.console = console
+        self._may_run = may_run
         self._fields = {spec.key: Field(spec) for spec in FIELDS}
         self._fields["server_ip"].value = server_ip
         super().__init__("New session", list(self._fields.values()), "Create")
@@ -174,7 +177,8 @@ class NewSessionScreen(FormScreen[NewSession]):
         if result.session.clients:
             handed = handed_out(SessionFile(result.path, "", result.session))
             await self.console.ask(HandoutScreen("What the clients need", handed))
-        self.dismiss(result)
+        if await self._may_run(result.path):
+            self.dismiss(result)
 
     def press(self, button: str) -> None:
         if button == "bluetooth":

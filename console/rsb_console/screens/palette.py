@@ -39,7 +39,7 @@ class ActionsProvider(Provider):
     async def search(self, query: str) -> Hits:
         matcher = self.matcher(query)
         for action in self._possible():
-            score = matcher.match(f"{action.help} {action.label}")
+            score = matcher.match(f"{action.help} {action.label} {action.also}")
             if score > 0:
                 yield Hit(score, matcher.highlight(action.help), partial(self._run, action), help=self._keys(action))
 

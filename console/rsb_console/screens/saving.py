@@ -170,10 +170,10 @@ class DiffScreen(ConfirmScreen):
             dialog.border_title = self._title
             yield Static(self._message, markup=False)
             yield self._diff
-            if self._diff.line_count > _MOST_LINES:
-                yield Static("↑ ↓ scroll", classes="hint")
             with Horizontal(classes="buttons"):
                 yield from self.compose_buttons()
+            scroll = "   ↑ ↓ scroll" if self._diff.line_count > _MOST_LINES else ""
+            yield Static(f"{self.KEYS}{scroll}", classes="hint keys", markup=False)
 
     def action_scroll_diff(self, lines: int) -> None:
         self._diff.scroll_relative(y=lines, animate=False)

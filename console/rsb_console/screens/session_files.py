@@ -78,15 +78,17 @@ class SessionsScreen(FormScreen[Opened | str]):
     """Open a session, or go on to another way to get one: then gives the action's id.
 
     Args:
+        path: to begin with.
         runs: a session runs, and can be saved.
         readonly: nothing may be changed.
     """
 
-    def __init__(self, *, runs: bool, readonly: bool) -> None:
+    def __init__(self, path: str = "", *, runs: bool, readonly: bool) -> None:
         spec = Spec(
             "path",
             "Session",
             "↑ ↓ and ⏎ to open one of these, or type a path.",
+            path,
             blank="type to look for a file",
             edited=True,
         )

@@ -14,11 +14,12 @@ from rsb_bridge.model.qos import PROFILES
 from rsb_console.screens.form import FormScreen
 from rsb_console.screens.topic_suggestions import suggestions_for
 from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Awaitable, Callable, Iterator, Mapping
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Session, Topic
@@ -44,11 +45,14 @@ class TopicScreen(FormScreen[Draft]):
 
     Args:
         engine: whose graphs and links it is about.
+        do: carries out what the form gives; the form stays open, with the reason, if the engine refuses it.
         route: the topic to edit; None: a new one.
     """
 
-    def __init__(self, engine: EngineApi, route: RouteSnapshot | None = None) -> None:
-        self._engine, self._route = engine, route
+    def __init__(
+        self, engine: EngineApi, do: Callable[[Draft], Awaitable[object]], route: RouteSnapshot | None = None
+    ) -> None:
+        self._engine, self._do, self._route = engine, do, route
         now = engine.snapshot()
         self._links = [route.link] if route is not None else [link.name for link in now.links]
         fields = [self._field(spec) for spec in _specs(engine.session, now, self._links, route)]
@@ -74,6 +78,16 @@ class TopicScreen(FormScreen[Draft]):
 
     def result(self, values: Mapping[str, str]) -> Draft:
         return Draft(topic_of({key: value for key, value in values.items() if key != "link"}), self._link)
+
+    @work(group=DIALOG)
+    async def accept(self, result: Draft) -> None:
+        """Have it carried out; what is refused is said here, beside the values."""
+        try:
+            await self._do(result)
+        except EngineError as error:
+            self.form.show_problems({"": str(error)})
+        else:
+            self.dismiss(result)
 
     # -- picking ------------------------------------------------------------------------------------------------------
 
@@ -176,7 +190,7 @@ def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
             "remote_topic",
             "On the server",
             f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
-            blank="same name",
+            blank=f"/{ends.client} and its name" if ends.use_name else "same name",
         ),
     )
 

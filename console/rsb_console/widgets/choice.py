@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Choice(Widget, can_focus=True):
-    """``● transmit   ○ receive``; where the options have no room beside each other, the chosen one only.
+    """``◉ transmit   ○ receive``; where the options have no room beside each other, the chosen one only.
 
     Args:
         options: value and label of each; at least one.
@@ -61,7 +61,7 @@ class Choice(Widget, can_focus=True):
         self.post_message(self.Submitted())
 
     def _pieces(self) -> list[str]:
-        return [f"{'●' if value == self.value else '○'} {label}   " for value, label in self._options]
+        return [f"{'◉' if value == self.value else '○'} {label}   " for value, label in self._options]
 
     def render(self) -> Content:
         pieces, at = self._pieces(), self._at

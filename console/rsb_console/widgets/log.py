@@ -60,7 +60,9 @@ class LogPane(SelectableList):
     def _wanted(self, event: Event) -> bool:
         if SEVERITY[event.level] < SEVERITY[self.level]:
             return False
-        return self.pattern is None or self.pattern.matches(plain(event))
+        return self.pattern is None or self.pattern.matches(
+            {"": plain(event), "state": WORD[event.level], "topic": event.topic, "robot": event.link}
+        )
 
     def _heading(self) -> str:
         parts = ["Log"]

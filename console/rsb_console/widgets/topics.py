@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 FAULTS = frozenset(State) - {State.PAUSED, State.OK}
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
+TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +85,7 @@ COLUMNS = (
         lambda r: -r.bytes_per_second,
         from_width=56,
     ),
+    Column("TOTAL", 8, lambda r: formats.byte_count(r.bytes_total), lambda r: -r.bytes_total, from_width=TOTAL_FROM),
     Column(
         "ms",
         5,
@@ -105,15 +107,20 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = COLUMNS[0], COLUMNS[1], COLUMNS[2], C
 
 
 @cache
-def layout(width: int, *, peers: bool) -> tuple[tuple[Column, int], ...]:
+def layout(width: int, *, peers: bool, grouped: bool = False) -> tuple[tuple[Column, int], ...]:
     """The columns that fit, each with its width in cells.
 
     Args:
         width: of the table, cells.
         peers: whether there are several peers, so that the table needs a column for them.
+        grouped: whether that column comes first, however narrow the table is.
     """
-    hidden = {SIGN if width >= WIDE else STATE} | (set() if peers else {PEER})
+    hidden = {SIGN if width >= WIDE else STATE} | (set() if peers and not grouped else {PEER})
     shown = [column for column in COLUMNS if width >= column.from_width and column not in hidden]
+    if grouped:
+        shown.insert(0, PEER)
+        if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
+            shown.pop()  # the names need its room
     rest = max(8, width - 1 - sum(column.width + 1 for column in shown))
     return tuple((column, column.width or rest) for column in shown)
 
@@ -129,6 +136,8 @@ class TopicsTable(SelectableList):
         self.sort_column = STATE
         self.reversed = False
         self.faults_only = False
+        self.grouped = False
+        """Whether the topics of each robot stand together."""
         self.pattern: Pattern | None = None
         self._peers = False
         self._empty: list[str] = []
@@ -153,13 +162,23 @@ class TopicsTable(SelectableList):
     def relist(self) -> None:
         shown = [route for route in self.routes.values() if self._wanted(route)]
         shown.sort(key=self.sort_column.order, reverse=self.reversed)
+        if self.grouped:
+            shown.sort(key=lambda route: route.link)
         self.show_keys([route.key for route in shown])
 
     def _wanted(self, route: RouteSnapshot) -> bool:
         if self.faults_only and route.state not in FAULTS:
             return False
         return self.pattern is None or self.pattern.matches(
-            f"{route.topic} {route.link}" if self._peers else route.topic
+            {
+                "topic": route.topic,
+                "robot": route.link,
+                "state": STATE_WORD[route.state],
+                "via": f"{_via(route)} {route.port}",
+                "type": route.type_name,
+                "why": route.reason,
+            },
+            hidden=() if self._peers else ("robot",),
         )
 
     def is_cursor(self, index: int) -> bool:
@@ -206,7 +225,7 @@ class TopicsTable(SelectableList):
 
     @property
     def _layout(self) -> tuple[tuple[Column, int], ...]:
-        return layout(self.width, peers=self._peers)
+        return layout(self.width, peers=self._peers, grouped=self.grouped)
 
     def _heading(self, column: Column, width: int) -> tuple[str, str]:
         arrow = ("▲" if self.reversed else "▼") if column is self.sort_column else ""

@@ -1,0 +1,249 @@
+"""What operators stumbled over: forms that were lost, figures that misled, and things that were not found."""
+
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+from tests.console.driving import (
+    AppSteps,
+    drive,
+    engine_of,
+    fill,
+    form_of,
+    gone,
+    listed,
+    on_main,
+    put,
+    scripted_app,
+    shown,
+    text,
+    until,
+)
+from tests.console.scripted import LINK, ROUTES, SESSION, ScriptedEngine, route
+from textual.pilot import Pilot
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_console.app import ConsoleApp
+from rsb_console.look import formats
+from rsb_console.look.glyphs import to_ascii
+from rsb_console.screens.new_session import FIELDS
+from rsb_console.widgets.choice import Choice
+from rsb_console.widgets.pattern import Pattern
+from rsb_console.widgets.topics import TopicsTable
+
+
+class RefusingEngine(ScriptedEngine):
+    """An engine that refuses every topic."""
+
+    def add_topic(self, topic: Topic, link: str = "") -> "Future[str]":
+        refused: Future[str] = Future()
+        refused.set_exception(EngineError("robot1 does not allow /added"))
+        return refused
+
+
+def test_what_is_chosen_and_what_is_not_differ_in_ascii() -> None:
+    options = next(spec.options for spec in FIELDS if spec.key == "role")
+    chosen, other = (to_ascii(piece)[0] for piece in Choice(options)._pieces())
+    assert chosen != other
+
+
+def test_a_refused_topic_comes_back_with_its_values_and_the_reason() -> None:
+    app = scripted_app(make_engine=RefusingEngine)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("a")
+        await shown(pilot, "Add a topic")
+        await fill(pilot, topic="/added", max_rate="7")
+        form_of(app).fields["max_rate"].control.focus()
+        await pilot.press("enter")
+        await shown(pilot, "robot1 does not allow /added")
+        values = form_of(app).values
+        assert (values["topic"], values["max_rate"]) == ("/added", "7")
+
+    drive(app, steps)
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("dialog", ["open", "new", "save as"])
+def test_no_leads_back_to_the_dialog_that_asked(dialog: str) -> None:
+    save(SESSION, Path("nav2.yaml"))
+    save(msgspec.structs.replace(SESSION, name="other"), Path("other.yaml"))
+    keys, words, values, question = {
+        "open": ("o", "Sessions", {"path": "./other.yaml"}, "Run other.yaml instead?"),
+        "new": ("f2", "New session", {"name": "robot7", "server_ip": "10.0.0.20"}, "Run robot7.yaml instead?"),
+        "save as": ("W", "Save as", {"path": "other.yaml"}, "Overwrite other.yaml?"),
+    }[dialog]
+    app = scripted_app(path=Path("nav2.yaml").resolve())
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press(keys)
+        await shown(pilot, words)
+        await fill(pilot, **values)
+        await pilot.press("enter")
+        await shown(pilot, question)
+        assert "n no" in text(app), "the keys of the answers"
+        await pilot.press("n")
+        await gone(pilot, question)
+        await until(pilot, lambda: app.screen is not app.main, "the dialog")
+        await shown(pilot, words)
+        assert form_of(app).values.items() >= {key: value.removeprefix("./") for key, value in values.items()}.items()
+
+    drive(app, steps)
+
+
+def test_an_empty_port_is_missing() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("f2")
+        await shown(pilot, "New session")
+        assert form_of(app).values["server_port"] == "7060"
+        await fill(pilot, server_port="")
+        form_of(app).fields["server_port"].touched = True
+        await fill(pilot, name="robot1")
+        await shown(pilot, "missing: give the port")
+
+    drive(app, steps)
+
+
+def test_on_the_server_a_name_with_a_prefix_is_not_said_to_be_the_same() -> None:
+    session = msgspec.structs.replace(SESSION, use_name=True)
+    app = scripted_app(session=session)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).now = replace(engine_of(app).now, links=(replace(LINK, use_name=True),))
+        await pilot.press("a")
+        await shown(pilot, "/robot1 and its name")
+        assert "same name" not in text(app)
+
+    drive(app, steps)
+
+
+COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": "sensor_msgs/msg/LaserScan", "why": ""}
+
+
+@pytest.mark.parametrize(
+    ("typed", "found"),
+    [
+        ("state:down", True),
+        ("state:ok", False),
+        ("robot:robot1 state:down", True),
+        ("robot:robot2 state:down", False),
+        ("type:LaserScan scan", True),
+        ("type:scan /odom", False),
+        ("laserscan", True),
+        ("^/robot1/scan$", True),
+        ("!state:down", False),
+        ("!state:ok scan", True),
+        ("topic:scan$", True),
+        ("state:", True),
+        ("mystate:ok", False),
+    ],
+)
+def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found: bool) -> None:
+    assert Pattern(typed).matches(COLUMNS) is found
+
+
+@on_main()
+async def test_the_topics_are_filtered_by_a_column(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press(*"/state:stale", "enter")
+    await until(pilot, lambda: listed(app) == ["/robot1/map"], "the stale one")
+
+
+@on_main()
+async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    topics = [(link, number, state) for number, state in ((1, State.OK), (2, State.DOWN)) for link in "ba"]
+    put(
+        app,
+        *(route(f"/{link}/{number}", link=link, state=state) for link, number, state in topics),
+        links=(replace(LINK, name="a"), replace(LINK, name="b")),
+    )
+    assert listed(app) == ["/a/2", "/b/2", "/a/1", "/b/1"]
+    await pilot.press("u")
+    await until(pilot, lambda: listed(app) == ["/a/2", "/a/1", "/b/2", "/b/1"], "two groups")
+    await shown(pilot, "Topics by robot")
+    await pilot.press("u")
+    await until(pilot, lambda: listed(app)[:2] == ["/a/2", "/b/2"], "none")
+
+
+@on_main()
+async def test_enter_on_a_link_shows_it_with_its_topics(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, route("/a", link="robot1"), route("/b", link="robot2"), links=(LINK, replace(LINK, name="robot2")))
+    await pilot.press("c", "enter")
+    await shown(pilot, "Link robot1")
+    dialog = text(app).partition("Link robot1")[2]
+    assert "its clock" in dialog
+    assert app.screen.query_one("#topics", TopicsTable).keys == ["/a"]
+    await pilot.press("escape")
+    await gone(pilot, "Link robot1")
+    await shown(pilot, "⏎ detail")
+
+
+@pytest.mark.parametrize("words", ["limit", "bandwidth"])
+def test_the_palette_finds_how_to_limit_a_topic(words: str) -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("colon", *words)
+        await shown(pilot, "Edit the topic")
+
+    drive(app, steps)
+
+
+def wide_screen(size: tuple[int, int]) -> AppSteps:
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        assert app.main.detail.size.width >= (60 if size[0] >= 200 else 36)
+        assert ("TOTAL" in text(app)) is (size[0] >= 200)
+        app.notify("a message")
+        await shown(pilot, "a message")
+        rows = text(app).splitlines()
+        at = next(number for number, row in enumerate(rows) if "a message" in row)
+        assert at > app.main.log_pane.region.y + 2, "over the older log lines"
+
+    return steps
+
+
+test_a_wide_screen_gives_the_details_room = on_main((200, 50))(wide_screen((200, 50)))
+test_messages_cover_no_topic = on_main((120, 36))(wide_screen((120, 36)))
+
+
+@on_main()
+async def test_dialogs_have_names_of_their_own(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("question_mark")
+    await shown(pilot, "─ Help")
+    await pilot.press("escape", "K")
+    await shown(pilot, "─ Key files")
+
+
+@on_main()
+async def test_one_topic_is_one_topic(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, ROUTES[0])
+    await shown(pilot, " 1 topic ")
+
+
+@pytest.mark.parametrize(
+    ("made", "expected"),
+    [
+        (formats.retry(1, None), ""),
+        (formats.retry(1, 1.2), "retry 1 in 2 s"),
+        (formats.retry(4, 0.0), "retry 4 now"),
+        (formats.counted(1, "topic"), "1 topic"),
+        (formats.counted(0, "topic"), "0 topics"),
+        (formats.byte_count(0), "0 B"),
+        (formats.byte_count(999), "999 B"),
+        (formats.byte_count(29_392_800), "29 MB"),
+        (formats.byte_count(3_120_000_000_000), "3.1 TB"),
+    ],
+)
+def test_figures_in_words(made: str, expected: str) -> None:
+    assert made == expected
