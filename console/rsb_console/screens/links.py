@@ -15,6 +15,7 @@ from textual.widgets import Static
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
 from rsb_console.widgets.status import link_fault
@@ -237,13 +238,13 @@ class LinksScreen(ModalScreen[None]):
             return self._is_server and not self.console.readonly
         return super().check_action(action, parameters)
 
-    @work
+    @work(group=DIALOG)
     async def action_add_client(self) -> None:
         from rsb_console.screens.clients import add_client  # noqa: PLC0415 -- seldom needed
 
         await add_client(self.console)
 
-    @work
+    @work(group=DIALOG)
     async def action_remove_client(self) -> None:
         from rsb_console.screens.clients import remove_client  # noqa: PLC0415 -- seldom needed
 
