@@ -67,7 +67,7 @@ def test_what_a_firewall_eats_is_named_and_comes_back_while_the_rest_goes_on(
         EventCode.LINK_UDP_BLOCKED, "no answer from UDP port 49152 of 10.99.1.1: does a firewall drop it?"
     )
     bridge.server.happens(EventCode.LINK_UDP_BLOCKED, "nothing more from UDP port")
-    eventually(lambda: bridge.client.route("/scan")["state"] == "down", what="/scan is shown as down")
+    eventually(lambda: bridge.client.route("/scan").get("state") == "down", what="/scan is shown as down")
     bridge.pc.hears("/odom", _BACK_WITHIN)  # on another connection
     assert bridge.client.ledger("/scan").dropped["lost on the way"] > 0
 

@@ -106,6 +106,16 @@ def test_another_key(suite: Suite) -> None:
     assert refusal == Refused(RefusalCode.WRONG_KEY, words)
 
 
+def test_a_first_message_that_claims_the_right_key_and_does_not_open() -> None:
+    """A forged or damaged one: that the keys differ would be untrue."""
+    client, server = make_client(), make_server()
+    frame = bytearray(client.start())
+    frame[-1] ^= 1
+    refusal = the(Refused, server.receive_data(bytes(frame)))
+    assert refusal.code is RefusalCode.WRONG_KEY
+    assert "damaged or forged" in refusal.message
+
+
 def test_no_key_against_a_key() -> None:
     refusal = refused(make_client(Suite.PLAIN), make_server())
     assert refusal.code is RefusalCode.ENCRYPTION_REQUIRED
