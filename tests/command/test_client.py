@@ -167,8 +167,8 @@ def test_the_list_says_who_is_linked_and_which_key_is_missing(path: Path, run: R
     [
         (("add", "robot1"), 2, "robot1 is a client already; `client rekey robot1` makes a new key"),
         (("add", "robot2", "--key-file", "gone/robot2.key"), 1, "gone/robot2.key: cannot be written"),
-        (("add", ""), 2, "clients[1].name: '' is not a name"),
-        (("add", "robot2", "--allow", "scan"), 2, "clients[1].allow[0]: 'scan' matches no topic"),
+        (("add", ""), 2, "client 2, name: '' is not a name"),
+        (("add", "robot2", "--allow", "scan"), 2, "client robot2, allow[0]: 'scan' matches no topic"),
         (("remove", "robot1"), 2, "robot1 is the server's only client: add another one first"),
         (("remove", "robto1"), 2, "robto1 is no client of this server; did you mean robot1?"),
         (("rekey", "x"), 2, "x is no client of this server; there are robot1"),

@@ -168,7 +168,7 @@ def test_nohup_keeps_the_bridge_when_the_terminal_goes(path: Path, systemd: Syst
             process.terminate()
             assert process.wait(ENDS_WITHIN) == 0
             assert process.stdout
-            assert '"stopping": "SIGTERM"' in process.stdout.read()
+            assert '"text": "stopping: SIGTERM"' in process.stdout.read()
         finally:
             process.kill()
 

@@ -29,11 +29,11 @@ def test_incompatible_says_every_reason() -> None:
     offered = Qos(reliability="best_effort", deadline=2.0)
     requested = Qos(durability="transient_local", deadline=1.0)
     assert incompatible(offered, requested) == (
-        "the publisher is best_effort, the subscription asks for reliable; "
-        "the publisher is volatile, the subscription asks for transient_local; "
-        "the publisher offers a deadline of 2 s, the subscription asks for 1 s"
+        "the publisher offers best_effort, the subscription asks for reliable; "
+        "the publisher offers volatile, the subscription asks for transient_local; "
+        "the publisher offers a deadline of 2 s, the subscription asks for a deadline of 1 s"
     )
-    assert incompatible(Qos(), Qos(deadline=1.5)) == "the publisher offers no deadline, the subscription asks for 1.5 s"
+    assert incompatible(Qos(), Qos(deadline=1.5)) == "the publisher offers no deadline, the subscription asks for a deadline of 1.5 s"
 
 
 @pytest.mark.parametrize(
