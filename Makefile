@@ -15,12 +15,12 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
-# The tests by folder, the longest first and five at a time: many wait for most of their time. Folders share no ROS domain,
-# port or file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's
-# Bluetooth (docs/bluetooth.md).
-LONGEST := engine bluetooth console network simulation link system command
+# The tests by folder, the longest first and five at a time: many wait for most of their time. The two largest folders are
+# run by halves. Folders share no ROS domain, port or file. `make test-link` runs one of them, `make test-bluetooth` those
+# that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md).
+LONGEST := engine.1 engine.2 bluetooth console.1 console.2 network simulation link system command
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
-PARTS := lint test-wire $(addprefix test-,$(LONGEST) $(filter-out wire $(LONGEST),$(FOLDERS)))
+PARTS := lint test-wire $(addprefix test-,$(LONGEST) $(filter-out wire $(basename $(LONGEST)),$(FOLDERS)))
 
 test: $(STAMP) system
 	$(MAKE) --no-print-directory --keep-going --jobs=5 --output-sync=target $(PARTS)
@@ -33,7 +33,8 @@ test-wire: $(STAMP)
 	$(GIVES_WAY) timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100
 
 test-%: $(STAMP) system
-	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/$*
+	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) timeout -k 5 1800 \
+	  $(BIN)/python -m pytest -p no:cacheprovider tests/$(basename $*) $(addprefix --half=,$(subst .,,$(suffix $*)))
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -18,6 +18,19 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--half 1`` and ``--half 2`` run every other file each, so that a large folder is run by two processes."""
+    parser.addoption("--half", type=int, choices=(1, 2), help="run every other file, from the first or second on")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the tests of half of the files, where that is asked for."""
+    if half := config.getoption("half"):
+        files = sorted({item.path for item in items})[half - 1 :: 2]
+        config.hook.pytest_deselected(items=[item for item in items if item.path not in files])
+        items[:] = [item for item in items if item.path in files]
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _own_control_sockets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Bridges that others run on this machine are not the tests' business, nor theirs the others'; nor their files."""

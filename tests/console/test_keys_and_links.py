@@ -228,7 +228,7 @@ def test_a_paired_device_becomes_the_server_of_a_new_session(radio: list[object]
         assert form_of(app).values["server_ip"] == PHONE.address
         await fill(pilot, name="robot1")
         await pilot.press("enter")
-        await shown(pilot, "49152 is not a valid RFCOMM channel")
+        await shown(pilot, "7060 is not a valid RFCOMM channel")
 
     drive(app, steps)
 

@@ -202,7 +202,7 @@ def test_in_a_terminal_attached_and_read_only(
         socket = machine.folder / "robot1.sock"
         with Tmux(tmp_path, "sh") as tmux:
             tmux("send-keys", f"until {COMMAND} attach --readonly --control {socket}; do sleep 0.2; done", "Enter")
-            tmux.wait_for("● ok")
+            tmux.wait_for("UNHEARD")
             tmux("send-keys", "v")
             first = tmux.wait_for("data: ")
             came = next(line for line in first.splitlines() if "std_msgs/msg/String" in line)
@@ -210,4 +210,4 @@ def test_in_a_terminal_attached_and_read_only(
             tmux.wait_for(came, there=False)
             tmux("send-keys", "Escape")
             tmux.wait_for("data: ", there=False)
-            tmux.wait_for("● ok")
+            tmux.wait_for("UNHEARD")

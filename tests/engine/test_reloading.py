@@ -238,7 +238,7 @@ def test_a_client_whose_key_changes_comes_back_with_the_new_one(bridge: Bridge, 
     new = link(server, "robot2").fingerprint
     closed = "its link is closed, and comes back once the client has the new key"
     assert change == f"client robot2: key {old} → {new}: {closed}"
-    differ = f"the client's has the fingerprint {old}, the server's {new}"
+    differ = f"the keys of 'robot2' differ: {old} on the client, {new} on the server"
     eventually(lambda: happened(second, EventCode.LINK_REFUSED, differ))
     assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server has another key for robot2 now")
     assert happened(server, EventCode.LINK_WRONG_KEY, differ)

@@ -33,7 +33,10 @@ def test_incompatible_says_every_reason() -> None:
         "the publisher offers volatile, the subscription asks for transient_local; "
         "the publisher offers a deadline of 2 s, the subscription asks for a deadline of 1 s"
     )
-    assert incompatible(Qos(), Qos(deadline=1.5)) == "the publisher offers no deadline, the subscription asks for a deadline of 1.5 s"
+    assert (
+        incompatible(Qos(), Qos(deadline=1.5))
+        == "the publisher offers no deadline, the subscription asks for a deadline of 1.5 s"
+    )
 
 
 @pytest.mark.parametrize(
