@@ -77,8 +77,9 @@ def test_two_bridges_in_a_row(bridge: Bridge, robot: Domain, pc: Domain, third: 
 
     def late() -> list[bytes]:
         listener = third.listener("/map", qos=JOINS_LATE)
+        eventually(lambda: listener.payloads, what="a late joiner hears something")
         with contextlib.suppress(AssertionError):
-            holds(lambda: len(listener.payloads) < 2, 1.0)
+            holds(lambda: len(listener.payloads) < 2, 0.5)
         heard = [bytes(payload) for payload in listener.payloads]
         third.node.destroy_subscription(listener.subscription)
         return heard
