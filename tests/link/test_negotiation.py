@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 INT32, STRING = "std_msgs/msg/Int32", "std_msgs/msg/String"
 
 
-def down(engine: Engine, topic: str, *words: str) -> bool:
-    """Whether a topic is down, and says so in all these words."""
+def says(engine: Engine, topic: str, *words: str) -> bool:
+    """Whether a topic's reason has all these words."""
     found = find(engine, topic)
     return found is not None and all(each in found.reason for each in words)
 
@@ -67,18 +67,19 @@ def test_types_that_do_not_agree(request: pytest.FixtureRequest, bridge: Bridge,
     request.addfinalizer(other.stop)
     other.start()
     other.advertise("/mixed", INT32, "", Qos(), "other")
+    pc.listener("/mixed", String)
     _, client = bridge.both(
         Topic("/mixed", "transmit"),
         Topic("/wrong", "transmit", type="String"),
         Topic("/silent", "transmit"),
         Topic("/unknown", "transmit", type="no_such_msgs/msg/Thing"),
     )
-    eventually(lambda: down(client, "/mixed", INT32, STRING))
+    eventually(lambda: says(client, "/mixed", INT32, STRING))
     for topic, types in (("/wrong", (INT32, STRING)), ("/unknown", ("no_such_msgs",))):
         eventually(lambda topic=topic: stage(client, topic, "type known") is False)
-        eventually(lambda topic=topic, types=types: down(client, topic, *types))
+        eventually(lambda topic=topic, types=types: says(client, topic, *types))
     eventually(lambda: stage(client, "/silent", "publisher seen") is False)
-    eventually(lambda: down(client, "/silent", "/silent", str(robot.id)))
+    eventually(lambda: says(client, "/silent", "/silent", str(robot.id)))
 
 
 class OtherVersions(RosNode):
@@ -99,7 +100,7 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     server, client = (bridge.start(session, ros) for session, ros in zip(sessions, nodes, strict=True))
     for engine in (server, client):
         words = f"{INT32} differs between the two sides", "install the same version on both"
-        eventually(lambda engine=engine, words=words: down(engine, "/count", *words))
+        eventually(lambda engine=engine, words=words: says(engine, "/count", *words))
 
 
 def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> None:
@@ -107,7 +108,7 @@ def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> No
     words = "both sides publish /loop in one ROS domain"
     publisher = robot.publisher("/loop")
     server, client = bridge.server(domain_id=robot.id), bridge.client(Topic("/loop", "transmit"))
-    eventually(lambda: publisher.publish(text("round")) or down(client, "/loop", words))
+    eventually(lambda: publisher.publish(text("round")) or says(client, "/loop", words))
     for engine in (server, client):
         eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_LOOP, words))
         eventually(lambda engine=engine: route(engine, "/loop").state is State.DOWN)
@@ -196,7 +197,7 @@ def test_a_subscriber_that_asks_for_more(bridge: Bridge, robot: Domain, pc: Doma
     pc.listener("/chat", qos=wants_history)
     robot.publisher("/chat", qos=BEST_EFFORT)
     server, _ = bridge.both(Topic("/chat", "transmit"))
-    eventually(lambda: down(server, "/chat", "/stock asks for reliable, transient_local", "published best_effort"))
+    eventually(lambda: says(server, "/chat", "/stock asks for reliable, transient_local", "published best_effort"))
     assert stage(server, "/chat", "QoS compatible") is False
 
 
@@ -210,7 +211,7 @@ def test_a_topic_port_that_is_taken(protocol: Any, bridge: Bridge, robot: Domain
             squatter.listen()
         server, client = bridge.both(Topic("/chat", "transmit", protocol=protocol, port=port))
         for engine in (server, client):
-            eventually(lambda engine=engine: down(engine, "/chat", f":{port} is taken by another process"))
+            eventually(lambda engine=engine: says(engine, "/chat", f":{port} is taken by another process"))
             assert "choose another port" in route(engine, "/chat").reason
     client.retry().result(60)
     carries([out], server, ["/chat"])
@@ -252,7 +253,7 @@ def test_a_channel_of_the_servers_ports_number(bridge: Bridge, robot: Domain) ->
         pytest.skip("port 11 may not be bound here")
     robot.publisher("/beat")
     _, client = bridge.both(Topic("/beat", "transmit", protocol="bluetooth", port=11), **place)
-    eventually(lambda: down(client, "/beat", "refused by the other side", "Bluetooth"))
+    eventually(lambda: says(client, "/beat", "refused by the other side", "Bluetooth"))
 
 
 def test_keys_that_are_missing(bridge: Bridge) -> None:
@@ -318,7 +319,7 @@ def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
     heard(strings, 1)
     for engine in (server, client):
         eventually(lambda engine=engine: route(engine, "/state").state is State.UNHEARD)
-        eventually(lambda engine=engine: down(engine, "/state", INT32))
+        eventually(lambda engine=engine: says(engine, "/state", INT32))
     pc.clear()
     robot.node.destroy_publisher(old)
     numbers = pc.listener("/state", Int32)
@@ -344,7 +345,7 @@ def test_a_type_that_the_session_does_not_name(other: RosNode, bridge: Bridge, r
     assert eventually(lambda: happened(client, EventCode.ROUTE_TYPE_CHANGED, INT32))
     assert eventually(lambda: happened(server, EventCode.ROUTE_CLOSED, INT32))
     for engine in (server, client):
-        eventually(lambda engine=engine: down(engine, "/state", INT32, STRING, f"/{other.node_name}"))
+        eventually(lambda engine=engine: says(engine, "/state", INT32, STRING, f"/{other.node_name}"))
         assert route(engine, "/state").state is not State.OK
     wrong.close()
     out = robot.publisher("/state")
