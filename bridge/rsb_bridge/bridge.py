@@ -227,24 +227,28 @@ class Bridge:
     async def add_client(self, client: Client, key: Key | None) -> None:
         """Let one more client in, on a server."""
         with self._command():
-            await self._change_clients(with_client(self.session, client), {client.name: key})
+            await self._change_clients(lambda session: with_client(session, client), {client.name: key})
 
     async def change_client(self, client: Client, key: Key | None) -> None:
         """Put another entry in a client's place. What is proposed to it stays."""
+
+        def change(session: Session) -> Session:
+            topics = client_named(session, client.name).topics
+            return with_changed_client(session, msgspec.structs.replace(client, topics=topics))
+
         with self._command():
-            topics = client_named(self.session, client.name).topics
-            changed = msgspec.structs.replace(client, topics=topics)
-            await self._change_clients(with_changed_client(self.session, changed), {client.name: key})
+            await self._change_clients(change, {client.name: key})
 
     async def remove_client(self, name: str) -> None:
         """Let a client in no more, and end its link."""
         with self._command():
-            await self._change_clients(without_client(self.session, name), {})
+            await self._change_clients(lambda session: without_client(session, name), {})
 
-    async def _change_clients(self, session: Session, keys: Keys) -> None:
-        for problem in validate(session):
-            raise LinkError(str(problem))
+    async def _change_clients(self, change: Callable[[Session], Session], keys: Keys) -> None:
         async with self._reloading:
+            session = change(self.session)  # as it is now, and not as it was before another change was awaited
+            for problem in validate(session):
+                raise LinkError(str(problem))
             _, failed = await self._reload(session, {**self._role.keys, **keys}, EventCode.OPERATOR_CLIENTS)
         if failed:
             raise LinkError("; ".join(failed))

@@ -142,6 +142,19 @@ def test_big_endian() -> None:
 # --- large messages
 
 
+def test_arrays_of_none_are_not_free() -> None:
+    """They have no bytes, so that only the steps bound what a hostile description makes of a message of four."""
+    many = tuple(Field(f"f{number}", FieldType(1 + 48, 0, 0, "t/msg/Inner")) for number in range(600))
+    outer = MessageType("t/msg/Many", many)
+    top = MessageType("t/msg/T", (Field("all", FieldType(1 + 48, 1_000_000, 0, "t/msg/Many")),))
+    hostile = TypeDescription(top, (outer, MessageType("t/msg/Inner", ())))
+    decoded = decode(hostile, b"\x00\x01\x00\x00", items=10**9, steps=1000)
+    kept = decoded.message["all"]
+    assert isinstance(kept, Items)
+    assert len(kept.shown) <= 2
+    assert decoded.problem
+
+
 def test_a_long_array_is_shortened_and_what_follows_it_is_read() -> None:
     cloud: Any = installed_class("sensor_msgs/msg/PointCloud2")
     payload = serialize_message(cloud(data=array.array("B", bytes(range(256)) * 4000), is_dense=True))

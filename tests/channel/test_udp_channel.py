@@ -15,7 +15,7 @@ from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.datagram import DatagramWriter
+from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:
@@ -178,6 +178,21 @@ def test_a_connection_that_is_over_is_forgotten() -> None:
             known, _ = server.connect(b"link one")
             await until(lambda: known.ready)
             assert len(server.demultiplexer._channels) == 1
+
+    asyncio.run(main())
+
+
+def test_only_what_is_authentic_is_a_sign_of_life() -> None:
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            await ready(client)
+            channel = server.channels[b"link one"]
+            heard, server.time = channel.received_at, server.time + 60.0
+            channel.received([(PROBE_ROUTE, bytes(60), (_HOST, 1)), (1, bytes(60), (_HOST, 1))])
+            assert channel.received_at == heard
+            client.tick()
+            await until(lambda: channel.received_at == server.time)
 
     asyncio.run(main())
 

@@ -53,6 +53,15 @@ def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Doma
     assert linked(first)
 
 
+def test_changes_that_wait_for_each_other_undo_nothing(bridge: Bridge) -> None:
+    server = bridge.server(clients=(Client("robot1"),))
+    topics = tuple(Topic(f"/t{number}", "transmit") for number in range(60))  # takes several turns of the loop
+    new = (Client("robot2", topics=topics), Client("robot3"), Client("robot4"))
+    for change in [server.add_client(each) for each in new]:
+        change.result(60)
+    assert sorted(server.session.clients, key=lambda each: each.name) == [Client("robot1"), *new]
+
+
 def test_a_key_is_changed(bridge: Bridge) -> None:
     server, client = bridge.both()
     path = bridge.folder / "renewed.key"

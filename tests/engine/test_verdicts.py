@@ -199,7 +199,7 @@ def test_a_topic_slower_than_expected(bridge: Bridge, robot: Domain, pc: Domain,
     carries([out], server, ["/odom"])
     beating = beat(out, 2.0)
     here, there = agree(client, server, "/odom", State.SLOW, Cause.SLOW)
-    words(here.reason, "of 20 expected", "/stock publishes no more")
+    words(here.reason, "of 20 expected", "that is all that /stock publishes")
     words(there.reason, "robot1: ", "of 20 expected")
     words(logged(server, Cause.SLOW), "SLOW")
     beating.stop()

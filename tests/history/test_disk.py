@@ -81,6 +81,15 @@ def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
     assert decoded["link"] == "�evil"
 
 
+def test_a_path_that_is_no_utf_8_ends_nothing(tmp_path: Path) -> None:
+    world = World("/scan")
+    disk = disk_of(world, tmp_path)
+    say(world, "caf\udce9.yaml is read again", who="an\udce9")
+    disk.turn()
+    (line,) = lines(tmp_path / "robot1.jsonl")
+    assert (line["text"], line["who"]) == ("caf\\udce9.yaml is read again", "an\\udce9")
+
+
 def test_the_files_have_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(event_file, "FILE_BYTES", 2000)
     file = EventFile(tmp_path / "robot1.jsonl")

@@ -14,7 +14,7 @@ from rsb_bridge.history import subject, timeline
 from rsb_bridge.history.timeline import Timeline
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
-from rsb_bridge.model.snapshot import Level, Snapshot, State
+from rsb_bridge.model.snapshot import Event, Level, Snapshot, State
 
 HOUR = 3600.0
 
@@ -362,6 +362,17 @@ def test_a_history_from_the_future_is_refused() -> None:
     world.clock.wall -= 3 * KEPT_FOR
     with pytest.raises(ValueError, match="future"):
         World(clock=world.clock).recorder.restore(saved)
+
+
+def test_an_event_from_the_future_moves_nothing() -> None:
+    world = World("/scan")
+    world.go(60)
+    saved = world.recorder.save()
+    event = Event(0, world.clock.wall + 20 * KEPT_FOR, Level.WARNING, "link.lost", "late", "robot1")
+    again = World(clock=world.clock)
+    again.recorder.restore(saved, [event])
+    again.go(60)
+    assert abs(again.report(HOUR).time - world.clock.wall) < HOUR
 
 
 def test_what_does_not_fit_together_is_refused() -> None:

@@ -144,7 +144,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"slow_since": NOW - 8.0, "rate": 2.02, "expected_rate": 20.0},
             State.SLOW,
             Cause.SLOW,
-            ["2.02 Hz of 20 expected, for 8 s", "/talker publishes no more"],
+            ["2.02 Hz of 20 expected, for 8 s", "that is all that /talker publishes"],
         ),
         (
             SENDER,

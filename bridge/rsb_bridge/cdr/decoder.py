@@ -147,6 +147,7 @@ class _Reader:
             items = message[name] = Items(_PRIMITIVES[base][1], total)
             self._primitives(base, items)
             return
+        self._step()  # an array of none has no bytes, and there may be very many
         strings = "wstring" if base in _WIDE_STRINGS else "string"
         items = message[name] = Items(kind.nested_type_name if base == _NESTED else strings, total)
         for number in range(total):

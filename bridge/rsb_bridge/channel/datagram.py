@@ -83,11 +83,13 @@ class DatagramReceiver(_DatagramChannel):
         self._codec.close()
         super().close(reason)
 
-    def received(self, datagram: bytes, now: float) -> None:
-        """A datagram of this route came."""
+    def received(self, datagram: bytes, now: float) -> bool:
+        """As `DatagramSink.received`."""
         message = self._codec.receive(datagram, now)
-        if message is not None:
-            self._whole.append(message)
+        if message is None:
+            return False
+        self._whole.append(message)
+        return True
 
     def hand_over(self) -> None:
         """Deliver the messages that are whole."""

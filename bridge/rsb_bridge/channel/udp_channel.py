@@ -24,8 +24,8 @@ _SILENT = 6.0
 class DatagramSink(Protocol):
     """The receiving end of a route's channel."""
 
-    def received(self, datagram: bytes, now: float) -> None:
-        """A datagram of its route came."""
+    def received(self, datagram: bytes, now: float) -> bool:
+        """A datagram of its route came; returns whether it made a message whole, and with that authentic."""
         ...
 
     def hand_over(self) -> None:
@@ -44,7 +44,7 @@ class UdpChannel:
         socket: what it uses.
         over: it is closed, or its last route has left: the next route needs another UDP channel.
         trouble: why nothing comes from the peer, for an operator; empty: something does.
-        received_at: when (s) bytes last came, or since when it is there.
+        received_at: when (s) the peer was last heard, or since when it is there; what is not authentic does not count.
         received_bytes: so far.
         sent_bytes: so far.
         on_close: called when it is over.
@@ -113,19 +113,20 @@ class UdpChannel:
 
     def received(self, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
         """Take datagrams that name this connection, each with its route id."""
-        now = self.received_at = self._now()
+        now = self._now()
         was_ready = self.ready
         touched: dict[DatagramSink, None] = {}
         for route_id, datagram, address in datagrams:
             self.received_bytes += len(datagram)
             receiver = self._receivers.get(route_id)
             if receiver is not None:
-                receiver.received(datagram, now)
+                if receiver.received(datagram, now):
+                    self.received_at = now
                 touched[receiver] = None
             elif route_id == PROBE_ROUTE:
                 probe = self._probe.read(datagram, now)
                 if probe is not None:
-                    self._heard = now
+                    self._heard = self.received_at = now
                     self._probed(probe, address)
             # else the route was closed while the datagram was under way, or the peer has nothing to say on it
         for receiver in touched:

@@ -17,6 +17,7 @@ from rsb_bridge.control.folders import ControlError, Listener, NotServedError, T
 from rsb_bridge.control.protocol import BridgeInfo, Hello, ProtocolError, Refused, Welcome
 from rsb_bridge.control.server import ControlServer
 from rsb_bridge.model.names import file_stem
+from rsb_bridge.model.text import encodable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -143,8 +144,8 @@ def serve(
         started=time.time(),
         instance=uuid.uuid4().hex,
         program=__version__,
-        file=None if file is None else str(file.absolute()),
-        base=str((file.parent if file is not None else Path()).absolute()),
+        file=None if file is None else encodable(str(file.absolute())),
+        base=encodable(str((file.parent if file is not None else Path()).absolute())),
         has_console=has_console,
     )
     listener = _claim(info, environ) if control is None else _claim_path(control)

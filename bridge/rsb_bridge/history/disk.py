@@ -101,8 +101,8 @@ class Disk:
             self._write_events()
             if self._is_restored and (last or self._is_due(now)):
                 self._save(now)
-        except OSError as error:
-            self._failed(f"{error.strerror or error}")
+        except (OSError, ValueError) as error:
+            self._failed(f"{getattr(error, 'strerror', '') or error}")
             self._restore()
         else:
             self._works()

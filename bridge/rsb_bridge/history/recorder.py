@@ -130,7 +130,7 @@ class Recorder:
 
         Args:
             saved: by an earlier process.
-            events: those that it reported afterwards.
+            events: those that it reported afterwards; what is from the future is left out.
 
         Raises:
             ValueError: it contradicts itself, or the clock is days behind it.
@@ -139,7 +139,7 @@ class Recorder:
         if saved.time - wall > KEPT_FOR:
             raise ValueError("it is from the future: the clock was wrong then, or it is now")
         self._timeline = Timeline.restore(saved, self._name, self._role)
-        self._timeline.go_on(events)
+        self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
         self._axis = Axis(self._clock.steady(), wall, floor=self._timeline.last)
         self._observed = self._axis.now
         self._followed, self._seen = 0, None

@@ -16,13 +16,18 @@ UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066
 INVISIBLE = "\u00ad\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\ufe00-\ufe0f\uffa0\U000e0000-\U000e0fff"
 """Characters that Python calls printable though they take no place on a screen, or seem not to; for brackets, too."""
 
-_unprintable = re.compile(f"[{UNPRINTABLE}]")
+_unprintable = re.compile(f"[{UNPRINTABLE}\\ud800-\\udfff]")
 _escaped = re.compile(f'[{INVISIBLE}\\\\"]')
 
 
 def sanitize_text(text: str, limit: int = REASON_LENGTH) -> str:
     """Replace each unprintable character by U+FFFD, and cut what is longer than `limit` characters."""
     return _unprintable.sub("\N{REPLACEMENT CHARACTER}", text[:limit])
+
+
+def encodable(text: str) -> str:
+    """Text that UTF-8 can hold: of a path that is none, the bytes stand as escape sequences."""
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
 def escape_text(text: str) -> str:

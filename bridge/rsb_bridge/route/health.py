@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.route.verdict import LATELY
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Ledger
     from rsb_bridge.route.verdict import Facts
-
-_LOST_LATELY = 10
 
 
 class Flow(NamedTuple):
@@ -50,7 +49,7 @@ class Health:
         self._slow = SlowWatch()
         self._stop = StopWatch()
         self._loss = LossWatch()
-        self._lost_in_dds: deque[int] = deque(maxlen=_LOST_LATELY)
+        self._lost_in_dds: deque[int] = deque(maxlen=LATELY)
 
     def tick(self, flow: Flow, now: float) -> None:
         """Once a second, at `now` (s)."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import Endpoint
     from rsb_bridge.telemetry.watches import Loss
 
+LATELY = 10
 _NAMED = 3
 """Nodes that a sentence names."""
 
@@ -53,7 +54,7 @@ class Facts(NamedTuple):
         slow_since: s, when it got slow; None: it is not.
         rate: Hz, of the messages that are sent.
         expected_rate: Hz, to judge the rate by; None: there is none to go by.
-        lost_in_dds: messages that DDS lost lately before they could be taken.
+        lost_in_dds: messages that DDS lost in the last `LATELY` s before they could be taken.
         loss: between the two sides; None: none to speak of.
         datagrams: that a message takes, about; 0: its transport has none.
         limit: Hz that an operator allows it; 0: all.
@@ -255,10 +256,10 @@ def _slow(facts: Facts) -> Verdict | None:
     if facts.slow_since is None or facts.expected_rate is None:
         return None
     text = f"{facts.rate:.3g} Hz of {facts.expected_rate:.3g} expected, for {LASTING}"
-    if facts.lost_in_dds:
+    if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
         reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
     else:
-        reason = _plural(facts.endpoints, "publishes no more", "publish no more")
+        reason = f"that is all that {_plural(facts.endpoints, 'publishes', 'publish')}"
     return Verdict(State.SLOW, Cause.SLOW, f"{text}: {reason}", facts.slow_since)
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Event, Level
+from rsb_bridge.model.text import encodable
 
 if TYPE_CHECKING:
     from rsb_bridge.model.clock import Clock
@@ -41,7 +42,8 @@ class EventLog:
         cause: str = "",
     ) -> None:
         """Append an event; `rsb_bridge.model.snapshot.Event` says what each value is."""
-        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, link, topic, who, old, new, cause))
+        texts = (encodable(each) for each in (text, link, topic, who, old, new, cause))
+        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, *texts))
 
     def append(self, event: Event) -> None:
         """Append an event of any engine's; it gets the next number of this log."""

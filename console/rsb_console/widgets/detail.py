@@ -124,7 +124,8 @@ def _stages(route: RouteSnapshot, width: int) -> Iterator[Line]:
     if at is None:
         passed = f"all {len(stages)} passed"
         if carries(route) and not route.state.flows:
-            yield ((f" {UNKNOWN} ", route.state.value), (f"{passed} before, and nothing comes now", ""))
+            yield ((f" {UNKNOWN} ", route.state.value), (f"{passed} before", ""))
+            yield from _wrapped("and nothing comes now", width, "")
         else:
             yield ((f" {DONE} ", "ok"), (passed, ""))
         return
