@@ -15,7 +15,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
-# The tests by folder, the longest first and five at a time: many wait for most of their time. The two largest folders are
+# The tests by folder, the longest first and six at a time: many wait for most of their time. The two largest folders are
 # run by halves. Folders share no ROS domain, port or file. `make test-link` runs one of them, `make test-bluetooth` those
 # that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md).
 LONGEST := bluetooth engine.1 engine.2 console.1 console.2 network simulation link system command
@@ -23,7 +23,7 @@ FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
 PARTS := $(addprefix test-,$(LONGEST)) lint test-wire $(addprefix test-,$(filter-out wire $(basename $(LONGEST)),$(FOLDERS)))
 
 test: $(STAMP) system
-	$(MAKE) --no-print-directory --keep-going --jobs=5 --output-sync=target $(PARTS)
+	$(MAKE) --no-print-directory --keep-going --jobs=6 --output-sync=target $(PARTS)
 
 # What only computes gives way to what talks by DDS: where that starves, one participant of a process may discover another
 # without being discovered by it, for good (seen once in 700 starts on a core shared by eight).
