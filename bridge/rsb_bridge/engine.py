@@ -199,7 +199,7 @@ class Engine(EngineApi):
 
     def history(self, seconds: float) -> Future[HistoryReport]:
         if self._bridge is not None:
-            return self._recorder.history(seconds if seconds > 0 else 0.0)  # which NaN is not
+            return self._recorder.history(seconds if seconds > 0 else 0.0)  # NaN is not greater than 0, either
         return _not_running()
 
     # --- commands

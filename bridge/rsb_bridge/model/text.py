@@ -48,6 +48,11 @@ def _escape(character: str) -> str:
     return f"\\{character}" if character in '"\\' else character.encode("unicode_escape").decode()
 
 
+def plural(count: int, noun: str) -> str:
+    """The noun as it follows the count: ``topic`` after 1, else ``topics``."""
+    return noun if count == 1 else f"{noun}s"
+
+
 def join_first(parts: Sequence[str], most: int) -> str:
     """The first `most` parts with commas between them, and how many more there are."""
     more = len(parts) - most

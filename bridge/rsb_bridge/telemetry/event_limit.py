@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import plural
 from rsb_bridge.model.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class RateLimitedEventLog:
         left_out = quota.left_out - (newest is not None)
         quota.left_out, quota.newest = 0, None
         if left_out:
-            text = f"{left_out:,} more line{'s' if left_out > 1 else ''} left out"
+            text = f"{left_out:,} more {plural(left_out, 'line')} left out"
             self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, text, link=link)
         if newest is not None:
             self._events.add(newest.level, newest.code, newest.text, link=link, topic=newest.topic, cause=newest.cause)

@@ -17,6 +17,7 @@ from rsb_bridge.history.folders import state_folder
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import acting
 from rsb_bridge.model.snapshot import Event, Level
+from rsb_bridge.model.text import plural
 from rsb_console.command.log_writer import LogWriter
 from rsb_console.command.reports import json_event, json_status, text_event, text_status
 from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, OK, keep_output_clean, print_error
@@ -249,5 +250,5 @@ class Signals:
 
 
 def _lines_lost(lost: int, reason: str) -> Event:
-    text = f"{lost:,} log line{'s' if lost > 1 else ''} lost: {reason}"
+    text = f"{lost:,} log {plural(lost, 'line')} lost: {reason}"
     return Event(0, time.time(), Level.WARNING, EventCode.LOG_LINES_LOST, text)

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +67,7 @@ def _counts(snapshot: Snapshot) -> tuple[str, str]:
     linked = sum(link.state is State.OK for link in snapshot.links)
     states = [route.state for route in snapshot.routes]
     counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
-    topics = f"{len(states)} topic{'' if len(states) == 1 else 's'}"
+    topics = f"{len(states)} {plural(len(states), 'topic')}"
     return f"{linked}/{len(snapshot.links)} linked", topics + (f": {counts}" if counts else "")
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import time
 
+from rsb_bridge.model.text import plural
+
 
 def thousands(count: int) -> str:
     """Format a count with spaces between the thousands: ``7 134``."""
@@ -104,7 +106,7 @@ def retry(number: int, seconds: float | None) -> str:
 
 def counted(count: int, what: str) -> str:
     """Format a count of things: ``1 topic``, ``8 topics``."""
-    return f"{thousands(count)} {what}{'' if count == 1 else 's'}"
+    return f"{thousands(count)} {plural(count, what)}"
 
 
 def time_of_day(epoch: float) -> str:

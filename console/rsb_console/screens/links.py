@@ -207,11 +207,11 @@ class LinksScreen(ModalScreen[None]):
         """Show the links as they are now."""
         self.table.show(self.console.snapshot())
         self.table.styles.height = min(self.table.line_count, 12)
-        self.detail.show(self.table.selected, server=self.console.snapshot().role == "server")
+        self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
         """The detail follows."""
-        self.detail.show(self.table.selected, server=self.console.snapshot().role == "server")
+        self.detail.show(self.table.selected, server=self._is_server)
 
     def action_open(self) -> None:
         """Show the link under the cursor with its topics."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rich.cells import cell_len
 
 from rsb_bridge.model.qos import AUTO
+from rsb_bridge.model.text import plural
 from rsb_console.look.glyphs import IN, OUT
 from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import Suggestion
@@ -73,7 +74,7 @@ def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
     return (
         (f"{OUT if is_here == bool(info.publishers) else IN} ", ""),
         *_column(info.topic, name_width, "strong"),
-        *_column(f"{count} {what}{'s' if count > 1 else ''} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
+        *_column(f"{count} {plural(count, what)} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
         (info.type_name.replace("/msg/", "/") or "several types", ""),
     )
 

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.history import KEPT_FOR
+from rsb_bridge.model.text import plural
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -100,7 +101,7 @@ def how_long(outage: Outage) -> str:
 def why(report: HistoryReport, outage: Outage) -> str:
     """The cause, and what else was out for it."""
     count = followers(report, outage)
-    also = f" ({count} topic{'s' if count > 1 else ''} with it)" if count else ""
+    also = f" ({count} {plural(count, 'topic')} with it)" if count else ""
     return f"{outage.cause or 'no cause known'}{also}"
 
 
@@ -153,7 +154,7 @@ def _totals(report: HistoryReport) -> Iterator[str]:
     if topics:
         bad = [track for track in topics if track.outages]
         fine = len(topics) - len(bad)
-        topics_are = f"{len(topics)} topic{'s' if len(topics) > 1 else ''}"
+        topics_are = f"{len(topics)} {plural(len(topics), 'topic')}"
         yield f"{topics_are}: {fine} without an outage{f', {len(bad)} with' if bad else ''}."
         worst = sorted(bad, key=lambda track: -track.out)
         for track in worst[:_WORST_TOPICS]:
@@ -184,7 +185,7 @@ def _up(word: str, track: Track) -> str:
 def _count(track: Track) -> str:
     if not track.outages:
         return ""
-    return f"; {track.outages} outage{'s' if track.outages > 1 else ''}, {length(track.out)} in all"
+    return f"; {track.outages} {plural(track.outages, 'outage')}, {length(track.out)} in all"
 
 
 def _by_topic(outages: Sequence[Outage]) -> list[tuple[str, list[Outage]]]:
