@@ -7,6 +7,7 @@ import pytest
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.events import Established, Event
 from rsb_bridge.wire.messages import Hello, Welcome
+from rsb_bridge.wire.replay_cache import ReplayCache
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 KEY = bytes(range(32))
@@ -26,8 +27,10 @@ def make_client(suite: Suite = Suite.AESGCM, *, key: bytes = KEY, **options: Any
     return ClientConnection(HELLO, None if suite is Suite.PLAIN else key, suite, **options)
 
 
-def make_server(suite: Suite = Suite.AESGCM, *, key: bytes = KEY, aes: bool = True, **options: Any) -> ServerConnection:
-    credential = Credential(None if suite is Suite.PLAIN else key)
+def make_server(
+    suite: Suite = Suite.AESGCM, *, keys: tuple[bytes, ...] = (KEY,), aes: bool = True, **options: Any
+) -> ServerConnection:
+    credential = Credential(() if suite is Suite.PLAIN else keys, ReplayCache())
     return ServerConnection(lambda name: credential, lambda hello: WELCOME, aes, **options)
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from tests.wire.links import (
     CONTROL_HEADER,
     HELLO,
+    KEY,
     SUITES,
     WELCOME,
     established,
@@ -17,10 +18,12 @@ from tests.wire.links import (
     the,
 )
 
+from rsb_bridge.model.fingerprints import fingerprint_of
+from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, pack_frame
-from rsb_bridge.wire.messages import Ping, encode
+from rsb_bridge.wire.messages import Ping
 from rsb_bridge.wire.preamble import Kind, RefusalCode, control_header, preamble_frame, refuse_frame
 from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
 
@@ -45,8 +48,9 @@ def control(body: bytes) -> bytes:
         (control(b"\x01\x05robo"), "ends before its name or its fingerprint does"),
         (control(b"\x01\x06robot1" + bytes(7)), "ends before its name or its fingerprint does"),
         (control(b"\x01\x02\xff\xfe" + bytes(8)), "not UTF-8"),
+        (control(b"\x01\x03\xe2\x80\xae" + bytes(8)), "the name in a CONTROL frame has unprintable characters"),
         (control(b"\x07\x01a" + bytes(8)), "unknown cipher suite"),
-        (control(b"\x01\x06robot1" + bytes(8) + b"short"), "too short"),
+        (control(b"\x01\x06robot1" + fingerprint_of(KEY) + b"short"), "too short"),
         (pack_frame(preamble_frame(Kind.DATA, bytes(11))), "ends before its route does"),
     ],
 )

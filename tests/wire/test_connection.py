@@ -22,13 +22,16 @@ from tests.wire.links import (
 )
 
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
+from rsb_bridge.wire.codec import encode
 from rsb_bridge.wire.connection import ClientConnection, Credential, ServerConnection
 from rsb_bridge.wire.events import Established, Event, Failed, Received, Refused
-from rsb_bridge.wire.framing import CONTROL_LIMIT, DataWriter, pack_frame
+from rsb_bridge.wire.framing import CONTROL_LIMIT, LENGTH, DataWriter, pack_frame
 from rsb_bridge.wire.handshake import NoiseHandshake
-from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, TopicList, Welcome, encode
+from rsb_bridge.wire.messages import Hello, Ping, Pong, Ready, Welcome
 from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, preamble_frame, refuse_frame
+from rsb_bridge.wire.questions import TopicList
 from rsb_bridge.wire.records import TopicEntry
+from rsb_bridge.wire.replay_cache import ReplayCache
 from rsb_bridge.wire.sealing import Role, Sealer, Suite
 
 ROLES: tuple[Role, ...] = ("client", "server")
@@ -100,10 +103,47 @@ def refused(client: ClientConnection, server: ServerConnection) -> Refused:
 
 @pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
 def test_another_key(suite: Suite) -> None:
-    refusal = refused(make_client(suite), make_server(suite, key=OTHER_KEY))
+    refusal = refused(make_client(suite), make_server(suite, keys=(OTHER_KEY,)))
     ours, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY))
     words = f"the keys of 'robot1' differ: {ours} on the client, {theirs} on the server"
     assert refusal == Refused(RefusalCode.WRONG_KEY, words)
+
+
+@pytest.mark.parametrize("suite", [Suite.AESGCM, Suite.CHACHAPOLY])
+@pytest.mark.parametrize("aes", [True, False])
+@pytest.mark.parametrize("key", [KEY, OTHER_KEY])
+def test_a_client_may_have_either_of_two_keys(suite: Suite, aes: bool, key: bytes) -> None:
+    """As while its key is being replaced."""
+    client, server = make_client(suite, key=key), make_server(suite, keys=(KEY, OTHER_KEY), aes=aes)
+    assert server.fingerprint == b""
+    client_events, server_events = shake_hands(client, server)
+    the(Established, client_events)
+    the(Established, server_events)
+    assert server.fingerprint == fingerprint_of(key)
+
+
+def test_a_key_that_is_neither_of_two() -> None:
+    third = bytes(range(1, 33))
+    refusal = refused(make_client(key=third), make_server(keys=(KEY, OTHER_KEY)))
+    current, following, theirs = (format_fingerprint(fingerprint_of(key)) for key in (KEY, OTHER_KEY, third))
+    words = f"the keys of 'robot1' differ: {theirs} on the client, {current} or {following} on the server"
+    assert refusal == Refused(RefusalCode.WRONG_KEY, words)
+
+
+def test_a_first_message_that_claims_the_other_valid_key_does_not_open() -> None:
+    """The server takes the key that the client says it has; that the client has it shows in the handshake only."""
+    frame = make_client().start()
+    ours, other = fingerprint_of(KEY), fingerprint_of(OTHER_KEY)
+    refusal = the(Refused, make_server(keys=(KEY, OTHER_KEY)).receive_data(frame.replace(ours, other)))
+    assert refusal.code is RefusalCode.WRONG_KEY
+    assert "damaged or forged" in refusal.message
+
+
+def test_an_unencrypted_client_has_no_key_whatever_it_says() -> None:
+    server = make_server(Suite.PLAIN)
+    assert server.receive_data(make_client(Suite.PLAIN).start().replace(bytes(8), fingerprint_of(KEY))) == []
+    assert server.accepted
+    assert server.fingerprint == b""
 
 
 def test_a_first_message_that_claims_the_right_key_and_does_not_open() -> None:
@@ -140,7 +180,7 @@ def test_a_busy_server() -> None:
     def make_welcome(hello: Hello) -> Welcome:
         raise Refusal(RefusalCode.BUSY, f"{hello.name} is linked already")
 
-    server = ServerConnection(lambda name: Credential(KEY), make_welcome, aes=True)
+    server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), make_welcome, aes=True)
     assert refused(make_client(), server).code is RefusalCode.BUSY
 
 
@@ -242,6 +282,60 @@ def test_a_recorded_first_message_played_again_establishes_nothing(suite: Suite)
     assert "damaged or forged" in event.reason
 
 
+@pytest.mark.parametrize("key", [KEY, OTHER_KEY])
+def test_a_first_message_is_answered_once(key: bytes) -> None:
+    """It costs a Diffie-Hellman exchange, and a place among those that are waited for."""
+    before = ReplayCache()
+
+    def server() -> ServerConnection:
+        return ServerConnection(lambda name: Credential((KEY, OTHER_KEY), before), lambda hello: WELCOME, aes=True)
+
+    recording = make_client(key=key).start()
+    assert server().receive_data(recording) == []
+    (event,) = server().receive_data(recording)
+    assert event == Failed("the first message of 'robot1' came before: somebody has recorded it")
+    for _ in range(512):
+        assert server().receive_data(make_client().start()) == []
+    assert server().receive_data(recording) == []  # so many are remembered
+
+
+def test_a_client_whose_link_is_shut_down_is_refused_once_it_has_proved_its_key() -> None:
+    shut_down = msgspec.structs.replace(WELCOME, shut_down="shut down by anna on pts/3")
+    client = make_client()
+    server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), lambda hello: shut_down, aes=True)
+    client_events, server_events = shake_hands(client, server)
+    assert the(Refused, client_events) == Refused(RefusalCode.SHUT_DOWN, "shut down by anna on pts/3")
+    assert the(Refused, server_events).code is RefusalCode.SHUT_DOWN
+    assert the(Refused, server_events).peer == HELLO
+
+
+def test_a_refuse_in_the_clear_cannot_say_that_a_link_is_shut_down() -> None:
+    """Anybody can forge one, and the client would wait long before its next attempt."""
+    client = make_client()
+    client.start()
+    (event,) = client.receive_data(pack_frame(refuse_frame(RefusalCode.SHUT_DOWN, "for ever")))
+    assert isinstance(event, Failed)
+
+
+def test_a_client_whose_name_is_taken_is_refused_once_it_has_proved_its_key() -> None:
+    """So the server can tell a second client that has the key from a first message that somebody sends again."""
+    client = make_client()
+    taken = msgspec.structs.replace(WELCOME, taken="'robot1' is linked already")
+    server = ServerConnection(lambda name: Credential((KEY,), ReplayCache()), lambda hello: taken, aes=True)
+    assert server.receive_data(client.start()) == []
+    assert client.receive_data(server.data_to_send()) == [Refused(RefusalCode.NAME_TAKEN, "'robot1' is linked already")]
+    confirmation = client.data_to_send()
+    assert server.receive_data(confirmation) == [Refused(RefusalCode.NAME_TAKEN, "'robot1' is linked already", HELLO)]
+    assert server.receive_data(confirmation) == []
+
+
+def make_accepted() -> ServerConnection:
+    """A server that has accepted a client, and waits for its confirmation."""
+    server = make_server()
+    server.receive_data(make_client().start())
+    return server
+
+
 def test_a_first_frame_with_content_confirms_nothing() -> None:
     client, server = ready_to_accept(Suite.PLAIN)
     client.receive_data(server.data_to_send())
@@ -254,7 +348,27 @@ def test_data_before_the_confirmation_have_no_place() -> None:
     client, server = make_client(multiplexed=True), make_server(multiplexed=True)
     server.receive_data(client.start())
     event = the(Failed, server.receive_data(DataWriter(Sealer(Suite.AESGCM, KEY), 1).write(b"x", 0)))
-    assert "unexpected frame on the control connection" in event.reason
+    assert event == Failed("the client did not confirm the handshake")
+
+
+def test_who_has_not_confirmed_gets_the_room_of_a_handshake() -> None:
+    """Whoever has recorded a first message does not make the server hold a control frame of 1 MiB."""
+    client, server = make_client(), make_server()
+    server.receive_data(client.start())
+    assert server.accepted
+    assert server.receive_data(LENGTH.pack(4096) + bytes(4095)) == []
+    (event,) = make_accepted().receive_data(LENGTH.pack(4097))
+    assert isinstance(event, Failed)
+    assert "a frame of 4,097 bytes instead of a handshake" in event.reason
+
+
+def test_what_follows_the_confirmation_at_once_may_be_long() -> None:
+    client, server = ready_to_accept(Suite.AESGCM)
+    client.receive_data(server.data_to_send())
+    long = TopicList(1, tuple(TopicEntry(f"/topic{n}", "std_msgs/msg/String", "", None, 0, 0) for n in range(500)))
+    confirmed, received = server.receive_data(client.send(long))
+    assert isinstance(confirmed, Established)
+    assert received == Received(long)
 
 
 # --- sending

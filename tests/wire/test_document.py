@@ -9,9 +9,12 @@ import msgspec
 import pytest
 
 import rsb_bridge
+from rsb_bridge.model.lanes import FEATURE, LANES, MOST_LANES
 from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.wire import messages, preamble, records
+from rsb_bridge.model.session import Kind
+from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.wire import calls, messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
@@ -22,16 +25,23 @@ STRUCTS = {
     "SentReport": records.SentReport,
     "ReceivedReport": records.ReceivedReport,
     "Verdict": records.VerdictRecord,
+    "LaneEntry": records.LaneEntry,
+    "CallsReport": records.CallsReport,
     "TopicEntry": records.TopicEntry,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
+
+
+def _section(number: int) -> str:
+    """A section of the document, and nothing of the next one."""
+    return DOCUMENT.split(f"\n## {number}. ")[1].split("\n## ")[0]
 
 
 def documented_fields() -> dict[str, set[str]]:
     """Section 3's tables: the first column names a message where it isn't empty, the second its fields."""
     fields: dict[str, set[str]] = {}
     name = ""
-    for row in re.findall(r"^\|(.*)\|$", DOCUMENT.split("## 3.")[1], re.MULTILINE):
+    for row in re.findall(r"^\|(.*)\|$", _section(3), re.MULTILINE):
         first, second, *_ = (cell.strip() for cell in row.split("|"))
         if first in ("message", "map") or first.startswith("---"):
             continue
@@ -73,3 +83,29 @@ def test_the_limits_are_documented() -> None:
     )
     assert figures in " ".join(DOCUMENT.split())
     assert f"0: never warns; else {STALE_AFTER.low:g} to 10^{math.log10(STALE_AFTER.high):.0f} s" in DOCUMENT
+
+
+def test_the_frames_of_calls_are_documented() -> None:
+    text = _section(8)
+    assert f"a header of {calls.CALL_HEADER_LENGTH} bytes" in " ".join(text.split())
+    for what in calls.What:
+        assert f"{what.value} {what.name.lower()}" in text
+
+
+def test_why_calls_are_refused_is_documented() -> None:
+    rows = "".join(re.findall(r'^\| (".*?) \|', _section(8), re.MULTILINE))
+    assert set(re.findall(r'"(.*?)"', rows)) == {*Refused} - {Refused.OTHER}
+
+
+@pytest.mark.parametrize("kind", LANES)
+def test_the_lanes_of_every_kind_are_documented(kind: Kind) -> None:
+    text = _section(8)
+    for lane in LANES[kind]:
+        for part in filter(None, (lane.suffix, lane.absolute, lane.type_suffix)):
+            assert f"`{part}`" in text
+        assert lane.type_name.startswith("rcl_interfaces/srv/") or lane.type_name in text
+    assert len(LANES[kind]) <= MOST_LANES
+
+
+def test_the_feature_is_documented() -> None:
+    assert f'"{FEATURE}" (section 8)' in _section(3)

@@ -9,35 +9,40 @@ from hypothesis import strategies as st
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.wire.amending import Amend, Limit, Pause
+from rsb_bridge.wire.arming import Arm, Armed, Disarm
+from rsb_bridge.wire.by_hand import ByHand
+from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import (
     Accept,
-    Amend,
-    AskType,
     Close,
     ControlMessage,
     Describe,
+    Duplicate,
     Hello,
-    ListTopics,
     Neighbours,
-    Pause,
     Ping,
     Pong,
     Propose,
+    Provide,
     Publishers,
     Ready,
     Refuse,
     Report,
     Shutdown,
-    TopicList,
-    TypeText,
     Welcome,
-    decode,
-    decode_hello,
-    decode_welcome,
-    encode,
 )
-from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry, VerdictRecord
+from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.records import (
+    CallsReport,
+    LaneEntry,
+    ReceivedReport,
+    SentReport,
+    Source,
+    TopicEntry,
+    VerdictRecord,
+)
 
 PROPOSE = Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
 EXAMPLES = [
@@ -57,7 +62,8 @@ EXAMPLES = [
         stale_after=15.0,
         paused=True,
     ),
-    Accept(route=1, topic="/robot1/scan"),
+    Propose(route=5, topic="/fibonacci", remote_topic="/fibonacci", from_client=True, kind="action", timeout=5.0),
+    Accept(route=1, topic="/robot1/scan", arm=True, deadman=2.0),
     Refuse(route=1, code="type_differs", reason="the type's hash differs"),
     Describe(
         route=1,
@@ -69,9 +75,26 @@ EXAMPLES = [
     Neighbours(bridges=("rsb_a_1", "rsb_b_2")),
     Ready(route=1, sources=2, newest={bytes(16): 2**63 - 1}),
     Publishers(route=1, present=(bytes(16), b"sixteen bytes...")),
+    Provide(route=1),
+    ByHand(route=1, lane=4, request="parameters: []", who="anna"),
+    ByHand(route=1, lane=4, who="anna", outcome="answered after 0.1 s"),
+    Provide(
+        route=1,
+        lanes=(
+            LaneEntry("test_msgs/action/Fibonacci_SendGoal", "RIHS01_00", providers=1),
+            LaneEntry("action_msgs/msg/GoalStatusArray", qos=PROFILES["latched"]),
+        ),
+        nodes=("/fibonacci_server",),
+        via=("rsb_b_2/other", "rsb_a_1/fibonacci"),
+        pause_revision=3,
+    ),
     Close(route=1, reason="removed", removed=True),
     Amend(route=1, max_rate=2.5, stale_after=0.0),
+    Limit(route=1, max_rate=10.0),
     Pause(route=1, paused=True, revision=3),
+    Arm(route=1, who="anna"),
+    Armed(route=1),
+    Disarm(route=1, cause="deadman"),
     Ping(n=1, sent=2**62),
     Pong(n=1, sent=2, received=3, answered=4),
     Report(
@@ -96,11 +119,26 @@ EXAMPLES = [
                 verdict=VerdictRecord("newer than us"),
             ),
         ),
+        calls=(
+            CallsReport(
+                route=5,
+                asked=9,
+                answered=4,
+                expired=1,
+                refused={"calls under way": 1},
+                lost=1,
+                in_flight=2,
+                verdict=VerdictRecord("waiting", "no_provider", "nobody serves it"),
+                nodes=("/fibonacci_client",),
+            ),
+        ),
     ),
-    ListTopics(request=1),
+    ListTopics(request=1, kinds=("service", "later")),
     TopicList(request=1, topics=(TopicEntry("/scan", "", "", None, 0, 1), TopicEntry("/a", "b", "c", Qos(), 1, 0))),
+    TopicList(request=2, topics=(TopicEntry("/add", "example/srv/Add", "RIHS01_00", None, 1, 2, "service"),)),
     AskType(route=1),
     TypeText(route=1, text=b"\x28\xb5\x2f\xfd"),
+    Duplicate(address="10.0.0.9", host="spare", others=2),
     Shutdown(reason="stopped"),
 ]
 HELLO = Hello(version="0.1.0", name="robot1", instance="abc", domain_id=2)
@@ -130,13 +168,33 @@ def test_any_text_crosses_made_plain(reason: str, route: int) -> None:
     assert sanitize_text(message.reason) == message.reason
 
 
-@pytest.mark.parametrize("reason", ["\x1b[2J", "two\nlines", "end\n", "\x9b1m", "\u202egnp", "x" * 501, "\0"])
+HIDDEN = [f"a{sign}b" for sign in "\u200b\u2060\ufeff\u00ad\ufe0f\u3164\U000e0041"]
+"""Marks and letters that a reader does not see."""
+
+
+@pytest.mark.parametrize("reason", ["\x1b[2J", "two\nlines", "end\n", "\x9b1m", "\u202egnp", "x" * 501, "\0", *HIDDEN])
 def test_text_that_would_harm_a_terminal_or_a_log_is_refused(reason: str) -> None:
     with pytest.raises(ProtocolError):
         decode(encode(Close(route=1, reason=reason)))
     assert sanitize_text(reason) != reason
     with pytest.raises(ProtocolError):
         decode_hello(encode(msgspec.structs.replace(HELLO, version=reason)))
+
+
+@pytest.mark.parametrize("field", ["message", "transport", "topic", "type"])
+@pytest.mark.parametrize(
+    "text",
+    ["\x1b]0;title\x07", "x\n2026-01-01 00:00:00 ERROR   engine   forged", "x" * (1 << 20)],
+    ids=["escape", "forged", "long"],
+)
+def test_an_error_quotes_the_peer_in_one_short_line_without_escape_sequences(field: str, text: str) -> None:
+    fields = msgspec.to_builtins(PROPOSE) | {"message": "propose", field: text}
+    with pytest.raises(ProtocolError) as raised:
+        decode(msgspec.msgpack.encode(fields))
+    shown = str(raised.value)
+    assert shown.isprintable()
+    assert len(shown) <= 500
+    assert "regex" not in shown
 
 
 def test_a_rate_that_is_none_is_refused() -> None:
@@ -191,6 +249,14 @@ def test_nesting_without_end_gives_words() -> None:
         {"message": "ping", "n": 2**63, "sent": 0},
         {"message": "hello"},
         {"message": "refuse", "route": 1, "code": "whim", "reason": ""},
+        {"message": "provide", "route": 1, "lanes": [{"type": "a"}] * 17},
+        {"message": "provide", "route": 1, "lanes": [{"type": "a", "providers": -1}]},
+        {"message": "provide", "route": 1, "lanes": [{"type": "a", "qos": {"depth": -1}}]},
+        {"message": "provide", "route": 1, "nodes": ["/node"] * 17},
+        {"message": "provide", "route": 1, "via": ["a_1/b"] * 17},
+        {"message": "provide", "route": 1, "via": [""]},
+        {"message": "listtopics", "request": 1, "kinds": ["service"] * 17},
+        {"message": "report", "sent": [], "received": [], "calls": [{"route": 1, "refused": {"": 1.5}}]},
         {"message": "report", "sent": [{"route": 1, "publisher_qos": {"depth": -1}}], "received": []},
         {"message": "report", "sent": [], "received": [{"route": 1, "subscriber_qos": {"deadline": 1e-9}}]},
     ],
@@ -215,6 +281,11 @@ def test_a_field_out_of_its_range_gives_words(fields: dict[str, Any]) -> None:
         {"qos": {"depth": 0}},
         {"stale_after": 0.01},
         {"stale_after": 2e6},
+        {"arm": True, "deadman": 1.0},
+        {"kind": "\x1b[2J"},
+        {"timeout": -1.0},
+        {"timeout": math.nan},
+        {"timeout": math.inf},
         {"qos": {"surprise": 1}},
     ],
 )

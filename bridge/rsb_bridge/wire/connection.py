@@ -6,24 +6,20 @@ The caller reads a socket, passes the bytes to `receive_data`, acts on the event
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
+from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import (
     Accepted,
     Attach,
     DataFrame,
     Established,
-    Event,
-    Failed,
     Received,
     Refused,
 )
 from rsb_bridge.wire.framing import CONTROL, CONTROL_LIMIT, DATA, HEADER, FrameReader, ProtocolError, pack_frame
 from rsb_bridge.wire.handshake import Handshake, NoiseHandshake, PlainHandshake
-from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome, decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.preamble import (
     MAGIC,
     ControlPreamble,
@@ -38,13 +34,16 @@ from rsb_bridge.wire.preamble import (
     parse_refuse,
     parse_suite,
     preamble_frame,
-    refuse_frame,
     take_frame,
 )
+from rsb_bridge.wire.preamble_stream import Phase, PreambleStream
 from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
+    from rsb_bridge.wire.replay_cache import ReplayCache
 
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
@@ -53,82 +52,15 @@ class Credential(NamedTuple):
     """What a client of a certain name has to prove.
 
     Attributes:
-        key: 32 bytes that it must have; None: it comes without encryption.
+        keys: 32 bytes each, of which it must have one; none: it comes without encryption.
+        replays: remembers its first messages, whichever of the keys they open under.
     """
 
-    key: bytes | None
+    keys: tuple[bytes, ...]
+    replays: ReplayCache
 
 
-class _Phase(Enum):
-    PREAMBLE = auto()  # preamble frames, one by one
-    SEALED = auto()  # sealed frames
-    HANDED_OVER = auto()  # a data stream, whose bytes go to the caller
-    OVER = auto()
-
-
-class _Stream(ABC):
-    """What every end of a stream shares: the preamble, and failures."""
-
-    _is_server = False
-
-    def __init__(self) -> None:
-        self._phase = _Phase.PREAMBLE
-        self._inbox = bytearray()
-        self._outbox = bytearray()
-        self._events: list[Event] = []
-
-    def receive_data(self, data: Buffer) -> list[Event]:
-        """Take the next bytes of the stream; `data` must not be changed afterwards."""
-        self._events = []
-        try:
-            self._take_in(data)
-        except Refusal as refusal:
-            self._refuse(refusal.code, refusal.message)
-            self._end(Refused(refusal.code, refusal.message))
-        except (ProtocolError, SealError) as error:
-            if self._is(_Phase.PREAMBLE):
-                self._refuse(RefusalCode.BAD_FORMAT, str(error))
-            self._end(Failed(str(error)))
-        return self._events
-
-    def data_to_send(self) -> bytes:
-        """The bytes to write now; returned once."""
-        data, self._outbox = bytes(self._outbox), bytearray()
-        return data
-
-    def leftover(self) -> bytes:
-        """What came after a data stream's preamble, once it is accepted; returned once."""
-        data, self._inbox = bytes(self._inbox), bytearray()
-        return data
-
-    def _take_in(self, data: Buffer) -> None:
-        if self._is(_Phase.OVER):
-            return
-        self._inbox += data
-        while self._is(_Phase.PREAMBLE) and (frame := take_frame(self._inbox)) is not None:
-            self._on_preamble(*parse_preamble(frame), frame)
-
-    def _is(self, phase: _Phase) -> bool:
-        return self._phase is phase
-
-    @abstractmethod
-    def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
-        """Act on one preamble frame; `frame` is the whole of it."""
-
-    def _refuse(self, code: RefusalCode, message: str) -> None:
-        if self._is_server:  # a client has no frame for it
-            self._outbox += pack_frame(refuse_frame(code, message))
-
-    def _refused_by_peer(self, body: bytes) -> None:
-        code, message = parse_refuse(body)
-        self._end(Refused(code, message))
-
-    def _end(self, event: Event) -> None:
-        self._phase = _Phase.OVER
-        self._events.append(event)
-
-
-class _Control(_Stream):
+class _Control(PreambleStream):
     """Either end of a control connection: sealed control frames after the handshake."""
 
     def __init__(self, *, multiplexed: bool) -> None:
@@ -137,7 +69,6 @@ class _Control(_Stream):
         self._frames = FrameReader(CONTROL_LIMIT)
         self._sealer: Sealer | None = None
         self._opener: StreamOpener | None = None
-        self._unconfirmed: Established | None = None
 
     def send(self, message: ControlMessage) -> bytes:
         """Seal a control message.
@@ -158,7 +89,7 @@ class _Control(_Stream):
     def _start_sealing(self, suite: Suite, sending: bytes | None, receiving: bytes | None) -> None:
         self._sealer = Sealer(suite, sending)
         self._opener = StreamOpener(suite, receiving)
-        self._phase = _Phase.SEALED
+        self._phase = Phase.SEALED
 
     def _write(self, content: bytes) -> None:
         if self._sealer is None:
@@ -167,7 +98,7 @@ class _Control(_Stream):
 
     def _take_in(self, data: Buffer) -> None:
         super()._take_in(data)
-        if self._is(_Phase.SEALED):
+        if self._is(Phase.SEALED):
             self._open_frames()
 
     def _open_frames(self) -> None:
@@ -176,7 +107,7 @@ class _Control(_Stream):
             header = frame[: HEADER.size]
             if header == _CONTROL_HEADER:
                 self._on_control(self._opener.open(frame[HEADER.size :], header))
-            elif self._multiplexed and self._unconfirmed is None and len(header) == HEADER.size and header[0] == DATA:
+            elif self._multiplexed and len(header) == HEADER.size and header[0] == DATA:
                 self._events.append(DataFrame(HEADER.unpack(header)[2], frame))
             else:
                 self._on_other_frame(frame)
@@ -246,6 +177,11 @@ class ClientConnection(_Control):
             super()._on_other_frame(frame)
         self._refused_by_peer(body)
 
+    def _refused_by_peer(self, body: bytes) -> None:
+        if parse_refuse(body)[0] is RefusalCode.SHUT_DOWN:  # anybody could have the client wait so
+            raise ProtocolError("a REFUSE says that the link is shut down, which only a Welcome can")
+        super()._refused_by_peer(body)
+
     def _on_accept(self, message: bytes) -> None:
         try:
             welcome = decode_welcome(self._handshake.read(message))
@@ -254,6 +190,10 @@ class ClientConnection(_Control):
         keys = self._handshake.split()
         self._start_sealing(self._suite, keys.client, keys.server)
         self._write(b"")  # the confirmation, which a replay of a recorded first message can't give
+        if welcome.taken:
+            raise Refusal(RefusalCode.NAME_TAKEN, welcome.taken)
+        if welcome.shut_down:
+            raise Refusal(RefusalCode.SHUT_DOWN, welcome.shut_down)
         self._events.append(Established(welcome, SessionKeys(self._suite, keys.export, welcome.link_id)))
 
 
@@ -284,6 +224,18 @@ class ServerConnection(_Control):
         self._make_welcome = make_welcome
         self._aes = aes
         self._retried = False
+        self._fingerprint = b""
+        self._unconfirmed: Established | Refused | None = None  # what is so once the client has confirmed
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the client's first message opens under its key. Somebody may have recorded and sent it again."""
+        return self._is(Phase.SEALED)
+
+    @property
+    def fingerprint(self) -> bytes:
+        """Of the key that an accepted client has; empty: it comes without encryption."""
+        return self._fingerprint
 
     def accept_attach(self) -> bytes:
         """Accept the data stream: the bytes to write. What came after the preamble is `leftover`."""
@@ -292,7 +244,7 @@ class ServerConnection(_Control):
 
     def refuse(self, code: RefusalCode, message: str) -> bytes:
         """Refuse the stream: the bytes to write before closing it."""
-        self._phase = _Phase.OVER
+        self._phase = Phase.OVER
         self._refuse(code, message)
         return self.data_to_send()
 
@@ -302,19 +254,19 @@ class ServerConnection(_Control):
                 self._on_offer(parse_control(frame))
             case Kind.DATA:
                 link_id, route, header, proof = parse_data(frame)
-                self._phase = _Phase.HANDED_OVER
+                self._phase = Phase.HANDED_OVER
                 self._events.append(Attach(link_id, route, proof, header))
             case _:
                 raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
 
     def _on_offer(self, offer: ControlPreamble) -> None:
-        key = self._identity(offer.name).key
-        if key is None and offer.suite is not Suite.PLAIN:
+        keys, replays = self._identity(offer.name)
+        if not keys and offer.suite is not Suite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_NOT_POSSIBLE,
                 f"the client encrypts, and the server has no key for {offer.name!r}",
             )
-        if key is not None and offer.suite is Suite.PLAIN:
+        if keys and offer.suite is Suite.PLAIN:
             raise Refusal(
                 RefusalCode.ENCRYPTION_REQUIRED,
                 f"the server requires encryption for {offer.name!r}, and the client came without",
@@ -322,7 +274,7 @@ class ServerConnection(_Control):
         if offer.suite is Suite.AESGCM and not self._aes:
             self._retry()
         else:
-            self._welcome(offer, key)
+            self._welcome(offer, _key_of(offer, keys), replays)
 
     def _retry(self) -> None:
         if self._retried:
@@ -330,31 +282,55 @@ class ServerConnection(_Control):
         self._retried = True
         self._outbox += pack_frame(preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))))
 
-    def _welcome(self, offer: ControlPreamble, key: bytes | None) -> None:
+    def _welcome(self, offer: ControlPreamble, key: bytes | None, replays: ReplayCache) -> None:
         handshake = _handshake(offer.suite, key, offer.header)
         try:
             hello = decode_hello(handshake.read(offer.message))
         except SealError:
-            raise Refusal(RefusalCode.WRONG_KEY, _wrong_key(offer, key)) from None
+            raise Refusal(
+                RefusalCode.WRONG_KEY,
+                f"the first message of {offer.name!r} is damaged or forged: "
+                "the fingerprints of both sides' keys are equal",
+            ) from None
+        if key is not None and not replays.is_new(offer.message):
+            raise ProtocolError(f"the first message of {offer.name!r} came before: somebody has recorded it")
         if hello.name != offer.name:
             raise ProtocolError(f"the client's name is {offer.name!r} in the preamble and {hello.name!r} in its Hello")
         welcome = self._make_welcome(hello)
         self._outbox += pack_frame(preamble_frame(Kind.ACCEPT, handshake.write(encode(welcome))))
         keys = handshake.split()
         self._start_sealing(offer.suite, keys.server, keys.client)
-        self._unconfirmed = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
-
-    def _on_control(self, content: bytes) -> None:
-        if self._unconfirmed is None:
-            super()._on_control(content)
-        elif content:
-            raise ProtocolError("the client did not confirm the handshake")
+        self._fingerprint = b"" if key is None else offer.fingerprint
+        if welcome.taken:
+            self._unconfirmed = Refused(RefusalCode.NAME_TAKEN, welcome.taken, hello)
+        elif welcome.shut_down:
+            self._unconfirmed = Refused(RefusalCode.SHUT_DOWN, welcome.shut_down, hello)
         else:
-            self._events.append(self._unconfirmed)
-            self._unconfirmed = None
+            self._unconfirmed = Established(hello, SessionKeys(offer.suite, keys.export, welcome.link_id))
+
+    def _open_frames(self) -> None:
+        if self._unconfirmed is not None:
+            # Until here the peer may be anybody, so it gets no more room than a preamble frame has.
+            frame = take_frame(self._inbox)
+            if frame is None:
+                return
+            self._confirm(frame, self._unconfirmed)
+        if self._is(Phase.SEALED):
+            super()._open_frames()
+
+    def _confirm(self, frame: bytes, outcome: Established | Refused) -> None:
+        assert self._opener is not None
+        header, sealed = frame[: HEADER.size], frame[HEADER.size :]
+        if header != _CONTROL_HEADER or self._opener.open(sealed, header):
+            raise ProtocolError("the client did not confirm the handshake")
+        self._unconfirmed = None
+        if isinstance(outcome, Refused):
+            self._end(outcome)
+        else:
+            self._events.append(outcome)
 
 
-class DataConnection(_Stream):
+class DataConnection(PreambleStream):
     """The client's end of a data stream, until the server accepts it and a route's channel takes over."""
 
     def __init__(self, keys: SessionKeys, route: int) -> None:
@@ -370,7 +346,7 @@ class DataConnection(_Stream):
     def _on_preamble(self, kind: Kind, body: bytes, frame: bytes) -> None:
         match kind:
             case Kind.ACCEPT:
-                self._phase = _Phase.HANDED_OVER
+                self._phase = Phase.HANDED_OVER
                 self._events.append(Accepted())
             case Kind.REFUSE:
                 self._refused_by_peer(body)
@@ -378,17 +354,25 @@ class DataConnection(_Stream):
                 raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
 
 
-def _wrong_key(offer: ControlPreamble, key: bytes | None) -> str:
-    """Why a client's first message does not open; what the client says of its key is not authenticated."""
-    ours = b"" if key is None else fingerprint_of(key)
-    if offer.fingerprint == ours:
-        return (
-            f"the first message of {offer.name!r} is damaged or forged: the fingerprints of both sides' keys are equal"
+def _key_of(offer: ControlPreamble, keys: tuple[bytes, ...]) -> bytes | None:
+    """The key that a client says it has, so that its first message costs no more where two keys are valid.
+
+    What it says is part of the handshake's prologue: with another key than it says, the message does not open.
+
+    Raises:
+        Refusal: it is none of the valid ones.
+    """
+    if not keys:
+        return None
+    by_fingerprint = {fingerprint_of(key): key for key in keys}
+    if offer.fingerprint not in by_fingerprint:
+        ours = " or ".join(map(format_fingerprint, by_fingerprint))
+        raise Refusal(
+            RefusalCode.WRONG_KEY,
+            f"the keys of {offer.name!r} differ: {format_fingerprint(offer.fingerprint)} on the client, "
+            f"{ours} on the server",
         )
-    return (
-        f"the keys of {offer.name!r} differ: {format_fingerprint(offer.fingerprint)} on the client, "
-        f"{format_fingerprint(ours)} on the server"
-    )
+    return by_fingerprint[offer.fingerprint]
 
 
 def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:

@@ -73,10 +73,12 @@ class Refused:
     Attributes:
         code: why.
         message: why, for an operator.
+        peer: the client that this server refuses though it has proven that it has the key; None: it has not.
     """
 
     code: RefusalCode
     message: str
+    peer: Hello | None = None
 
 
 @dataclass(frozen=True, slots=True)

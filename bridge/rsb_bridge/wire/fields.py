@@ -14,10 +14,10 @@ from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
 
-_PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
+PRINTABLE = rf"\A[^{UNPRINTABLE}]*\Z"
 
-Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=_PRINTABLE)]
-Reason: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=_PRINTABLE)]
+Name: TypeAlias = Annotated[str, Meta(max_length=TEXT_LENGTH, pattern=PRINTABLE)]
+Reason: TypeAlias = Annotated[str, Meta(max_length=REASON_LENGTH, pattern=PRINTABLE)]
 
 RouteId: TypeAlias = Annotated[int, Meta(ge=1, le=2**32 - 1)]
 DescriptionText: TypeAlias = Annotated[bytes, Meta(max_length=DESCRIPTION_LIMIT)]
@@ -31,8 +31,10 @@ Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
 StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
-Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=_PRINTABLE)]
+Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=PRINTABLE)]
 Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_HOPS)]
+MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]
+Kinds: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 Bridges: TypeAlias = Annotated[tuple[Name, ...], Meta(min_length=1, max_length=MOST_BRIDGES)]
 NodeNames: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=16)]
 Features: TypeAlias = Annotated[tuple[Name, ...], Meta(max_length=32)]
@@ -45,3 +47,15 @@ NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_
 Transport = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]
 RefuseCode = Literal["type_differs", "denied", "port_taken"]
+
+
+def check_limits(max_rate: float, expected_rate: float = 0.0, stale_after: float | None = None) -> None:
+    """Check the limits of a route, which are 0 or in a range.
+
+    Raises:
+        ValueError: one is out of its range.
+    """
+    if any(rate and rate not in RATE for rate in (max_rate, expected_rate)):
+        raise ValueError(f"a rate is 0 or {RATE} Hz")
+    if stale_after and stale_after not in STALE_AFTER:
+        raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")

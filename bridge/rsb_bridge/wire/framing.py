@@ -6,6 +6,7 @@ import struct
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.sources import MOST_SOURCES
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.budget import Budget
 
 if TYPE_CHECKING:
@@ -43,7 +44,13 @@ _UNKNOWN_FLAGS = 0xFF & ~(ZSTD | MORE | HISTORY | SOURCE_FLAGS)
 
 
 class ProtocolError(Exception):
-    """The peer broke the format; the message says how."""
+    """The peer broke the format; the message says how.
+
+    It may quote the peer, and is for terminals and logs: what is unprintable is replaced, and what is too long is cut.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(sanitize_text(message))
 
 
 def pack_frame(*parts: Buffer) -> bytes:

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias, TypeVar
+from typing import Annotated, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
-from rsb_bridge.model.limits import RATE, STALE_AFTER
+from rsb_bridge.model.lanes import MOST_LANES
 from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.model.sources import MOST_SOURCES
-from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annotations at run time
+from rsb_bridge.wire.amending import Amend, Limit, Pause
+from rsb_bridge.wire.arming import Arm, Armed, Disarm, check_deadman
+from rsb_bridge.wire.by_hand import ByHand
+from rsb_bridge.wire.fields import (
     Bridges,
     Compression,
     Count,
-    DescriptionText,
     Features,
     Hertz,
     LinkId,
+    MaybeHops,
     Name,
     Nanoseconds,
     NewestNumbers,
+    NodeNames,
     Port,
     PublisherIds,
     Reason,
@@ -29,13 +33,18 @@ from rsb_bridge.wire.fields import (  # noqa: TC001 - msgspec resolves the annot
     Seconds,
     StaleAfter,
     Transport,
+    check_limits,
 )
-from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.records import ReceivedReport, SentReport, Source, TopicEntry, check_qos
-
-
-class _Message(msgspec.Struct, frozen=True, tag_field="message", tag=str.lower):
-    """One control message: a msgpack map whose `message` is the type's name in lower case."""
+from rsb_bridge.wire.message import ControlMessageBase as _Message
+from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.records import (
+    CallsReport,
+    LaneEntry,
+    ReceivedReport,
+    SentReport,
+    Source,
+    check_qos,
+)
 
 
 class Hello(_Message, frozen=True):
@@ -46,7 +55,7 @@ class Hello(_Message, frozen=True):
         name: of its session; the same as in the preamble.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can do beyond version 2; none yet.
+        features: what it can do beyond version 2, as `rsb_bridge.model.lanes.FEATURE`; others are a newer peer's.
         host: what its machine calls itself, for operators; empty: not known.
     """
 
@@ -67,8 +76,10 @@ class Welcome(_Message, frozen=True):
         link_id: 8 random bytes that name this link.
         instance: random, new with each start of the process.
         domain_id: its ROS domain.
-        features: what it can do beyond version 2; none yet.
+        features: as in `Hello`.
         use_name: it puts the client's name before the names of this client's topics.
+        taken: who has the client's name, for an operator: the client confirms, and is refused; empty: nobody.
+        shut_down: who has shut the link down, for an operator: likewise.
     """
 
     version: Name
@@ -78,6 +89,8 @@ class Welcome(_Message, frozen=True):
     domain_id: Count
     features: Features = ()
     use_name: bool = False
+    taken: Reason = ""
+    shut_down: Reason = ""
 
 
 class Propose(_Message, frozen=True, kw_only=True):
@@ -98,6 +111,14 @@ class Propose(_Message, frozen=True, kw_only=True):
         stale_after: s; 0: never warn; None: each side's own default.
         paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
+        arm: the proposer's session wants it to be armed before anything crosses.
+        deadman: s without a key after which it disarms; 0: none.
+        who: the operator who has just added or edited the topic, in words; empty: none has, or it is not known.
+        edited: it takes the place of the route that was removed right before.
+        kind: what it is, a key of `rsb_bridge.model.lanes.LANES`; another one is a newer peer's, and refused. Of what
+            is not a topic, the "sending side" is the callers'. Only topics are proposed to a peer whose `features` lack
+            `rsb_bridge.model.lanes.FEATURE`.
+        timeout: s until a call without an answer is given up; 0: 30 s, or it is a topic.
     """
 
     route: RouteId
@@ -114,10 +135,17 @@ class Propose(_Message, frozen=True, kw_only=True):
     stale_after: StaleAfter | None = None
     paused: bool = False
     pause_revision: Count = 0
+    arm: bool = False
+    deadman: Seconds = 0.0
+    who: Name = ""
+    edited: bool = False
+    kind: Name = "topic"
+    timeout: Seconds = 0.0
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
-        _check_limits(self)
+        check_limits(self.max_rate, self.expected_rate, self.stale_after)
+        check_deadman(self.deadman)
 
 
 class Accept(_Message, frozen=True):
@@ -126,10 +154,17 @@ class Accept(_Message, frozen=True):
     Attributes:
         route: route id.
         topic: its name on the acceptor's side, which may add a prefix to the proposed one.
+        arm: the acceptor wants it to be armed before anything crosses, be it by its session or by the proposal.
+        deadman: as in `Propose`.
     """
 
     route: RouteId
     topic: Name
+    arm: bool = False
+    deadman: Seconds = 0.0
+
+    def __post_init__(self) -> None:
+        check_deadman(self.deadman)
 
 
 class Refuse(_Message, frozen=True):
@@ -182,7 +217,7 @@ class Ready(_Message, frozen=True):
     route: RouteId
     sources: Count
     before: ReceivedReport | None = None
-    newest: NewestNumbers = {}
+    newest: NewestNumbers = msgspec.field(default_factory=dict)
 
 
 class Publishers(_Message, frozen=True):
@@ -195,6 +230,24 @@ class Publishers(_Message, frozen=True):
 
     route: RouteId
     present: PublisherIds
+
+
+class Provide(_Message, frozen=True):
+    """The providing side of what is called: what there is to call; after `Accept`, and whenever that changes.
+
+    Attributes:
+        route: route id.
+        lanes: in the order of the kind (`rsb_bridge.model.lanes`); empty: nothing can be called now.
+        nodes: that provide it, some of them.
+        via: of a provider that is a bridge itself, the hops between it and the node that answers (section 5).
+        pause_revision: of the state of the pause that its sender had; see `Pause`.
+    """
+
+    route: RouteId
+    lanes: Annotated[tuple[LaneEntry, ...], Meta(max_length=MOST_LANES)] = ()
+    nodes: NodeNames = ()
+    via: MaybeHops = ()
+    pause_revision: Count = 0
 
 
 class Neighbours(_Message, frozen=True):
@@ -214,42 +267,13 @@ class Close(_Message, frozen=True):
         route: route id.
         reason: why, for an operator.
         removed: for good; else its proposer opens it again.
+        who: the operator who has removed it, in words; empty: as in `Propose`, or it is edited.
     """
 
     route: RouteId
     reason: Reason
     removed: bool = False
-
-
-class Amend(_Message, frozen=True):
-    """The route goes on with other limits; the fields are those of `Propose`.
-
-    The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
-    changes nothing before the proposer has answered.
-    """
-
-    route: RouteId
-    max_rate: Hertz = 0.0
-    expected_rate: Hertz = 0.0
-    stale_after: StaleAfter | None = None
-
-    def __post_init__(self) -> None:
-        _check_limits(self)
-
-
-class Pause(_Message, frozen=True):
-    """Either side: the route pauses or resumes.
-
-    Attributes:
-        route: route id.
-        paused: it pauses; else it resumes.
-        revision: of the change that led to this state: above all that the side that made it had seen. The higher one
-            counts on both sides, and of two equal ones the client's.
-    """
-
-    route: RouteId
-    paused: bool
-    revision: Count
+    who: Name = ""
 
 
 class Ping(_Message, frozen=True):
@@ -286,45 +310,26 @@ class Report(_Message, frozen=True):
     Attributes:
         sent: of the routes that it sends on.
         received: of those that it receives on.
+        calls: of those that carry calls, either way.
     """
 
     sent: tuple[SentReport, ...]
     received: tuple[ReceivedReport, ...]
+    calls: tuple[CallsReport, ...] = ()
 
 
-class ListTopics(_Message, frozen=True):
-    """Either side asks for the peer's topics. Answered by a `TopicList` with the same request number."""
-
-    request: Count
-
-
-class TopicList(_Message, frozen=True):
-    """The answer to `ListTopics`."""
-
-    request: Count
-    topics: tuple[TopicEntry, ...]
-
-
-class AskType(_Message, frozen=True):
-    """Either side asks for the description of a route's type. Answered by a `TypeText`.
+class Duplicate(_Message, frozen=True):
+    """The server: a second client has the name and the key of this one, and is refused.
 
     Attributes:
-        route: route id.
+        address: where it is; empty: it does not try any more.
+        host: what its machine calls itself; or empty.
+        others: how many more of them there are, as far as the server counts.
     """
 
-    route: RouteId
-
-
-class TypeText(_Message, frozen=True):
-    """The answer to `AskType`.
-
-    Attributes:
-        route: route id.
-        text: the description, zstd-compressed (`rsb_bridge.cdr.description`); empty: this side does not know it.
-    """
-
-    route: RouteId
-    text: DescriptionText = b""
+    address: Name = ""
+    host: Name = ""
+    others: Count = 0
 
 
 class Shutdown(_Message, frozen=True):
@@ -332,7 +337,7 @@ class Shutdown(_Message, frozen=True):
 
     Attributes:
         reason: why, for an operator.
-        retry_after: s until the client may call again; None: it waits for its operator.
+        retry_after: s until the client may call again; None: an operator has shut the link down.
     """
 
     reason: Reason
@@ -346,10 +351,16 @@ ControlMessage: TypeAlias = (
     | Describe
     | Ready
     | Publishers
+    | Provide
+    | ByHand
     | Neighbours
     | Close
     | Amend
+    | Limit
     | Pause
+    | Arm
+    | Armed
+    | Disarm
     | Ping
     | Pong
     | Report
@@ -357,51 +368,6 @@ ControlMessage: TypeAlias = (
     | TopicList
     | AskType
     | TypeText
+    | Duplicate
     | Shutdown
 )
-
-
-def _check_limits(message: Propose | Amend) -> None:
-    if any(rate and rate not in RATE for rate in (message.max_rate, message.expected_rate)):
-        raise ValueError(f"a rate is 0 or {RATE} Hz")
-    if message.stale_after and message.stale_after not in STALE_AFTER:
-        raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
-
-
-_T = TypeVar("_T")
-
-_encoder = msgspec.msgpack.Encoder()
-_control: msgspec.msgpack.Decoder[ControlMessage] = msgspec.msgpack.Decoder(ControlMessage)
-_hello = msgspec.msgpack.Decoder(Hello)
-_welcome = msgspec.msgpack.Decoder(Welcome)
-
-
-def encode(message: ControlMessage | Hello | Welcome) -> bytes:
-    """A message as msgpack."""
-    return _encoder.encode(message)
-
-
-def decode(data: bytes) -> ControlMessage:
-    """A control message from msgpack.
-
-    Raises:
-        ProtocolError: the message is invalid, or a field is out of its range.
-    """
-    return _decode(_control, data)
-
-
-def decode_hello(data: bytes) -> Hello:
-    """A `Hello` from msgpack; errors as `decode`."""
-    return _decode(_hello, data)
-
-
-def decode_welcome(data: bytes) -> Welcome:
-    """A `Welcome` from msgpack; errors as `decode`."""
-    return _decode(_welcome, data)
-
-
-def _decode(decoder: msgspec.msgpack.Decoder[_T], data: bytes) -> _T:
-    try:
-        return decoder.decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ProtocolError(f"invalid control message: {error}") from None

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH
 from rsb_bridge.model.limits import NAME_BYTES
+from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError
 from rsb_bridge.wire.sealing import Suite
 
@@ -44,6 +45,7 @@ class RefusalCode(IntEnum):
     NO_SUCH_ROUTE = 7
     BUSY = 8
     NAME_TAKEN = 9
+    SHUT_DOWN = 10
 
 
 class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
@@ -95,19 +97,19 @@ class DataPreamble(NamedTuple):
 
 
 def take_frame(stream: bytearray) -> bytes | None:
-    """Remove one preamble frame from the front of a stream's buffer.
+    """Remove one frame of the handshake from the front of a stream's buffer.
 
     Returns:
         The frame without its length; None while it is incomplete.
 
     Raises:
-        ProtocolError: this can't be a preamble frame.
+        ProtocolError: no frame of the handshake is so long.
     """
     if len(stream) < LENGTH.size:
         return None
     (length,) = LENGTH.unpack_from(stream)
     if length > PREAMBLE_LIMIT:
-        raise ProtocolError("the stream does not begin with a preamble: the other side is not an rsb-console")
+        raise ProtocolError(f"a frame of {length:,} bytes instead of a handshake: the other side is not an rsb-console")
     if len(stream) < LENGTH.size + length:
         return None
     frame = bytes(stream[LENGTH.size : LENGTH.size + length])
@@ -185,6 +187,8 @@ def parse_control(frame: bytes) -> ControlPreamble:
         name = body[2:name_end].decode()
     except UnicodeDecodeError:
         raise ProtocolError("the name in a CONTROL frame is not UTF-8") from None
+    if not is_clean(name):
+        raise ProtocolError("the name in a CONTROL frame has unprintable characters")
     return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: _PREFIX_LENGTH + end], body[end:])
 
 
@@ -238,5 +242,4 @@ def parse_refuse(body: bytes) -> tuple[RefusalCode, str]:
         code = RefusalCode(body[0])
     except (IndexError, ValueError):
         raise ProtocolError("unknown refusal code") from None
-    message = body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace")
-    return code, "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in message)
+    return code, sanitize_text(body[1 : 1 + MESSAGE_LIMIT].decode(errors="replace"))

@@ -123,8 +123,55 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         check_qos(self.subscriber_qos)
 
 
+class LaneEntry(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One of the services or topics that a route of calls consists of.
+
+    Attributes:
+        type: ``pkg/srv/Name``, of a service that belongs to an action ``pkg/action/Name_SendGoal``, or a message's.
+        type_hash: ``RIHS01_...``; of a service, its own, which covers request and response; may be empty.
+        providers: nodes that serve it, or publish it.
+        qos: of a topic's publishers; None: of a service, or there are none.
+    """
+
+    type: Name
+    type_hash: Name = ""
+    providers: Count = 0
+    qos: Qos | None = None
+
+    def __post_init__(self) -> None:
+        check_qos(self.qos)
+
+
+class CallsReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A side's counts of a route of calls (`rsb_bridge.model.snapshot.CallsSnapshot`).
+
+    Attributes:
+        route: route id.
+        asked: calls since the route was made; so for all counts here.
+        answered: whose answers went back.
+        expired: given up after the timeout.
+        refused: by cause.
+        lost: given up because the link or the provider went.
+        in_flight: under way.
+        offered: the callers' side offers it.
+        verdict: what this side makes of the route; None: nothing to say.
+        nodes: that call it, or that provide it, some of them.
+    """
+
+    route: RouteId
+    asked: int = 0
+    answered: int = 0
+    expired: int = 0
+    refused: Causes = {}
+    lost: int = 0
+    in_flight: int = 0
+    offered: bool = False
+    verdict: VerdictRecord | None = None
+    nodes: NodeNames = ()
+
+
 class TopicEntry(msgspec.Struct, frozen=True):
-    """A topic of a side's graph.
+    """A topic of a side's graph, or what else was asked for.
 
     Attributes:
         topic: its name.
@@ -133,6 +180,7 @@ class TopicEntry(msgspec.Struct, frozen=True):
         qos: what its publishers offer; None: no publisher.
         publishers: how many.
         subscriptions: how many.
+        kind: what it is; another one is a newer peer's.
     """
 
     topic: Name
@@ -141,6 +189,7 @@ class TopicEntry(msgspec.Struct, frozen=True):
     qos: Qos | None
     publishers: Count
     subscriptions: Count
+    kind: Name = "topic"
 
     def __post_init__(self) -> None:
         check_qos(self.qos)
