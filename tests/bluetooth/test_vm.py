@@ -12,29 +12,29 @@ from tests.bluetooth.vm.cpio import Archive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
-    from tests.bluetooth.conftest import Run
+    from tests.bluetooth.conftest import Outcomes
     from tests.bluetooth.vm.layers import Layers
 
-_PROBES = "tests/bluetooth/guest/vm_probes.py"
+
+def test_failures_inside_come_out_with_output_and_exit_code(outcomes: Outcomes) -> None:
+    assert outcomes.probes.exit_code == 1
+    assert "1 failed, 1 passed" in outcomes.probes.output
+    assert "the answer is 42" in outcomes.probes.output
+    assert "[init] ready" in outcomes.probes.console
 
 
-def test_failures_inside_come_out_with_output_and_exit_code(run: Run) -> None:
-    outcome = run([_PROBES, "-k", "passes or fails"])
-    assert outcome.exit_code == 1
-    assert "1 failed, 1 passed" in outcome.output
-    assert "the answer is 42" in outcome.output
-    assert "[init] ready" in outcome.console
-
-
-def test_a_dead_machine_is_told_from_a_failed_test(run: Run) -> None:
-    with pytest.raises(machine.DiedError, match=r"no exit code: it ended\n(.|\n)*sysrq"):
-        run([_PROBES, "-k", "kernel_dies"])
+def test_a_dead_machine_is_told_from_a_failed_test(boots_from: Layers, tmp_path: Path) -> None:
+    """Without an init the kernel panics as soon as it has booted."""
+    (nothing := tmp_path / "initrd").touch()
+    with pytest.raises(machine.DiedError, match=r"no exit code: it ended\n(.|\n)*Kernel panic(.|\n)*Call Trace"):
+        machine.run(boots_from._replace(initrd=nothing), ["any"])
 
 
 def test_a_hung_machine_is_ended(boots_from: Layers) -> None:
     with pytest.raises(machine.DiedError, match="it was ended after 2 s"):
-        machine.run(boots_from, [_PROBES], time_limit=2)
+        machine.run(boots_from, ["any"], time_limit=2)
 
 
 def test_an_unknown_kernel_is_named(boots_from: Layers) -> None:

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 from tests.simulation.loop import SimulatedLoop
 
+from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.multiplexer import CHUNK, MultiplexedReceiver, MultiplexedSender, Multiplexer
 from rsb_bridge.transport.rfcomm import RfcommStream
 from rsb_bridge.transport.streams import Stream, StreamHandler
-from rsb_bridge.wire.framing import HEADER, LENGTH, DataReader, DataWriter, FrameReader
-from rsb_bridge.wire.sealing import Sealer, StreamOpener, Suite
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import HEADER, LENGTH, DataWriter, FrameReader
+from rsb_bridge.wire.sealing import Sealer, SessionKeys, Suite
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Iterable
@@ -87,7 +89,7 @@ class Topic:
 
     def __init__(self, number: int, always: int = 0) -> None:
         self.id = number
-        self.outgoing = True
+        self.outgoing, self.duplex = True, False
         self.arrived: deque[tuple[int, float]] = deque()
         self._always = always
         self.channel: MultiplexedSender
@@ -122,16 +124,19 @@ class _Pumping(StreamHandler):
         self.multiplexer.pump()
 
 
+def _budget() -> Budget:
+    return Budget(1 << 20)
+
+
 def share(*topics: Topic) -> None:
     """Put all topics on one stream; what arrives is delivered to them again."""
     handler = _Pumping()
     receivers: dict[int, MultiplexedReceiver] = {}
     Radio(SlowStream(handler), receivers)
     for topic in topics:
-        writer = DataWriter(Sealer(Suite.CHACHAPOLY, _KEY), topic.id)
-        topic.channel = MultiplexedSender(handler.multiplexer, topic, writer)
-        reader = DataReader(StreamOpener(Suite.CHACHAPOLY, _KEY), topic.id)
-        receivers[topic.id] = MultiplexedReceiver(handler.multiplexer, topic, reader)
+        keys = SessionKeys(Suite.CHACHAPOLY, _KEY, bytes(8))
+        topic.channel = MultiplexedSender(handler.multiplexer, topic, DataKeys(keys, "client", _budget()))
+        receivers[topic.id] = MultiplexedReceiver(handler.multiplexer, topic, DataKeys(keys, "server", _budget()))
 
 
 def play(scene: Callable[[], Coroutine[None, None, None]]) -> None:

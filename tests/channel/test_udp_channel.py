@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import asynccontextmanager
+import socket
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+import pytest
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.datagram import DatagramSender, datagram_channel
@@ -15,11 +18,11 @@ from rsb_bridge.transport.streams import StreamHandler
 from rsb_bridge.transport.transport import Acceptor
 from rsb_bridge.transport.udp import Udp
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter
+from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
 from rsb_bridge.wire.sealing import SessionKeys, Suite
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Callable, Iterable
+    from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import DatagramSocket
@@ -35,6 +38,7 @@ class Route:
 
     id: int
     outgoing: bool
+    duplex: bool = False
     arrived: list[bytes] = field(default_factory=list)
 
     def deliver(self, messages: Iterable[Message]) -> None:
@@ -118,6 +122,28 @@ async def until(condition: Callable[[], object]) -> None:
 
 async def ready(channel: ClientUdpChannel) -> None:
     await until(lambda: channel.ready)
+
+
+async def settled(server: Server, client: ClientUdpChannel) -> ServerUdpChannel:
+    """The server's end, once it has the client's address."""
+    await ready(client)
+    there = server.channels[b"link one"]
+    await until(lambda: there.ready)
+    return there
+
+
+@contextmanager
+def elsewhere() -> Iterator[socket.socket]:
+    """A socket of somebody else."""
+    with socket.socket(type=socket.SOCK_DGRAM) as thief:
+        thief.bind((_HOST, 0))
+        thief.setblocking(False)
+        yield thief
+
+
+async def received_by(thief: socket.socket) -> bytes:
+    async with asyncio.timeout(60):
+        return await asyncio.get_running_loop().sock_recv(thief, 4096)
 
 
 def test_each_end_says_once_that_it_is_ready() -> None:
@@ -267,5 +293,96 @@ def test_silence_is_named_with_its_port() -> None:
             await until(lambda: client.received_bytes > heard)
             client.tick()
             assert not client.trouble
+
+    asyncio.run(main())
+
+
+def test_an_address_is_used_only_once_it_has_answered() -> None:
+    """Somebody captures a probe and delivers it first, from elsewhere: the stream goes on to the client."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            there = await settled(server, client)
+            (probe,) = client._probe.write(Probe(pong=False, opaque=0), 1000)
+            with elsewhere() as thief:
+                thief.sendto(probe, (_HOST, server.port))
+                answer = await received_by(thief)
+                assert len(answer) <= len(probe)
+                there.send([b"to the client"])
+                assert there._peer == (_HOST, client.socket.port)
+                with pytest.raises(BlockingIOError):
+                    thief.recv(4096)
+
+    asyncio.run(main())
+
+
+def test_an_answer_that_takes_long_is_an_answer() -> None:
+    """Over a satellite the client has probed again twice before its first answer arrives."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            there = await settled(server, client)
+            moved = (_HOST, 9)
+            for _ in range(3):
+                there._probed(Probe(pong=False, opaque=0), moved)
+            opaque = there._challenges[moved].opaque
+            for number in range(3):  # somebody delivers probes from elsewhere meanwhile
+                there._probed(Probe(pong=False, opaque=0), (_HOST, 10 + number))
+            there._probed(Probe(pong=True, opaque=opaque), moved)
+            assert there._peer == moved
+
+    asyncio.run(main())
+
+
+def test_a_probe_that_another_one_has_overtaken_counts() -> None:
+    """The probes of all sockets have one sequence, and the way to one port may be slower than that to another."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            there = await settled(server, client)
+            first, second = (client._probe.write(Probe(pong=False, opaque=0), 1000) for _ in range(2))
+            for (datagram,) in (second, first):
+                server.time += 3.0
+                there.received([(PROBE_ROUTE, datagram, (_HOST, client.socket.port))])
+                assert there.received_at == server.time
+
+    asyncio.run(main())
+
+
+def test_a_client_that_moves_is_followed() -> None:
+    """Its address changes on the way (NAT): the server goes on to the new one as soon as that has answered."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            there = await settled(server, client)
+            path = client._probe
+            client.close()
+            moved = ClientUdpChannel(Udp(), (_HOST, server.port), path, server.now, lambda: None)
+            server.clients.append(moved)
+            await until(lambda: there._peer == (_HOST, moved.socket.port))
+            assert server.made == 1
+
+    asyncio.run(main())
+
+
+def test_nothing_is_sent_to_an_address_that_has_fallen_silent() -> None:
+    """Whoever has that address next gets nothing; a probe from there opens it again."""
+
+    async def main() -> None:
+        async with serving() as server:
+            client, _ = server.connect(b"link one")
+            there = await settled(server, client)
+            server.time += 6.1
+            before = there.sent_bytes
+            there.send([b"late"])
+            assert there.sent_bytes == before
+            client.tick()
+            await until(lambda: there.received_at == server.time)
+            there.send([b"again"])
+            assert there.sent_bytes > before
 
     asyncio.run(main())

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
-from typing import Any
 
+import msgspec
 from dbus_fast import BusType, DBusFastError, Message, MessageType, unpack_variants
 from dbus_fast.aio import MessageBus
 
 from rsb_bridge.bluetooth.hci import Adapter
+from rsb_bridge.model.text import sanitize_text
 
 _TIMEOUT = 5.0
 _NOT_THERE = {
@@ -44,33 +45,68 @@ class Device:
     connected: bool
 
 
+class _AdapterProperties(msgspec.Struct, rename="pascal"):
+    address: str
+    powered: bool
+    alias: str
+
+
+class _DeviceProperties(msgspec.Struct, rename="pascal"):
+    address: str
+    alias: str
+    adapter: str
+    paired: bool
+    connected: bool
+
+
+class _Interfaces(msgspec.Struct):
+    adapter: _AdapterProperties | None = msgspec.field(name="org.bluez.Adapter1", default=None)
+    device: _DeviceProperties | None = msgspec.field(name="org.bluez.Device1", default=None)
+
+
 async def read_bluez() -> tuple[list[Adapter], list[Device]]:
     """All adapters, and the devices that are paired or connected, sorted by name.
 
     Raises:
         BluezError: D-Bus or BlueZ is missing, or access is denied.
     """
-    objects = await _managed_objects()
-    adapters, devices = [], []
-    for path, interfaces in objects.items():
-        if adapter := interfaces.get("org.bluez.Adapter1"):
-            adapters.append(Adapter(_last(path), adapter["Address"], adapter["Powered"], adapter["Alias"]))
-        if device := interfaces.get("org.bluez.Device1"):
-            paired, connected = device["Paired"], device["Connected"]
-            if paired or connected:
-                found = Device(device["Address"], device["Alias"], _last(device["Adapter"]), paired, connected)
-                devices.append(found)
+    return read_objects(await _managed_objects())
+
+
+def read_objects(objects: object) -> tuple[list[Adapter], list[Device]]:
+    """The adapters and devices among BlueZ's objects; a device's name is its owner's, or a stranger's.
+
+    Args:
+        objects: the properties of each interface by path, interface and property name.
+
+    Raises:
+        BluezError: they are not as BlueZ documents them.
+    """
+    try:
+        found = msgspec.convert(objects, dict[str, _Interfaces])
+    except msgspec.ValidationError as error:
+        raise BluezError(sanitize_text(f"BlueZ's answer is not as documented: {error}")) from None
+    adapters = [
+        Adapter(_last(path), sanitize_text(one.address), one.powered, sanitize_text(one.alias))
+        for path, each in found.items()
+        if (one := each.adapter) is not None
+    ]
+    devices = [
+        Device(sanitize_text(it.address), sanitize_text(it.alias), _last(it.adapter), it.paired, it.connected)
+        for each in found.values()
+        if (it := each.device) is not None and (it.paired or it.connected)
+    ]
     return sorted(adapters, key=lambda found: found.name), sorted(
         devices, key=lambda found: (found.adapter, found.name)
     )
 
 
 def _last(path: str) -> str:
-    return path.rpartition("/")[2]
+    return sanitize_text(path.rpartition("/")[2])
 
 
-async def _managed_objects() -> dict[str, dict[str, dict[str, Any]]]:
-    """BlueZ's objects: the properties of each interface by path, interface and property name."""
+async def _managed_objects() -> object:
+    """BlueZ's objects, for `read_objects`."""
     request = Message(
         destination="org.bluez",
         path="/",
@@ -94,8 +130,7 @@ async def _managed_objects() -> dict[str, dict[str, dict[str, Any]]]:
     assert reply is not None, "a method call without NO_REPLY_EXPECTED has a reply"
     if reply.message_type is MessageType.ERROR:
         raise BluezError(_refusal(reply))
-    objects: dict[str, dict[str, dict[str, Any]]] = unpack_variants(reply.body[0])
-    return objects
+    return unpack_variants(reply.body[0])
 
 
 def _refusal(reply: Message) -> str:

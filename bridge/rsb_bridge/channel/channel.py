@@ -23,6 +23,11 @@ class RouteSink(Protocol):
         """Whether this side sends."""
         ...
 
+    @property
+    def duplex(self) -> bool:
+        """Whether both sides send, whichever began."""
+        ...
+
     def deliver(self, messages: Iterable[Message]) -> None:
         """Take messages that arrived whole and authentic."""
         ...
@@ -115,3 +120,7 @@ class ReceivingChannel(DataChannel, Protocol):
     def counts(self) -> Counts | None:
         """What is missing; None where nothing can be, because messages arrive in order or not at all."""
         ...
+
+
+class DuplexChannel(SendingChannel, ReceivingChannel, Protocol):
+    """An end of a channel that carries messages both ways."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
     from rsb_bridge.transport.streams import Stream
-    from rsb_bridge.wire.framing import DataReader, DataWriter, Message
+    from rsb_bridge.wire.framing import Message
 
 CHUNK = 2048
 """Bytes of a message in one frame: 40 ms of a 50 kB/s link, and 1.7 % more for header and tag."""
@@ -42,12 +42,11 @@ class Multiplexer:
 
     def carry(self, route: RouteSink, keys: DataKeys) -> MultiplexedSender | MultiplexedReceiver:
         """This side's end of a new channel for a route."""
-        channel: MultiplexedSender | MultiplexedReceiver
-        if route.outgoing:
-            channel = MultiplexedSender(self, route, keys.stream_writer(route.id))
-        else:
-            channel = MultiplexedReceiver(self, route, keys.stream_reader(route.id))
-        self.channels[route.id] = channel
+        end: type[MultiplexedSender | MultiplexedReceiver]
+        end = MultiplexedSender if route.outgoing else MultiplexedReceiver
+        if route.duplex:
+            end = MultiplexedDuplex
+        channel = self.channels[route.id] = end(self, route, keys)
         return channel
 
     def join(self, channel: MultiplexedSender) -> None:
@@ -81,11 +80,17 @@ class Multiplexer:
 
 
 class _MultiplexedChannel:
-    """What both ends share."""
+    """What all ends share.
+
+    Args:
+        multiplexer: of the stream.
+        route: what it carries.
+        keys: make the codecs.
+    """
 
     ready = True
 
-    def __init__(self, multiplexer: Multiplexer, route: RouteSink) -> None:
+    def __init__(self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys) -> None:
         self._multiplexer = multiplexer
         self._route = route
         self._route_id = route.id
@@ -114,10 +119,10 @@ class MultiplexedSender(_MultiplexedChannel):
 
     batch_bytes = CHUNK
 
-    def __init__(self, multiplexer: Multiplexer, route: RouteSink, codec: DataWriter) -> None:
-        super().__init__(multiplexer, route)
+    def __init__(self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys) -> None:
+        super().__init__(multiplexer, route, keys)
         self.start = 0
-        self._codec = codec
+        self._writer = keys.stream_writer(route.id)
         self._chunks: deque[bytes] = deque()
 
     @property
@@ -126,7 +131,7 @@ class MultiplexedSender(_MultiplexedChannel):
 
     def send(self, batch: Sequence[Message]) -> None:
         for payload, stamp, flags in batch:
-            self._chunks += self._codec.write_chunks(payload, stamp, flags, CHUNK)
+            self._chunks += self._writer.write_chunks(payload, stamp, flags, CHUNK)
         self._multiplexer.join(self)
 
     def next_chunk(self) -> bytes:
@@ -155,9 +160,9 @@ class MultiplexedSender(_MultiplexedChannel):
 class MultiplexedReceiver(_MultiplexedChannel):
     """The receiving end."""
 
-    def __init__(self, multiplexer: Multiplexer, route: RouteSink, codec: DataReader) -> None:
-        super().__init__(multiplexer, route)
-        self._codec = codec
+    def __init__(self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys) -> None:
+        super().__init__(multiplexer, route, keys)
+        self._reader = keys.stream_reader(route.id)
 
     def counts(self) -> Counts | None:
         return None
@@ -169,10 +174,14 @@ class MultiplexedReceiver(_MultiplexedChannel):
             ProtocolError: it breaks the format.
             SealError: its seal does not hold.
         """
-        message = self._codec.open_frame(frame)
+        message = self._reader.open_frame(frame)
         if message is not None:
             self._route.deliver((message,))
 
     def close(self, reason: str) -> None:
-        self._codec.close()
+        self._reader.close()
         super().close(reason)
+
+
+class MultiplexedDuplex(MultiplexedReceiver, MultiplexedSender):
+    """Either end of a route that sends both ways. The receiving end's methods come first: what arrives is taken."""

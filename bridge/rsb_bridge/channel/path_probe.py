@@ -28,10 +28,9 @@ class PathProbe:
         return self._writer.write(probe.pack(), 0, 0, size)
 
     def read(self, datagram: bytes, now: float) -> Probe | None:
-        """The probe in a datagram; None: forged, replayed, older than one that came before it, or no probe at all."""
-        newest = self._reader.newest
+        """The probe in a datagram; None: forged, replayed, or no probe at all."""
         message = self._reader.receive(datagram, now)
-        if message is None or self._reader.newest == newest:
+        if message is None:
             return None
         try:
             return Probe.unpack(message[0])

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
-    from rsb_bridge.wire.framing import DataReader, DataWriter, Message
+    from rsb_bridge.wire.framing import Message
 
 
 _STUCK = (
@@ -23,7 +23,12 @@ _STUCK = (
 
 
 class _StreamChannel(StreamHandler):
-    """What both ends share.
+    """What all ends share.
+
+    Args:
+        stream: that is let in.
+        route: what it carries.
+        keys: make the codecs.
 
     Attributes:
         carrier: the stream; the channel is its handler.
@@ -31,7 +36,7 @@ class _StreamChannel(StreamHandler):
 
     ready = True
 
-    def __init__(self, stream: Stream, route: RouteSink) -> None:
+    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
         self.carrier = stream
         self._route = route
         stream.handler = self
@@ -55,9 +60,9 @@ class _StreamChannel(StreamHandler):
 class StreamSender(_StreamChannel):
     """The sending end."""
 
-    def __init__(self, stream: Stream, route: RouteSink, codec: DataWriter) -> None:
-        super().__init__(stream, route)
-        self._codec = codec
+    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
+        super().__init__(stream, route, keys)
+        self._writer = keys.stream_writer(route.id)
 
     @property
     def congested(self) -> bool:
@@ -68,7 +73,7 @@ class StreamSender(_StreamChannel):
         return self.carrier.batch_bytes
 
     def send(self, batch: Sequence[Message]) -> None:
-        self.carrier.write(self._codec.write_many(batch))
+        self.carrier.write(self._writer.write_many(batch))
 
     def writable(self) -> None:
         """The stream takes more again."""
@@ -82,21 +87,21 @@ class StreamSender(_StreamChannel):
 class StreamReceiver(_StreamChannel):
     """The receiving end."""
 
-    def __init__(self, stream: Stream, route: RouteSink, codec: DataReader) -> None:
-        super().__init__(stream, route)
-        self._codec = codec
+    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
+        super().__init__(stream, route, keys)
+        self._reader = keys.stream_reader(route.id)
 
     def counts(self) -> Counts | None:
         return None
 
     def close(self, reason: str) -> None:
-        self._codec.close()
+        self._reader.close()
         super().close(reason)
 
     def received(self, data: bytes) -> None:
         """Bytes came."""
         try:
-            messages = self._codec.receive_data(data)
+            messages = self._reader.receive_data(data)
         except (ProtocolError, SealError) as error:
             self._fail(str(error))
             return
@@ -104,8 +109,12 @@ class StreamReceiver(_StreamChannel):
             self._route.deliver(messages)
 
 
+class StreamDuplex(StreamReceiver, StreamSender):
+    """Either end of a route that sends both ways. The receiving end's methods come first: what arrives is taken."""
+
+
 def stream_channel(stream: Stream, route: RouteSink, keys: DataKeys) -> StreamSender | StreamReceiver:
     """This side's end of a route's channel on a stream that is let in."""
-    if route.outgoing:
-        return StreamSender(stream, route, keys.stream_writer(route.id))
-    return StreamReceiver(stream, route, keys.stream_reader(route.id))
+    if route.duplex:
+        return StreamDuplex(stream, route, keys)
+    return StreamSender(stream, route, keys) if route.outgoing else StreamReceiver(stream, route, keys)

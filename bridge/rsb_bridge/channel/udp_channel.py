@@ -6,7 +6,8 @@ is the channel's own), and by route id (`UdpChannel`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+import os
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, addressee
 
@@ -19,6 +20,15 @@ if TYPE_CHECKING:
 
 _SILENT = 6.0
 """s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
+
+
+_CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
+"""s, and addresses of one client: it has one, unless its network changes, or somebody delivers its probes."""
+
+
+class _Challenge(NamedTuple):
+    opaque: int
+    since: float
 
 
 class DatagramSink(Protocol):
@@ -125,17 +135,17 @@ class UdpChannel:
                 touched[receiver] = None
             elif route_id == PROBE_ROUTE:
                 probe = self._probe.read(datagram, now)
-                if probe is not None:
+                if probe is not None and self._probed(probe, address):
                     self._heard = self.received_at = now
-                    self._probed(probe, address)
             # else the route was closed while the datagram was under way, or the peer has nothing to say on it
         for receiver in touched:
             receiver.hand_over()
         if self.ready and not was_ready:
             self._on_ready()
 
-    def _probed(self, probe: Probe, address: Address) -> None:
-        """A probe came."""
+    def _probed(self, probe: Probe, address: Address) -> bool:
+        """An authentic probe came; returns whether it came from the peer's own address."""
+        raise NotImplementedError
 
     def tick(self) -> None:
         """Look whether the peer is silent, and give up messages whose fragments did not come."""
@@ -189,6 +199,11 @@ class ClientUdpChannel(UdpChannel):
         super().tick()
         self.send(self._probe.write(Probe(pong=False, opaque=0), self.datagram_size()))
 
+    def _probed(self, probe: Probe, address: Address) -> bool:
+        if not probe.pong:  # the server asks whether this address is ours
+            self.send(self._probe.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
+        return True
+
     def _silence(self) -> str:
         assert self._peer is not None
         return f"no answer from UDP port {self._peer[1]} of {self._peer[0]}: does a firewall drop it?"
@@ -200,8 +215,9 @@ class ClientUdpChannel(UdpChannel):
 class ServerUdpChannel(UdpChannel):
     """A server's: it shares a bound socket, and answers probes.
 
-    It sends to wherever the newest authentic probe came from (NAT, roaming), and from the address that the client
-    calls, whichever else the server has.
+    It sends to the address that answered its newest challenge (NAT, roaming), as long as probes come from there, and
+    from the address that the client calls, whichever else the server has. A probe alone proves nothing about where it
+    comes from: somebody may have captured it, and delivered it first.
     """
 
     def __init__(
@@ -215,11 +231,42 @@ class ServerUdpChannel(UdpChannel):
         """Begin; `source` is the address that the client calls."""
         super().__init__(socket, probe, now, on_ready)
         self._source = source
+        self._challenges: dict[Address, _Challenge] = {}  # the oldest first
 
-    def _probed(self, probe: Probe, address: Address) -> None:
-        if not probe.pong:
+    def send(self, datagrams: list[bytes]) -> None:
+        if self._heard is not None and self._now() - self._heard <= _SILENT:  # else somebody else may have the address
+            super().send(datagrams)
+
+    def _probed(self, probe: Probe, address: Address) -> bool:
+        if probe.pong:
+            challenge = self._challenges.get(address)
+            if challenge is None or challenge.opaque != probe.opaque:
+                return False
+            self._challenges.clear()
             self._peer, self._path = address, self.socket.path(self._source, address)
-            self.send(self._probe.write(Probe(pong=True, opaque=probe.opaque), self.datagram_size()))
+            return True
+        if address == self._peer:
+            self._answer(address, Probe(pong=True, opaque=probe.opaque))
+            return True
+        self._answer(address, Probe(pong=False, opaque=self._challenge(address)))
+        return False
+
+    def _challenge(self, address: Address) -> int:
+        """What an address has to echo: the same for a while, as the way there and back may take longer than 1 s."""
+        now = self._now()
+        challenge = self._challenges.get(address)
+        if challenge is None or now - challenge.since > _CHALLENGED_FOR:
+            self._challenges.pop(address, None)
+            if len(self._challenges) >= _MOST_CHALLENGED:
+                del self._challenges[next(iter(self._challenges))]
+            challenge = self._challenges[address] = _Challenge(int.from_bytes(os.urandom(8)), now)
+        return challenge.opaque
+
+    def _answer(self, address: Address, probe: Probe) -> None:
+        """Send one datagram where one came from: it is no longer than that one."""
+        datagrams = self._probe.write(probe, self.socket.datagram_size(address))
+        self.sent_bytes += sum(map(len, datagrams))
+        self.socket.send(datagrams, self.socket.path(self._source, address))
 
     def _silence(self) -> str:
         if self._peer is None:

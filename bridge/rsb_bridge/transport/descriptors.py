@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import os
 import resource
 import socket
+import sys
 
 RESERVE = 64
 """Descriptors that routes' streams leave to control connections, DDS, key files and whatever else must not fail."""
@@ -26,6 +28,17 @@ def scarce() -> bool:
             return probe.fileno() >= limit - RESERVE
     except OSError:
         return True
+
+
+def left() -> int:
+    """Descriptors that routes may still have: the reserve is not among them."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if limit == resource.RLIM_INFINITY:
+        return sys.maxsize
+    try:
+        return max(0, limit - RESERVE - len(os.listdir("/proc/self/fd")))  # noqa: PTH208 -- half the time
+    except OSError:
+        return 0
 
 
 def scarcity_message(side: str) -> str:

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
     from rsb_bridge.transport.streams import Stream
 
-_AT_ONCE = 64
-"""Connections accepted before the I/O loop turns to other work."""
+_AT_ONCE = 16
+"""Connections accepted before the I/O loop turns to other work. Two such batches later the first one has been read: few
+enough that a client which has spoken is read before those behind it are too many (`link.pending_connections`)."""
 _SHORT_FOR = 0.25
 """s until accepting is tried again where descriptors or memory are lacking."""
 

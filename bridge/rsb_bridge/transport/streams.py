@@ -78,6 +78,7 @@ class Stream(asyncio.Protocol):
         self.own_address = ""
         self._transport: asyncio.Transport | None = None
         self._now: Callable[[], float] = float  # until it is connected
+        self._when_gone: Callable[[], None] = _nothing
         self._reason = ""
 
     def write(self, data: bytes) -> None:
@@ -111,11 +112,6 @@ class Stream(asyncio.Protocol):
             self._transport.resume_reading()
 
     @property
-    def waiting_bytes(self) -> int:
-        """What was written and the kernel has not taken yet."""
-        return self._transport.get_write_buffer_size() if self._transport is not None else 0
-
-    @property
     def over(self) -> bool:
         """Whether it is closed or closing."""
         return self._transport is None or self._transport.is_closing()
@@ -136,6 +132,10 @@ class Stream(asyncio.Protocol):
     def gone(self) -> bool:
         """Whether it is closed, and all that was written has left or is lost."""
         return self._transport is None
+
+    def when_gone(self, work: Callable[[], None]) -> None:
+        """Have something done when its descriptor is free again, which may be a while after `close`."""
+        self._when_gone = work
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -176,7 +176,12 @@ class Stream(asyncio.Protocol):
 
     def connection_lost(self, error: Exception | None) -> None:
         self._transport = None
+        self._when_gone()
         self.handler.closed(self._reason or (os_error_message(error) if error else "closed"))
+
+
+def _nothing() -> None:
+    """Nobody waits for the descriptor."""
 
 
 def format_address(address: Address) -> str:

@@ -51,6 +51,7 @@ class UdpSocket:
 
     Attributes:
         when_writable: called when the socket was congested and takes more again.
+        waiting_bytes: what waits for the kernel, or for its turn.
     """
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
@@ -62,6 +63,7 @@ class UdpSocket:
         self._backlog: deque[tuple[bytes, SendPath | None]] = deque()
         self._sizes: dict[Address, tuple[int, float]] = {}
         self._timer: asyncio.TimerHandle | None = None
+        self.waiting_bytes = 0
         self.when_writable: set[Callable[[], None]] = set()
         self._loop.add_reader(sock, self._read)
 
@@ -89,20 +91,24 @@ class UdpSocket:
         a fast link would slow us down.
         """
         if self._backlog:
-            if sum(len(d) for d, _ in self._backlog) < _BACKLOG_LIMIT:
-                self._backlog.extend((datagram, path) for datagram in datagrams)
+            if self.waiting_bytes < _BACKLOG_LIMIT:
+                self._wait(datagrams, path)
             return
         burst = _BURST
         for index, datagram in enumerate(datagrams):
             burst -= len(datagram)
             if burst < 0 and index:
-                self._backlog.extend((rest, path) for rest in datagrams[index:])
+                self._wait(datagrams[index:], path)
                 self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
                 return
             if not self._send_one(datagram, path):
-                self._backlog.extend((rest, path) for rest in datagrams[index:])
+                self._wait(datagrams[index:], path)
                 self._loop.add_writer(self._sock, self._flush)
                 return
+
+    def _wait(self, datagrams: list[bytes], path: SendPath | None) -> None:
+        self._backlog.extend((datagram, path) for datagram in datagrams)
+        self.waiting_bytes += sum(map(len, datagrams))
 
     def datagram_size(self, address: Address) -> int:
         """See `DatagramSocket.datagram_size`; without IP fragmentation, as far as the kernel knows."""
@@ -122,6 +128,7 @@ class UdpSocket:
         self._loop.remove_reader(self._sock)
         self._loop.remove_writer(self._sock)
         self._backlog.clear()
+        self.waiting_bytes = 0
         self._sock.close()
 
     def _read(self) -> None:
@@ -159,6 +166,7 @@ class UdpSocket:
                 self._loop.add_writer(self._sock, self._flush)
                 return
             self._backlog.popleft()
+            self.waiting_bytes -= len(datagram)
         for writable in tuple(self.when_writable):
             writable()
 

@@ -60,7 +60,7 @@ def wait_until(condition: Callable[..., object], what: str, seconds: float = 60.
         time.sleep(0.05)
 
 
-def bare_rate(address: str, size: int = 2_000_000) -> float:
+def bare_rate(address: str, size: int = 500_000) -> float:
     """Bytes/s that blocking sockets with a thread each carry to an adapter, when they do nothing else."""
     with hci.rfcomm_socket() as listener, hci.rfcomm_socket() as client:
         listener.bind((address, 29))

@@ -1,25 +1,41 @@
 """A stand-in for the ROS side (`rsb_bridge.ros.api.RosInterface`): ROS does not fit in the machine.
 
-It has one publisher and one subscriber on whatever topic a test names, and hands messages over as the real one does:
-raw, from a thread of its own.
+It has one publisher and one subscriber on whatever topic a test names, one server and one client of whatever service,
+and hands messages over as the real one does: raw, from a thread of its own.
 """
 
 from __future__ import annotations
 
+import itertools
+import queue
 import secrets
 import threading
 import time
 from collections import defaultdict
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.ros.api import Endpoint, OnFailure, RawMessage, Sink
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import (
+    Endpoint,
+    OnFailure,
+    RawMessage,
+    Request,
+    RequestSink,
+    Response,
+    ResponseSink,
+    RosError,
+    Sink,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
-    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.fields import Fields
 
 TYPE, HASH = "std_msgs/msg/String", "RIHS01_" + 64 * "0"
+SERVICE_TYPE, SERVICE_HASH = "std_srvs/srv/Trigger", f"{HASH}+{HASH}"
+_SERVICE_QOS = Qos(depth=0)
 _GID = b"talker".ljust(16, b"\0")
 """Of the one publisher that is not the bridge's own."""
 
@@ -43,6 +59,7 @@ class StandIn:
         instance_id: as a real node's.
         offered: the topics that this domain's own nodes publish, with their QoS.
         arrived: what the engine published, by topic.
+        answering: what this domain's own nodes answer, by service; None: nothing.
     """
 
     def __init__(self, **offered: Qos) -> None:
@@ -50,7 +67,9 @@ class StandIn:
         self.node_name = f"rsb_{self.instance_id}"
         self.offered = {f"/{name}": qos for name, qos in offered.items()}
         self.arrived: defaultdict[str, list[Arrival]] = defaultdict(list)
+        self.answering: dict[str, Callable[[bytes], bytes | None]] = {}
         self._sinks: dict[str, Sink] = {}
+        self._servers: dict[str, _Server] = {}
         self._threads: list[threading.Thread] = []
         self._stopped = threading.Event()
 
@@ -79,6 +98,18 @@ class StandIn:
         """Whether the engine subscribes to all of them."""
         return all(topic in self._sinks for topic in topics)
 
+    def serves(self, *services: str) -> bool:
+        """Whether the engine serves all of them."""
+        return all(service in self._servers for service in services)
+
+    def call(self, service: str, payload: bytes, within: float) -> bytes:
+        """As a node of this domain calls what the engine serves; the answer.
+
+        Raises:
+            queue.Empty: there was none within so many s.
+        """
+        return self._servers[service].ask(payload).get(timeout=within)
+
     # --- what the engine does
 
     def start(self) -> None:
@@ -100,6 +131,9 @@ class StandIn:
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        raise RosError(f"{type_name} is not installed here")
 
     def installed_description(self, type_name: str) -> str | None:
         return None
@@ -126,6 +160,30 @@ class StandIn:
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Publisher:
         return _Publisher(self.arrived[topic])
 
+    def services(self) -> dict[str, list[str]]:
+        return {service: [SERVICE_TYPE] for service in self.answering}
+
+    def servers(self, service: str) -> list[Endpoint]:
+        found = service in self.answering
+        return [Endpoint("/stand_in", SERVICE_TYPE, SERVICE_HASH, _SERVICE_QOS, _GID)] if found else []
+
+    def callers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        return SERVICE_HASH if type_name == SERVICE_TYPE else None
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> _Server:
+        server = self._servers[service] = _Server(sink, self._servers, service)
+        return server
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> _Client:
+        return _Client(sink, partial(self.answering.get, service))
+
 
 class _Subscription:
     lost = 0
@@ -140,6 +198,7 @@ class _Subscription:
 
 class _Publisher:
     subscriber_count = 1
+    acknowledged = True
 
     def __init__(self, arrived: list[Arrival]) -> None:
         self.gid = secrets.token_bytes(16)
@@ -150,3 +209,53 @@ class _Publisher:
 
     def close(self) -> None:
         pass
+
+
+class _Server:
+    def __init__(self, sink: RequestSink, servers: dict[str, _Server], service: str) -> None:
+        self._servers = servers
+        self._service = service
+        self._sink = sink
+        self._asked: dict[bytes, queue.SimpleQueue[bytes]] = {}
+
+    def ask(self, payload: bytes) -> queue.SimpleQueue[bytes]:
+        """Call it; the answer comes into the queue."""
+        caller = secrets.token_bytes(24)
+        answer = self._asked[caller] = queue.SimpleQueue()
+        self._sink([Request(payload, caller, time.time_ns())])
+        return answer
+
+    def answer(self, caller: bytes, payload: bytes) -> None:
+        self._asked.pop(caller).put(payload)
+
+    def close(self) -> None:
+        self._servers.pop(self._service, None)
+
+
+class _Client:
+    def __init__(self, sink: ResponseSink, answering: Callable[[], Callable[[bytes], bytes | None] | None]) -> None:
+        self._sink = sink
+        self._answering = answering
+        self._numbers = itertools.count(1)
+
+    @property
+    def ready(self) -> bool:
+        return self._answering() is not None
+
+    def call(self, payload: bytes) -> int:
+        number = next(self._numbers)
+        threading.Thread(target=self._answer, args=(number, payload)).start()
+        return number
+
+    def _answer(self, number: int, payload: bytes) -> None:
+        answer = self._answering()
+        response = None if answer is None else answer(payload)
+        if response is not None:
+            self._sink([Response(response, number, time.time_ns())])
+
+    def close(self) -> None:
+        self._sink = _nobody
+
+
+def _nobody(_: object) -> None:
+    """A closed client's answers go to."""

@@ -114,7 +114,7 @@ async def listening(address: str, channel: int, bind: str = "") -> AsyncIterator
 
 def test_both_ways_intact(addresses: tuple[str, str]) -> None:
     async def main() -> None:
-        there, back = os.urandom(1_000_000), os.urandom(1_000_000)
+        there, back = os.urandom(300_000), os.urandom(300_000)
         async with listening(addresses[0], 4) as pair:
             client, server = await pair.connect()
             assert client.stream is not None
@@ -123,7 +123,7 @@ def test_both_ways_intact(addresses: tuple[str, str]) -> None:
             assert server.stream.host == addresses[1]
             await asyncio.gather(client.send(there), server.send(back))
             for end in (client, server):
-                await end.until(lambda end: len(end.data) == 1_000_000)
+                await end.until(lambda end: len(end.data) == 300_000)
             assert bytes(client.data) == back
             assert bytes(server.data) == there
             client.stream.close("enough")
@@ -202,7 +202,7 @@ def test_what_cannot_be_bound(addresses: tuple[str, str]) -> None:
 
 def test_throughput_beside_a_bare_socket(addresses: tuple[str, str]) -> None:
     """The transport's cost over blocking sockets that do nothing else."""
-    size = 2_000_000
+    size = 500_000
 
     async def ours() -> float:
         async with listening(addresses[0], 4) as pair:

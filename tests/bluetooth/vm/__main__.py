@@ -15,7 +15,7 @@ def main() -> int:
     parser.add_argument("--console", action="store_true", help="show the kernel's console as well")
     own, selection = parser.parse_known_args()
     try:
-        outcome = machine.run(layers.prepare((own.kernel,) if own.kernel else debian.KERNELS), selection)
+        (outcome,) = machine.run(layers.prepare((own.kernel,) if own.kernel else debian.KERNELS), selection)
     except (debian.UnavailableError, machine.DiedError) as error:
         sys.stderr.write(f"{error}\n")
         return 125
