@@ -8,7 +8,7 @@ import pytest
 from rsb_bridge.config.advice import advise
 from rsb_bridge.config.validation import validate
 from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH, PORTS_PER_CLIENT, ROUTES_PER_LINK
-from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.session import Client, Session, Topic
 
 CLIENT: dict[str, Any] = {"name": "a", "role": "client", "server_ip": "10.0.0.1", "server_port": 49152, "key_file": "k"}
 SERVER: dict[str, Any] = {**CLIENT, "role": "server"}
@@ -31,10 +31,16 @@ def many(count: int, port: int | None = None) -> list[Topic]:
         (CLIENT, "150", "domain_id", "domain 150 can collide"),
         (CLIENT, "300", "domain_id", "ROS_DOMAIN_ID is '300'"),
         ({**SERVER, "server_port": 80}, None, "server_port", "ports below 1024 need root"),
+        ({**SERVER, "server_port": 7649, "domain_id": 0}, None, "server_port", "ROS domain 0 (7400 to 7649)"),
+        ({**SERVER, "ports": (12001, 7650)}, "1", "ports[1]", "7650 belongs to ROS domain 1 (7650 to 7899)"),
         (topics(Topic("/shutdown", "transmit")), None, "topics[0]", "it closes the bridge, too"),
         (topics(Topic("/a", "transmit", port=80)), None, "topics[0].port", "refuses ports below 1024"),
+        (
+            {**SERVER, "clients": (Client("r", deny=("/cmd*",), topics=(Topic("/cmd_vel", "receive"),)),)},
+            None, "clients[0].topics[0]", "the server denies /cmd_vel to r (allow and deny), but it crosses",
+        ),
         (topics(*many(ROUTES_PER_LINK + 1)), None, "topics", f"a server takes {ROUTES_PER_LINK} topics"),
-        (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", f"a server binds {PORTS_PER_CLIENT} ports"),
+        (topics(*many(PORTS_PER_CLIENT + 1, 5000)), None, "topics", f"a server binds {PORTS_PER_CLIENT} for a client"),
         (
             topics(Topic("/a", "transmit", qos={"profile": "latched", "depth": LATCHED_DEPTH + 1})),
             None, "topics[0].qos", f"the receiving side keeps {LATCHED_DEPTH} messages for late joiners",

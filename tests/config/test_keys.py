@@ -6,7 +6,10 @@ from pathlib import Path
 import pytest
 from cryptography.fernet import Fernet
 
-from rsb_bridge.config.keys import KeyFileError, fingerprint, generate, is_key, read_key, write_key
+from rsb_bridge.config.keys import Key, KeyFileError, fingerprint, generate, is_key, read_key, write_key
+from rsb_bridge.config.rotation import key_warnings, written
+
+DAY = 86400
 
 
 def test_a_key_is_one_that_fernet_takes(tmp_path: Path) -> None:
@@ -82,6 +85,70 @@ def test_a_key_that_others_can_read_comes_with_a_warning(tmp_path: Path) -> None
     (warning,) = read_key(path).warnings
     assert "mode 0640" in warning
     assert f"chmod 600 {path}" in warning
+
+
+def test_a_key_that_others_can_replace_comes_with_a_warning(tmp_path: Path) -> None:
+    folder = tmp_path / "open"
+    folder.mkdir()
+    write_key(folder / "key.txt")
+    link = tmp_path / "key.txt"
+    link.symlink_to(folder / "key.txt")
+    assert read_key(link).warnings == ()
+    folder.chmod(0o777)
+    for path in (link, folder / "key.txt"):
+        (warning,) = read_key(path).warnings
+        assert f"chmod o-w {folder}" in warning
+    folder.chmod(0o1777)
+    assert read_key(link).warnings == (), "as in /tmp: only its owner replaces a file there"
+
+
+def test_a_key_of_another_user_comes_with_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "key.txt"
+    write_key(path)
+    owner = path.stat().st_uid
+    for user, warned in ((owner, False), (0, False), (owner + 1, owner != 0)):
+        monkeypatch.setattr(os, "geteuid", lambda user=user: user)
+        assert ("belongs to another user" in "".join(read_key(path).warnings)) == warned
+
+
+NOW = 1_763_700_000.0
+
+
+def test_whose_two_keys_an_operator_should_look_at() -> None:
+    old, new = Key(bytes(32), written=NOW - 9 * DAY), Key(bytes(range(32)), written=NOW - 8 * DAY)
+    recent, risky = Key(new.secret, written=NOW - 6 * DAY), Key(old.secret, ("mode 0644",), NOW)
+    valid: dict[str, tuple[Key, ...]] = {
+        "plain": (), "one": (old,), "begun": (old, recent), "long": (old, new), "same": (old, old), "risky": (risky,),
+        "too": (risky, recent),
+    }  # fmt: skip
+    first, long, same = key_warnings(valid, NOW)
+    assert first == "mode 0644"
+    assert long.startswith("long: two keys have been valid since")
+    assert "8 days ago" in long
+    assert "client rekey long --finish" in long
+    assert same.startswith("same: key_file and next_key_file hold the same key")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0, "just now"),
+        (-3, "just now"),
+        (-61, "in the future"),
+        (60, "1 minute ago"),
+        (7_300, "2 hours ago"),
+        (1.5 * 86400, "1 day ago"),
+    ],
+)
+def test_when_a_key_was_written(seconds: float, words: str) -> None:
+    assert words in written(Key(bytes(32), written=NOW - seconds), NOW)
+
+
+def test_a_keys_file_says_when_it_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "key.txt"
+    write_key(path)
+    os.utime(path, (NOW, NOW))
+    assert read_key(path).written == NOW
 
 
 @pytest.mark.parametrize(

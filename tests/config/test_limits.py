@@ -10,12 +10,23 @@ from hypothesis import strategies as st
 
 from rsb_bridge.config.validation import domain_of, validate, validate_topic
 from rsb_bridge.link.proposals import proposal_of, topic_of
-from rsb_bridge.model.limits import CHANNEL, DEPTH, NAME_BYTES, QOS_TIME, RATE, STALE_AFTER, TOPIC_LENGTH, Range
+from rsb_bridge.model.limits import (
+    CHANNEL,
+    DEADMAN_TIME,
+    DEPTH,
+    NAME_BYTES,
+    QOS_TIME,
+    RATE,
+    STALE_AFTER,
+    TOPIC_LENGTH,
+    Range,
+)
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.codec import decode, decode_hello, encode
 from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.messages import Hello, Propose, decode, decode_hello, encode
+from rsb_bridge.wire.messages import Hello, Propose
 from rsb_bridge.wire.preamble import control_header, parse_control
 from rsb_bridge.wire.sealing import Suite
 
@@ -65,10 +76,16 @@ topics = st.builds(
     expected_rate=st.none() | around(RATE),
     stale_after=st.none() | around(STALE_AFTER),
     paused=st.booleans(),
+    arm=st.just(True),
+    deadman=st.none() | around(DEADMAN_TIME),
 )
 sessions = st.builds(
     Session,
-    name=st.one_of(st.text(min_size=1, max_size=20), st.integers(1, NAME_BYTES + 1).map(lambda length: "r" * length)),
+    name=st.one_of(
+        st.just("robot1"),
+        st.text(min_size=1, max_size=20),
+        st.integers(1, NAME_BYTES + 1).map(lambda length: "r" * length),
+    ),
     role=st.just("client"),
     server_ip=st.just("10.0.0.1"),
     server_port=st.just(49152),

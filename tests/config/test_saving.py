@@ -27,7 +27,7 @@ from rsb_bridge.config.session_file import (
 )
 from rsb_bridge.config.yaml_text import inline, read_yaml
 from rsb_bridge.model.qos import PROFILES
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Client, Grant, Session, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -485,7 +485,10 @@ fields_of_a_topic = {
     "stale_after": st.sampled_from([None, 0.0, 3.0]),
     "paused": st.booleans(),
 }
-patterns = st.lists(names, max_size=3, unique=True).map(tuple)
+grants = st.builds(
+    Grant, topics=names, may=st.sampled_from(["publish", "read"]), protocol=st.sampled_from([None, "udp"])
+)
+patterns = st.lists(names | grants, max_size=3, unique=True).map(tuple)
 some_topics = st.builds(Topic, topic=names, direction=st.sampled_from(["transmit", "receive"]), **fields_of_a_topic)
 fields_of_a_client = {
     "topics": st.lists(some_topics, max_size=3, unique_by=lambda each: (each.topic, each.direction)).map(tuple),
@@ -507,7 +510,7 @@ fields_of_a_session = {
 clients_sessions = st.builds(
     Session, role=st.just("client"), server_ip=st.just("10.0.0.1"), server_port=st.integers(2000, 2009),
     topics=st.lists(some_topics, max_size=5, unique_by=lambda each: (each.topic, each.direction)).map(tuple),
-    **fields_of_a_session,
+    allow=patterns, deny=patterns, **fields_of_a_session,
 )  # fmt: skip
 servers_sessions = st.builds(
     Session, role=st.just("server"), server_ip=st.just("::"), server_port=st.integers(2000, 2009),

@@ -44,10 +44,19 @@ topics = st.builds(
     expected_rate=rates,
     stale_after=st.none() | waits,
     paused=st.booleans(),
+    arm=st.just(True),
+    deadman=st.none() | st.just(0.0) | st.floats(2, 86_400),
 )
 patterns = st.lists(topic_names.map(lambda name: f"{name}/*"), max_size=2).map(tuple)
+next_key_files = st.none() | names.map("{}.next".format)
 allowed = st.builds(
-    Client, name=names, key_file=st.none() | names, use_name=st.just(False), allow=patterns, deny=patterns
+    Client,
+    name=names,
+    key_file=st.none() | names,
+    next_key_file=next_key_files,
+    use_name=st.just(False),
+    allow=patterns,
+    deny=patterns,
 )
 common = {
     "name": names,
@@ -73,6 +82,9 @@ sessions = st.one_of(
         role=st.just("server"),
         server_ip=st.sampled_from(["0.0.0.0", "::"]),
         server_port=st.integers(1, 65535),
+        next_key_file=next_key_files,
+        shared_keys=st.booleans(),
+        ports=st.none() | st.just("none") | st.lists(st.integers(1024, 65535), max_size=3).map(tuple),
         clients=st.lists(allowed, max_size=3, unique_by=lambda client: client.name).map(tuple),
         **common,
     ),

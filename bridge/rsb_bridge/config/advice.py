@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import re
 import socket
@@ -9,7 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.decoding import join
-from rsb_bridge.config.validation import domain_of, transport_of
+from rsb_bridge.config.file_form import LISTS, NOUNS, locations
+from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
+from rsb_bridge.config.topic_rules import transport_of
+from rsb_bridge.config.validation import domain_of
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -17,6 +21,7 @@ from rsb_bridge.model.limits import (
     ROUTES_PER_LINK,
     SAFE_DOMAIN,
     TOPIC_PORT,
+    dds_ports,
 )
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.session import Problem
@@ -43,9 +48,12 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
-    yield from _topics(session.topics, "topics", session)
+    yield from _topics(session.topics, "", session)
+    yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
     for at, client in enumerate(session.clients):
-        yield from _topics(client.topics, join(join("clients", at), "topics"), session)
+        where = join("clients", at)
+        yield from _topics(client.topics, where, session)
+        yield from _denied(client.topics, where, rights_of_client(client, session.name), session)
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
@@ -54,19 +62,35 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     except ValueError as error:
         yield Problem("domain_id", f"{error}; with that value the bridge does not start")
         return
+    taken = dds_ports(domain)
+    mine = [
+        (join("ports", at), port) for at, port in enumerate(session.ports if isinstance(session.ports, tuple) else ())
+    ]
+    if session.role == "server" and not session.is_bluetooth:
+        mine.append(("server_port", session.server_port))
+    for location, port in mine:
+        if port in taken:
+            message = f"{port} belongs to ROS domain {domain} ({taken}): its nodes may fail to discover each other"
+            yield Problem(location, message)
     if domain not in SAFE_DOMAIN:
         yield Problem("domain_id", f"domain {domain} can collide with other programs' ports; {SAFE_DOMAIN} cannot")
 
 
 def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
     if len(topics) > ROUTES_PER_LINK:
-        yield Problem(where, f"a server takes {ROUTES_PER_LINK} topics of a client, and refuses the others")
-    ports = [topic for topic in topics if topic.port is not None]
+        yield Problem(
+            join(where, "topics"), f"a server takes {ROUTES_PER_LINK} topics of a client, and refuses the others"
+        )
+    ports = {(topic.protocol, topic.port) for topic in topics if topic.port is not None}
     if len(ports) > PORTS_PER_CLIENT:
-        yield Problem(where, f"a server binds {PORTS_PER_CLIENT} ports for a client's topics, and refuses the others")
-    for at, topic in enumerate(topics):
-        location, place = join(where, at), f"topic {topic.topic}"
-        if topic.topic == session.shutdown_topic:
+        yield Problem(
+            join(where, "topics"),
+            f"{len(ports)} ports of their own: a server binds {PORTS_PER_CLIENT} for a client, and refuses the others, "
+            "unless its session file lists them as ports",
+        )
+    for topic, here in zip(topics, locations(topics), strict=True):
+        location, place = join(where, here), _place(topic)
+        if topic.kind == "topic" and topic.topic == session.shutdown_topic:
             yield Problem(location, "it closes the bridge, too: it is the shutdown_topic", place=place)
         transport = transport_of(topic, session)
         if topic.port is not None and topic.port not in transport.topic_ports:
@@ -79,18 +103,34 @@ def _topics(topics: Sequence[Topic], where: str, session: Session) -> Iterator[P
             yield Problem(join(location, "qos"), message, place=f"{place}, qos")
 
 
+def _denied(topics: Sequence[Topic], where: str, rights: Rights, session: Session) -> Iterator[Problem]:
+    """`allow` and `deny` say what the other side may ask for, and not what this side proposes to it."""
+    sends = "receive" if session.role == "client" else "transmit"
+    for topic, here in zip(topics, locations(topics), strict=True):
+        may = uses(topic.kind)[topic.direction != sends]
+        if refusal := rights.refusal(Use(topic.topic, may, transport_of(topic, session).name, topic.kind)):
+            crosses = "but it crosses: they do not apply to what this side lists"
+            message = f"{refusal.reason} (allow and deny), {crosses}"
+            yield Problem(join(where, here), message, place=_place(topic))
+
+
 def uninstalled_types(session: Session) -> Iterator[Problem]:
     """The types of topics that are not installed here. Looks only whether there are such packages, and imports none."""
     if importlib.util.find_spec("rclpy") is None:
         return  # no ROS here: none is installed
-    for at, topic in enumerate(session.topics):
+    for topic, here in zip(session.topics, locations(session.topics), strict=True):
         name = expand_type_name(topic.type) if topic.type != AUTO else None
         if name and not _is_installed(*split_type_name(name)):
+            who = "publisher" if topic.kind == "topic" else "provider"
             yield Problem(
-                join(join("topics", at), "type"),
-                f"{name} is not installed here: if it is right, the topic crosses once a publisher is there",
-                place=f"topic {topic.topic}, type",
+                join(here, "type"),
+                f"{name} is not installed here: if it is right, the {topic.kind} crosses once a {who} is there",
+                place=f"{_place(topic)}, type",
             )
+
+
+def _place(topic: Topic) -> str:
+    return f"{NOUNS[LISTS[topic.kind]]} {topic.topic}"
 
 
 def _is_installed(package: str, kind: str, name: str) -> bool:

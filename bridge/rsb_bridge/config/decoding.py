@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import cache
 from types import UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 from msgspec.structs import FieldInfo, fields
@@ -27,7 +27,12 @@ _STAND_INS = {
     "server_port": 1,
     "topic": "/unnamed",
     "direction": "transmit",
+    "service": "/unnamed",
+    "action": "/unnamed",
+    "node": "/unnamed",
+    "provider": "server",
 }
+_MEANINGS: Final = {"provider": " (the side whose node answers)"}
 
 
 def read(data: object, model: type[T], problems: list[Problem], location: str = "") -> T:
@@ -35,7 +40,8 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
 
     Args:
         data: mappings, lists and scalars, as YAML has them.
-        model: `rsb_bridge.model.session.Session`, `Topic` or `Client`.
+        model: `rsb_bridge.config.file_form.SESSION_FILE`, or any struct. It may have `hints`: what to say of keys that
+            are not its own.
         problems: the problems found are added here.
         location: of `data`, for the problems.
 
@@ -51,8 +57,9 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
     if data and not location and known.keys().isdisjoint(data):
         problems.append(Problem(location, f"has no key of a {model.__name__.lower()}: {', '.join(known)}"))
         return model(**values)
+    hints: Mapping[str, str] = getattr(model, "hints", {})
     problems.extend(
-        Problem(join(location, str(key)), f"unknown key{_key_hint(str(key), list(known))}")
+        Problem(join(location, str(key)), hints.get(str(key)) or f"unknown key{_key_hint(str(key), list(known))}")
         for key in data
         if key not in known
     )
@@ -60,7 +67,8 @@ def read(data: object, model: type[T], problems: list[Problem], location: str = 
         if name in data:
             values.update(_value(name, data[name], field.type, problems, join(location, name)))
         elif field.required:
-            problems.append(Problem(join(location, name), f"missing: give {_expected(field.type)}"))
+            expected = f"{_expected(field.type)}{_MEANINGS.get(name, '')}"
+            problems.append(Problem(join(location, name), f"missing: give {expected}"))
     return model(**values)
 
 
@@ -102,8 +110,9 @@ def _value(name: str, value: object, kind: Any, problems: list[Problem], locatio
 
 
 def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> Any:
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        return read(value, kind, problems, location)
+    struct = _struct(kind)
+    if struct is not None and (struct is kind or isinstance(value, Mapping)):
+        return read(value, struct, problems, location)
     if isinstance(value, str) and is_key(value.rpartition("/")[2]):
         # The key is not quoted: messages end up in logs.
         problems.append(
@@ -115,6 +124,12 @@ def _entry(value: object, kind: Any, problems: list[Problem], location: str) -> 
     except msgspec.ValidationError:
         problems.append(Problem(location, _misfit(value, kind)))
         return msgspec.UNSET
+
+
+def _struct(kind: Any) -> type[msgspec.Struct] | None:
+    """What a mapping in this place is read as; None: there may be none."""
+    kinds = (each for each in _alternatives(kind) if isinstance(each, type))
+    return next((each for each in kinds if issubclass(each, msgspec.Struct)), None)
 
 
 def _misfit(value: object, kind: Any) -> str:
@@ -135,7 +150,9 @@ def _misfit(value: object, kind: Any) -> str:
 def _expected(kind: Any) -> str:
     options = _options(kind)
     if options:
-        return f"one of {', '.join(options)}"
+        expected = f"one of {', '.join(options)}" if len(options) > 1 else options[0]
+        lists = [get_args(each)[0] for each in _alternatives(kind) if get_origin(each) is tuple]
+        return f"{expected}, or a list of {'whole numbers' if int in lists else 'these'}" if lists else expected
     nouns = [_NOUNS.get(get_origin(each) or each, "a mapping") for each in _alternatives(kind)]
     return " or ".join(nouns)
 

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.config.file_form import LISTS, NOUNS, as_written
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Session
 
 RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
 _OTHER_SESSION = ("name", "role")
@@ -48,6 +50,8 @@ def changes(
         only: the fields to look at; empty: all.
         leave_out: fields not to look at.
     """
+    if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
+        old, new = as_written(old), as_written(new)
     return [
         f"{name} {_value(getattr(old, name))} → {_value(getattr(new, name))}"
         for name in only or new.__struct_fields__
@@ -55,9 +59,16 @@ def changes(
     ]
 
 
+def named(topic: Topic) -> str:
+    """A topic among the others of its session: ``/scan (transmit)``, ``service /dock (provider: server)``."""
+    if topic.kind == "topic":
+        return f"{topic.topic} ({topic.direction})"
+    return f"{NOUNS[LISTS[topic.kind]]} {topic.topic} (provider: {topic.provider})"
+
+
 def described(entry: Topic) -> str:
-    """A topic as one would write it into a session file: ``{topic: /scan, direction: transmit, max_rate: 5.0}``."""
-    return inline(msgspec.to_builtins(entry))
+    """A topic or the like as one would write it into a session file: ``{topic: /scan, direction: transmit}``."""
+    return inline(msgspec.to_builtins(as_written(entry)))
 
 
 def _value(value: Any) -> str:

@@ -8,13 +8,16 @@ import os
 import re
 import stat
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import kind_of_file, replace_file, typed_path
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterator
+
+    from rsb_bridge.model.session import Session
 
 KEY_BYTES = 32
 DEFAULT_KEY_FILE = "key.txt"
@@ -34,10 +37,12 @@ class Key:
     Attributes:
         secret: 32 bytes, the pre-shared key of the handshake.
         warnings: what an operator should know about its file.
+        written: s since the epoch, when its file was last written.
     """
 
     secret: bytes = field(repr=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
+    written: float = field(default=0.0, compare=False)
 
     def __repr__(self) -> str:
         return f"<Key {fingerprint(self)}>"
@@ -92,14 +97,20 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     return _parse(text.decode(), path)
 
 
-def copy_key(key: Key, path: Path) -> None:
-    """Write a key to one more file, mode 0600. A file that exists is never replaced.
+def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
+    """Write a key to one more file, mode 0600.
+
+    Args:
+        key: to write.
+        path: of the file.
+        force: replace a file that exists, atomically.
 
     Raises:
         KeyFileError: the file exists, or cannot be written.
     """
+    write = replace_file if force else _write_new
     try:
-        _write_new(path, base64.urlsafe_b64encode(key.secret) + b"\n")
+        write(path, base64.urlsafe_b64encode(key.secret) + b"\n")
     except OSError as error:
         raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -121,11 +132,14 @@ def read_key(path: Path) -> Key:
         KeyFileError: the file does not exist, cannot be read, or holds no key.
     """
     try:
-        mode = path.stat().st_mode
-        if not stat.S_ISREG(mode):
-            raise KeyFileError(f"{path}: is {kind_of_file(mode)}, not a key file")
+        kind = path.stat().st_mode  # before it is opened: a FIFO would wait for a writer
+        if not stat.S_ISREG(kind):
+            raise KeyFileError(f"{path}: is {kind_of_file(kind)}, not a key file")
         with path.open("rb") as file:
+            status = os.fstat(file.fileno())
             content = file.read(_MAX_FILE + 1)
+        folder = Path(os.path.realpath(path)).parent
+        of_folder = folder.stat().st_mode
     except FileNotFoundError:
         raise KeyFileError(
             f"{path}: no such key file: copy it from the other side, or make one with `rsb-console keygen {path}`"
@@ -135,10 +149,18 @@ def read_key(path: Path) -> Key:
     if len(content) > _MAX_FILE:
         raise KeyFileError(f"{path}: too large for a key file")
     key = _parse(content.decode("ascii", errors="replace"), path)
-    if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        others = f"{path}: others may read this key (mode {stat.S_IMODE(mode):04o}): run `chmod 600 {path}`"
-        return Key(key.secret, (others,))
-    return key
+    return Key(key.secret, tuple(_risks(path, status, folder, of_folder)), status.st_mtime)
+
+
+def _risks(path: Path, status: os.stat_result, folder: Path, of_folder: int) -> Iterator[str]:
+    """Who else may read a key or put another in its place; of a symbolic link, what it leads to counts."""
+    if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        yield f"{path}: others may read this key (mode {stat.S_IMODE(status.st_mode):04o}): run `chmod 600 {path}`"
+    user = os.geteuid()
+    if user and status.st_uid not in (user, 0):  # root reads the files of whoever runs the bridge
+        yield f"{path}: belongs to another user (uid {status.st_uid}), who may read and replace it: give it to this one"
+    if of_folder & stat.S_IWOTH and not of_folder & stat.S_ISVTX:
+        yield f"{path}: anyone may put another key in its place: run `chmod o-w {folder}`"
 
 
 def _parse(text: str, path: Path) -> Key:
@@ -172,3 +194,51 @@ def _write_new(path: Path, content: bytes) -> None:
     except OSError:
         path.unlink()
         raise
+
+
+def key_files_by_client(session: Session) -> dict[str, tuple[str, ...]]:
+    """The files of the keys that are valid for each client of a session, by its name, the next key's last.
+
+    A client's session has its own only.
+    """
+    if session.role == "client":
+        return {session.name: _given(session.key_file)}
+    files = {}
+    for client in session.accepted_clients:
+        of_session = session.next_key_file if client.key_file is None else None
+        files[client.name] = _given(client.key_file or session.key_file, client.next_key_file or of_session)
+    return files
+
+
+def _given(*files: str | None) -> tuple[str, ...]:
+    return tuple(file for file in files if file is not None)
+
+
+def key_users(session: Session) -> dict[str, str]:
+    """Whose key is in each of a session's key files."""
+    users: dict[str, str] = {}
+    for client, files in key_files_by_client(session).items():
+        for file, user in zip(files, (client, f"{client} (next)"), strict=False):
+            users[file] = f"{users[file]}, {user}" if file in users else user
+    return users
+
+
+def keys_of(session: Session, base: Path) -> dict[str, tuple[Key, ...]]:
+    """The keys that are valid for each client of a session, by its name, the next one last; none: without encryption.
+
+    Args:
+        session: a server's, or a client's.
+        base: the folder that its key files are relative to.
+
+    Raises:
+        KeyFileError: one is not there, or holds no key.
+    """
+    files = key_files_by_client(session)
+    if not session.use_encryption:
+        return dict.fromkeys(files, ())
+    for name, of_client in files.items():
+        if not of_client:
+            raise KeyFileError(
+                f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
+            )
+    return {name: tuple(read_key(key_path(base, file)) for file in of_client) for name, of_client in files.items()}

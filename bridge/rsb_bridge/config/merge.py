@@ -16,15 +16,19 @@ import msgspec
 import yaml
 from msgspec.structs import fields
 
+from rsb_bridge.config.file_form import as_written
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Grant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence, Set
 
+    from rsb_bridge.model.session import Session
+
 Pair: TypeAlias = tuple[yaml.Node, yaml.Node]
-Entry: TypeAlias = Topic | Client
+Entry: TypeAlias = msgspec.Struct
+"""An entry of ``topics``, ``services``, ``actions``, ``parameters`` or ``clients``, as the file has it."""
 
 _BREAK = re.compile(r"\r\n|[\n\r\x85\u2028\u2029]")  # YAML 1.1, section 5.4
 _BLANKS = re.compile(r"[ \t]*")
@@ -41,7 +45,7 @@ class LayoutError(ValueError):
 def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
     """The text of a session's file with the session's changes in it.
 
-    Topics and clients keep the file's order; new ones come last.
+    Topics, services and clients keep the file's order; new ones come last.
 
     Args:
         text: of the file.
@@ -53,13 +57,14 @@ def merge(text: str, root: yaml.Node, old: Session, new: Session) -> str:
         LayoutError: the text is written in a way that cannot be edited here.
     """
     merger = _Merger(text)
-    merger.struct(root, old, new)
+    merger.struct(root, as_written(old), as_written(new))
     return merger.text()
 
 
 def identity(entry: Entry) -> tuple[str, ...]:
-    """What tells a topic or a client from the others of its session."""
-    return (entry.topic, entry.direction) if isinstance(entry, Topic) else (entry.name,)
+    """What tells an entry from the others of its list: its name, and of what crosses its direction or provider."""
+    name, second = entry.__struct_fields__[:2]
+    return tuple(getattr(entry, key) for key in (name, second) if key in (name, "direction", "provider"))
 
 
 class _Merger:
@@ -87,7 +92,7 @@ class _Merger:
     # --- what changes
 
     def struct(self, node: yaml.Node, old: msgspec.Struct, new: msgspec.Struct) -> None:
-        """Edit a session, a topic or a client."""
+        """Edit a session or an entry of one of its lists."""
         assert isinstance(node, yaml.MappingNode)
         pairs = {key.value: (key, value) for key, value in node.value}
         for key, _ in node.value:
@@ -109,13 +114,13 @@ class _Merger:
     def _nested(self, key: yaml.Node, node: yaml.Node, before: Any, after: Any) -> bool:
         """Edit inside a value where that is possible; False: the value is to be replaced or removed as a whole."""
         if isinstance(node, yaml.SequenceNode) and isinstance(before, tuple):
-            if any(isinstance(each, Topic | Client) for each in (*before, *after)):
+            if any(isinstance(each, msgspec.Struct) and not isinstance(each, Grant) for each in (*before, *after)):
                 self._entries(key, node, before, after)
                 return True
             kept = [each for each in before if each in after]
             if tuple(kept) == after[: len(kept)] and len(node.value) == len(before):
                 gone = {at for at, each in enumerate(before) if each not in after}
-                self._sequence(key, node, gone, list(after[len(kept) :]))
+                self._sequence(key, node, gone, msgspec.to_builtins(after[len(kept) :]))
                 return True
         if isinstance(node, yaml.MappingNode) and isinstance(after, dict):
             changes = {key: value for key, value in after.items() if before.get(key, _GONE) != value}
@@ -128,7 +133,7 @@ class _Merger:
     def _entries(
         self, key: yaml.Node, node: yaml.SequenceNode, before: Sequence[Entry], after: Sequence[Entry]
     ) -> None:
-        """Edit the topics or the clients."""
+        """Edit a list of topics, of clients or the like."""
         edited = _matched(before, after)
         for at, to in edited.items():
             self.struct(node.value[at], before[at], after[to])
@@ -247,7 +252,7 @@ class _Merger:
         column = node.start_mark.column
         same_line = self._line_start(dash) == self._line_start(last.start_mark.index)
         lead = "-" + " " * (last.start_mark.column - column - 1 if same_line else 1)
-        if isinstance(last, yaml.MappingNode) and not last.flow_style:
+        if isinstance(last, yaml.MappingNode) and not last.flow_style and isinstance(value, dict):
             lines = [f"{key}: {inline(each)}" for key, each in value.items()]
         else:
             lines = [_spaced(inline(value), self._text[last.start_mark.index :])]

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from rsb_bridge.config.bringup import bridge_nodes
+from rsb_bridge.config.file_form import as_written
 from rsb_bridge.config.files import kind_of_file, replace_file
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
@@ -101,7 +102,7 @@ def parse(text: str, path: Path) -> Session:
 
 def dump(session: Session) -> str:
     """The text of a new session file, without the values that are at their defaults."""
-    return dump_yaml(msgspec.to_builtins(session))
+    return dump_yaml(msgspec.to_builtins(as_written(session)))
 
 
 def same(one: Session, other: Session) -> bool:
@@ -118,7 +119,7 @@ def _in_order(session: Session) -> Session:
 
 
 def _sorted(topics: tuple[Topic, ...]) -> tuple[Topic, ...]:
-    return tuple(sorted(topics, key=lambda topic: (topic.topic, topic.direction)))
+    return tuple(sorted(topics, key=lambda topic: topic.identity))
 
 
 def save(session: Session, path: Path, opened: SessionFile | None = None) -> SessionFile:

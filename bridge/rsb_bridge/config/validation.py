@@ -5,27 +5,46 @@ from __future__ import annotations
 import ipaddress
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.config.decoding import did_you_mean, join, read, show
+from rsb_bridge.config.call_rules import overlaps
+from rsb_bridge.config.decoding import join, read, show
+from rsb_bridge.config.file_form import (
+    LISTS,
+    NAME_KEYS,
+    NOUNS,
+    SESSION_FILE,
+    as_session,
+    as_topic,
+    as_written,
+    foreign,
+    locations,
+)
+from rsb_bridge.config.grants import grant_problems
+from rsb_bridge.config.key_files import key_file_problems
 from rsb_bridge.config.keys import conceal
+from rsb_bridge.config.topic_rules import (
+    A_KIND,
+    name_problems,
+    port_problems,
+    stale_problems,
+    topic_problems,
+    transport_of,
+)
 from rsb_bridge.model import transports
-from rsb_bridge.model.limits import CHANNEL, DOMAIN, NAME_BYTES, RATE, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
-from rsb_bridge.model.names import is_prefix, is_topic_name, server_topic, well_formed
-from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
-from rsb_bridge.model.session import Client, Problem, Session, Topic, is_mac
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
-from rsb_bridge.model.type_names import expand_type_name
+from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
+from rsb_bridge.model.names import is_prefix, well_formed
+from rsb_bridge.model.session import Identity, Problem, Session, Topic, is_mac
+from rsb_bridge.model.text import is_clean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.transports import TransportTraits
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "00:00:00:00:00:00")  # noqa: S104 (refused, not bound)
-_ENTRY = re.compile(r"(?P<list>topics|clients)\[(?P<at>\d+)\]")
+_ENTRY = re.compile(rf"(?P<list>{'|'.join(NOUNS)})\[(?P<at>\d{{1,9}})\]")
 _HOST_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
 
@@ -39,28 +58,38 @@ def build(data: object) -> tuple[Session, list[Problem]]:
         The session, to be used only if there are no problems, and all problems.
     """
     problems: list[Problem] = []
-    session = read(data, Session, problems)
+    session = as_session(read(data, SESSION_FILE, problems))
     found = problems + _unreported(_session(session), problems)
     return session, [placed(problem, data) for problem in found]
 
 
 def placed(problem: Problem, data: object) -> Problem:
-    """Name the topic or client that a problem is about, by its name if it has one, else by its number from 1."""
+    """Name the topic, service or client that a problem is about, by its name if it has one, else by its number."""
     parts, rest, around = [], problem.location, data
     while (match := _ENTRY.match(rest)) and isinstance(around, dict):
-        kind, name = ("topic", "topic") if match["list"] == "topics" else ("client", "name")
-        around, rest = around[match["list"]][int(match["at"])], rest[match.end() :].removeprefix(".")
+        noun, name = NOUNS[match["list"]], NAME_KEYS.get(match["list"], "name")
+        entries, at = around.get(match["list"]), int(match["at"])
+        if not isinstance(entries, list | tuple) or at >= len(entries):
+            break  # a key that only looks like an entry
+        around, rest = entries[at], rest[match.end() :].removeprefix(".")
         called = around.get(name) if isinstance(around, dict) else None
         if isinstance(called, str) and called and len(called) <= NAME_BYTES and called.isprintable():
-            parts.append(f"{kind} {conceal(called)}")
+            parts.append(f"{noun} {conceal(called)}")
         else:
-            parts.append(f"{kind} {int(match['at']) + 1}")
+            parts.append(f"{noun} {at + 1}")
     return replace(problem, place=", ".join([*parts, rest] if rest else parts)) if parts else problem
 
 
 def validate(session: Session) -> list[Problem]:
     """All problems of a session."""
-    return build(msgspec.to_builtins(session))[1]
+    data = msgspec.to_builtins(as_written(session))
+    problems = build(data)[1]
+    holders = [("", session.topics), *((join("clients", at), each.topics) for at, each in enumerate(session.clients))]
+    for where, topics in holders:
+        for topic, here in zip(topics, locations(topics), strict=True):
+            found = _foreign(topic, join(where, here))
+            problems += [placed(problem, data) for problem in found]
+    return problems
 
 
 def validate_topic(topic: Topic, session: Session | None = None, *, client: str | None = None) -> list[Problem]:
@@ -72,11 +101,18 @@ def validate_topic(topic: Topic, session: Session | None = None, *, client: str 
         client: the client's name where it is the prefix of the topic's name on the server.
 
     Returns:
-        The problems; the location of each is the key: ``protocol``.
+        The problems; the location of each is the key in a session file: ``protocol``.
     """
-    problems: list[Problem] = []
-    topic = read(msgspec.to_builtins(topic), Topic, problems)
-    return problems + _unreported(_topic(topic, "", session, client), problems)
+    problems = list(_foreign(topic, ""))
+    written = as_written(topic)
+    topic = as_topic(topic.kind, read(msgspec.to_builtins(written), type(written), problems))
+    return problems + _unreported(topic_problems(topic, "", session, client), problems)
+
+
+def _foreign(topic: Topic, location: str) -> Iterator[Problem]:
+    """What a session file cannot even say of a topic, but who made it otherwise can."""
+    for field, remedy in foreign(topic).items():
+        yield Problem(join(location, field), f"{A_KIND[topic.kind]} has none: {remedy}")
 
 
 def domain_of(session: Session, variable: str | None) -> int:
@@ -112,22 +148,22 @@ def _within(location: str, outer: str) -> bool:
 def _session(session: Session) -> Iterator[Problem]:
     yield from _name(session.name, "name", use_name=session.use_name and not session.clients)
     yield from _address(session)
-    yield from _port(session.server_port, "server_port", transports.of_link(session.server_ip))
+    yield from port_problems(session.server_port, "server_port", transports.of_link(session.server_ip))
     if session.domain_id is not None and session.domain_id not in DOMAIN:
         yield Problem("domain_id", f"{session.domain_id} is not a ROS domain: {DOMAIN}")
-    yield from _key_files(session)
-    yield from _stale_after(session.stale_after, "stale_after")
+    yield from key_file_problems(session)
+    yield from stale_problems(session.stale_after, "stale_after")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")
     if session.shutdown_topic is not None:
-        yield from _topic_name(session.shutdown_topic, "shutdown_topic")
+        yield from name_problems(session.shutdown_topic, "shutdown_topic")
     client = session.name if session.role == "client" and session.use_name else None
-    yield from _topics(session.topics, "topics", session, client)
+    yield from _topics(session.topics, "", session, client)
     yield from _clients(session)
 
 
 def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
-    if not name.strip() or not name.isprintable():
+    if not name.strip() or not (name.isprintable() and is_clean(name)):
         yield Problem(location, f"{show(name)} is not a name: give printable characters")
     elif len(name.encode()) > NAME_BYTES:
         yield Problem(location, f"has {len(name.encode())} bytes in UTF-8, and at most {NAME_BYTES} are allowed")
@@ -172,153 +208,37 @@ def _is_host(address: str) -> bool:
     return len(address) <= 253 and all(_HOST_LABEL.fullmatch(label) for label in labels) and not labels[-1].isdecimal()
 
 
-def _port(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
-    if port not in transport.ports:
-        yield Problem(location, f"{port} is not a valid {transport.port_kind}: {transport.ports}")
+def _topics(topics: Sequence[Topic], where: str, session: Session, client: str | None) -> Iterator[Problem]:
+    """Mistakes in what one link bridges.
 
-
-def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]:
-    """What carries a topic: its own transport, else the link's; without a session, an IP link's."""
-    if topic.protocol is not None:
-        return transports.named(topic.protocol)
-    return transports.of_link(session.server_ip if session is not None else "")
-
-
-def _key_files(session: Session) -> Iterator[Problem]:
-    owners = [("key_file", session.key_file)]
-    if session.clients:
-        owners += [(f"clients[{at}].key_file", client.key_file) for at, client in enumerate(session.clients)]
-    for location, key_file in owners:
-        if key_file is not None and not (key_file.strip() and key_file.isprintable()):
-            yield Problem(location, f"{show(key_file)} is not a file name: give the key file's")
-    if not session.use_encryption or session.key_file is not None:
-        return
-    for location, key_file in owners[1:] or owners:
-        if key_file is None:
-            yield Problem(
-                location, "missing: encryption needs a key; make one with `rsb-console keygen` and give its file's name"
-            )
-
-
-def _topic(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:
-    yield from _topic_name(topic.topic, join(location, "topic"))
-    if topic.remote_topic is not None:
-        yield from _topic_name(topic.remote_topic, join(location, "remote_topic"))
-    elif client is not None and len(topic.topic) <= TOPIC_LENGTH:
-        yield from _length(server_topic(topic.topic, client), join(location, "topic"), " with its prefix")
-    yield from _type(topic.type, join(location, "type"))
-    if session is not None:
-        yield from _protocol(topic, location, session)
-    if topic.port is not None:
-        yield from _port(topic.port, join(location, "port"), transport_of(topic, session))
-    yield from _qos(topic.qos, join(location, "qos"))
-    yield from _rate(topic.max_rate, join(location, "max_rate"))
-    yield from _rate(topic.expected_rate, join(location, "expected_rate"))
-    if topic.stale_after is not None:
-        yield from _stale_after(topic.stale_after, join(location, "stale_after"))
-
-
-def _topic_name(name: str, location: str) -> Iterator[Problem]:
-    if not is_topic_name(name):
-        better = well_formed(name)
-        hint = f" (did you mean /{better}?)" if better else ""
-        yield Problem(
-            location,
-            f"{show(name)} is not an absolute topic name: /part/part, of letters, digits and _, no digit first{hint}",
-        )
-    elif name == ANNOUNCEMENT_TOPIC:
-        yield Problem(
-            location, f"{show(name)} is what bridges tell each other: it is never bridged; name another topic"
-        )
-    else:
-        yield from _length(name, location)
-
-
-def _length(name: str, location: str, how: str = "") -> Iterator[Problem]:
-    if len(name) > TOPIC_LENGTH:
-        yield Problem(
-            location, f"{show(name)} has {len(name)} characters{how}, and ROS allows at most {TOPIC_LENGTH}: shorten it"
-        )
-
-
-def _type(name: str, location: str) -> Iterator[Problem]:
-    if name == AUTO:
-        return
-    try:
-        full = expand_type_name(name)
-    except ValueError as error:
-        yield Problem(location, str(error))
-        return
-    if len(full) > TEXT_LENGTH:
-        yield Problem(location, f"{show(full)} has {len(full)} characters, and at most {TEXT_LENGTH} are allowed")
-
-
-def _protocol(topic: Topic, location: str, session: Session) -> Iterator[Problem]:
-    if session.is_bluetooth:
-        if topic.protocol not in (None, "bluetooth"):
-            yield Problem(
-                join(location, "protocol"),
-                f"{topic.protocol} does not cross a Bluetooth link (server_ip is a MAC): leave protocol out",
-            )
-    elif topic.protocol == "bluetooth" and session.bluetooth_address is None:
-        yield Problem(
-            join(location, "protocol"),
-            "bluetooth needs the MAC of the server's adapter: as server_ip for the whole link, or as bluetooth_address "
-            "for such topics",
-        )
-    elif topic.protocol == "bluetooth" and topic.port is None:
-        yield Problem(
-            join(location, "port"),
-            f"missing: a bluetooth topic of an IP link needs a channel, {CHANNEL}; several topics may share one",
-        )
-
-
-def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
-    if isinstance(value, dict):
-        problems: list[Problem] = []
-        read({key: policy for key, policy in value.items() if key != "profile"}, Qos, problems, location)
-        yield from problems
-        if problems:
-            return
-    try:
-        parse_qos(value)
-    except ValueError as error:
-        name = value.get("profile") if isinstance(value, dict) else value
-        options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
-        hint = did_you_mean(name, options) if isinstance(name, str) else ""
-        yield Problem(location, conceal(f"{error}{hint}"))
-
-
-def _rate(rate: float | None, location: str) -> Iterator[Problem]:
-    if rate is not None and rate not in RATE:
-        yield Problem(location, f"{rate} is out of range: {RATE} Hz, or leave it out")
-
-
-def _stale_after(seconds: float, location: str) -> Iterator[Problem]:
-    if seconds and seconds not in STALE_AFTER:
-        yield Problem(location, f"{seconds} is out of range: {STALE_AFTER} s, or 0 to never warn")
-
-
-def _topics(topics: Sequence[Topic], location: str, session: Session, client: str | None) -> Iterator[Problem]:
-    """Mistakes in the topics of one link; `client` as in `validate_topic`."""
-    for at, topic in enumerate(topics):
-        yield from _topic(topic, join(location, at), session, client)
-    yield from _clashes(topics, location, session)
+    Args:
+        topics: topics and what else there is.
+        where: the location of the session or client that lists them.
+        session: which it is.
+        client: as in `validate_topic`.
+    """
+    for topic, here in zip(topics, locations(topics), strict=True):
+        yield from topic_problems(topic, join(where, here), session, client)
+    yield from _clashes(topics, where, session)
+    yield from overlaps(topics, where)
 
 
 def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[Problem]:
     """Topics of one link that are there twice, or want one port."""
-    routes: dict[tuple[str, str], int] = {}
+    places = locations(topics)
+    routes: dict[Identity, int] = {}
     ports: dict[tuple[str, int], int] = {}
     shared = -1
     link = transports.of_link(session.server_ip)
     for name in (link.name, *link.companions):
         ports[name, session.server_port] = shared
     for at, topic in enumerate(topics):
-        location = join(where, at)
-        first = routes.setdefault((topic.topic, topic.direction), at)
+        location = join(where, places[at])
+        first = routes.setdefault(topic.identity, at)
         if first != at:
-            yield Problem(location, f"{topic.topic} ({topic.direction}) is there already, as number {first + 1}")
+            end = topic.direction if topic.kind == "topic" else f"provider: {topic.provider}"
+            number = sum(each.kind == topic.kind for each in topics[: first + 1])
+            yield Problem(location, f"{topic.topic} ({end}) is there already, as number {number}")
         if topic.port is None:
             continue
         transport = transport_of(topic, session)
@@ -336,10 +256,21 @@ def _clashes(topics: Sequence[Topic], where: str, session: Session) -> Iterator[
 def _clients(session: Session) -> Iterator[Problem]:
     if session.role == "server" and session.topics:
         yield Problem(
-            "role", "a server has no topics of its own: move them to the client's file, or under its entry in clients"
+            "role",
+            f"a server has no {LISTS[session.topics[0].kind]} of its own: move them to the client's file, or under its "
+            "entry in clients",
         )
     if session.role == "client" and session.clients:
         yield Problem("role", "a client has no clients: only a server lists them")
+    for key, given in (("shared_keys", session.shared_keys), ("ports", session.ports is not None)):
+        if session.role == "client" and given:
+            yield Problem(key, "belongs in the server's session file, which says what clients may do: leave it out")
+    for at, port in enumerate(session.ports if isinstance(session.ports, tuple) else ()):
+        if port not in TOPIC_PORT:
+            yield Problem(join("ports", at), f"{port} is no port for a topic: {TOPIC_PORT}")
+    yield from grant_problems(session, "")
+    if session.role == "server" and (session.allow or session.deny):
+        yield Problem("allow" if session.allow else "deny", "belongs under the client that it is for, in clients")
     names: dict[str, int] = {}
     for at, client in enumerate(session.clients):
         location = join("clients", at)
@@ -350,15 +281,5 @@ def _clients(session: Session) -> Iterator[Problem]:
             yield Problem(
                 join(location, "name"), f"{show(client.name)} is the name of client number {first + 1} already"
             )
-        yield from _patterns(client, location)
-        yield from _topics(client.topics, join(location, "topics"), session, client.name if use_name else None)
-
-
-def _patterns(client: Client, location: str) -> Iterator[Problem]:
-    for key, patterns in (("allow", client.allow), ("deny", client.deny)):
-        for at, pattern in enumerate(patterns):
-            if not (pattern.startswith(("/", "*")) and pattern.isprintable()):
-                yield Problem(
-                    join(join(location, key), at),
-                    f"{show(pattern)} matches no topic: a pattern begins with / or * (/robot1/*)",
-                )
+        yield from grant_problems(client, location)
+        yield from _topics(client.topics, location, session, client.name if use_name else None)

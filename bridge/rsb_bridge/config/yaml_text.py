@@ -45,6 +45,18 @@ class SessionError(Exception):
         super().__init__("\n".join(f"{path}:{f'{each.line}:' if each.line else ''} {each}" for each in self.problems))
 
 
+class YamlError(ValueError):
+    """A text is no YAML, or has what is not taken; the message says what it is.
+
+    Attributes:
+        line: where, from 1; None: nowhere in particular.
+    """
+
+    def __init__(self, message: str, line: int | None) -> None:
+        super().__init__(message)
+        self.line = line
+
+
 class Document(NamedTuple):
     """YAML as plain data that knows its lines.
 
@@ -68,10 +80,16 @@ class Document(NamedTuple):
         return replace(problem, line=self.lines.get(location))
 
 
-def dump_yaml(data: Any) -> str:
-    """Plain data as YAML: a block, with a line for each entry of a list in it."""
+def dump_yaml(data: Any, *, allow_unicode: bool = True, width: int = MAX_FILE) -> str:
+    """Plain data as YAML: a block, with a line for each entry of a list in it.
+
+    Args:
+        data: mappings, lists and scalars.
+        allow_unicode: False: what is no ASCII stands as escape sequences.
+        width: characters after which a line is broken where that may be.
+    """
     return yaml.dump(
-        data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=MAX_FILE, default_flow_style=None
+        data, Dumper=_Dumper, sort_keys=False, allow_unicode=allow_unicode, width=width, default_flow_style=None
     )  # fmt: skip
 
 
@@ -98,26 +116,39 @@ def read_yaml(text: str, path: Path) -> Document:
     """
     if is_key_file(text.removeprefix("\ufeff")):
         raise SessionError(path, [Problem("", "this is a key file, not a session")])
+    try:
+        node = compose(text)
+    except YamlError as error:
+        raise SessionError(path, [Problem("", str(error), error.line)]) from None
+    if node is None:
+        raise SessionError(path, [Problem("", "the file is empty")])
+    document = Document(None, {"": node.start_mark.line + 1}, [], node)
+    return document._replace(data=_plain(node, "", document))
+
+
+def compose(text: str) -> yaml.Node | None:
+    """The nodes of a YAML document, nested `MAX_DEPTH` deep at most, with no aliases; None: it is empty.
+
+    Raises:
+        YamlError: it is no YAML, or has such.
+    """
     loader = None
     try:
         loader = _Loader(text)
-        node = loader.get_single_node()
+        node: yaml.Node | None = loader.get_single_node()
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        raise SessionError(path, [Problem("", f"character U+{error.character:04X} is not allowed", line)]) from None
+        raise YamlError(f"character U+{error.character:04X} is not allowed", line) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         message = conceal(", ".join(part for part in (error.context, error.problem) if part))
         if mark is not None and _begins_with_tab(text, mark.line):
             message = "begins with a tab: use spaces"
-        raise SessionError(path, [Problem("", message, mark.line + 1 if mark else None)]) from None
+        raise YamlError(message, mark.line + 1 if mark else None) from None
     finally:
         if loader is not None:
             loader.dispose()
-    if node is None:
-        raise SessionError(path, [Problem("", "the file is empty")])
-    document = Document(None, {"": node.start_mark.line + 1}, [], node)
-    return document._replace(data=_plain(node, "", document))
+    return node
 
 
 def _begins_with_tab(text: str, line: int) -> bool:
@@ -138,6 +169,11 @@ def _plain(node: yaml.Node, location: str, document: Document) -> Any:
         locations = [join(location, at) for at in range(len(node.value))]
         document.lines.update((at, each.start_mark.line + 1) for at, each in zip(locations, node.value, strict=True))
         return [_plain(each, at, document) for at, each in zip(locations, node.value, strict=True)]
+    return scalar(node)
+
+
+def scalar(node: yaml.Node) -> Any:
+    """What a scalar's node says, as a session file means it."""
     pattern, convert = _SCALARS.get(node.tag, _SCALARS["tag:yaml.org,2002:str"])
     return convert(node.value) if pattern.fullmatch(node.value) else node.value
 
@@ -193,3 +229,5 @@ for _tag, (_pattern, _) in list(_SCALARS.items())[:-1]:
     _anchored = re.compile(rf"(?:{_pattern.pattern})$")
     _Loader.add_implicit_resolver(_tag, _anchored, None)
     _Dumper.add_implicit_resolver(_tag, _anchored, None)
+# Fields of messages may have these values, which no value of a session may.
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"(?:-?\.inf|\.nan)$"), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- these types must be known where an answer is decoded
 
@@ -14,11 +15,13 @@ ACTIONS_AT_ONCE = 500
 """Events in one answer, the newest."""
 RATES_AT_ONCE = 48
 """Rates of one topic in one answer."""
+LINK: Final = "link"
+"""The kind of a link itself; the others are those of `rsb_bridge.model.session.Kind`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A time in which a link or a topic was not fine.
+    """A time in which a link, or a topic or whatever else a route carries, was not fine.
 
     Attributes:
         start: s since the epoch.
@@ -31,6 +34,7 @@ class Outage:
         ongoing: it has not ended yet.
         cut_off: the bridge stopped, or the machine slept, before it ended: the end is not known.
         with_link: a topic that was out because its link was.
+        kind: what it is: `LINK`, or what the topic is, a `rsb_bridge.model.session.Kind`.
     """
 
     start: float
@@ -43,21 +47,31 @@ class Outage:
     ongoing: bool = False
     cut_off: bool = False
     with_link: bool = False
+    kind: str = "topic"
+
+    @property
+    def subject(self) -> tuple[str, str, str, bool]:
+        """Tells whose it is: link, kind, topic and direction."""
+        return self.link, self.kind, self.topic, self.outgoing
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """How a link or a topic did.
+    """How a link or a topic did, or a service and the like.
 
     Attributes:
         link: as in `Outage`, likewise the next two.
         topic: likewise.
         outgoing: likewise.
         up: s in which it was fine.
-        out: s in which it was not. What is missing to the whole span is not known, or it was paused on purpose.
+        out: s in which it was not. What is missing to the whole span is not known, or it was paused on purpose, or
+            waited.
         outages: how many.
-        rates: mean rate in each part of the span, oldest first: a topic's in Hz, a link's in bytes/s, both ways
-            together. None: not known.
+        rates: mean rate in each part of the span, oldest first: a topic's in Hz, in calls/s of what is called, a
+            link's in bytes/s, both ways together. None: not known.
+        waiting: s in which no message had come yet, and no fault was known: neither up nor out.
+        waits_for: what it waits for now, in words; empty: it does not wait.
+        kind: as in `Outage`.
     """
 
     link: str
@@ -67,10 +81,18 @@ class Track:
     out: float
     outages: int
     rates: tuple[float | None, ...] = ()
+    waiting: float = 0.0
+    waits_for: str = ""
+    kind: str = "topic"
+
+    @property
+    def subject(self) -> tuple[str, str, str, bool]:
+        """As `Outage.subject`."""
+        return self.link, self.kind, self.topic, self.outgoing
 
     @property
     def up_ratio(self) -> float | None:
-        """The part of the time in which it was fine; None: it is not known of any time."""
+        """The part of the time in which it was fine; None: it was neither fine nor out at any time that is known."""
         known = self.up + self.out
         return self.up / known if known else None
 

@@ -33,6 +33,8 @@ DEFAULT_PORT = 7060
 """Below the ports of DDS (7400 + 250 for each domain), and of the kernel for outgoing connections (32768 to 60999)."""
 TOPIC_PORT = Range(1024, PORT.high)
 """Ports that a server binds for a client's topics: lower ones are the system's (RFC 6335, section 6)."""
+DDS_PORTS = 250
+"""Ports of one ROS domain, the first ones from 7400 (DDSI-RTPS 2.5, section 9.6.1.1: PB 7400, DG 250)."""
 CHANNEL = Range(1, 30)
 """RFCOMM server channels (Bluetooth RFCOMM 1.2, section 5.4)."""
 
@@ -57,8 +59,21 @@ RATE = Range(0.001, 1e6)
 """Hz: a message in a quarter of an hour to more than DDS carries."""
 STALE_AFTER = Range(0.1, 1e6)
 """s: the engine looks at a route every quarter of a second at most; the longest is eleven days."""
+DEADMAN_TIME = Range(2, 86_400)
+"""s: the other side is told of keys once a second; the longest is a day."""
+CALL_TIME = Range(0.1, 86_400)
+"""s: until a call is given up. Shorter ones are over before a slow link has answered; the longest is a day."""
 
 ROUTES_PER_LINK = 1000
 """Routes that one peer may make the other side keep."""
-PORTS_PER_CLIENT = 64
-"""Ports of their own that a client's topics may have a server bind."""
+ROUTES_PROPOSED_BY_SERVER = 256
+"""Of them, those that a server may have a client keep beyond the client's own: each costs a descriptor and endpoints in
+DDS, and the client's own file may list more."""
+PORTS_PER_CLIENT = 16
+"""Ports of their own that a client's topics may have a server bind, unless its session lists them (`Session.ports`)."""
+
+
+def dds_ports(domain: int) -> Range:
+    """The ports by which the nodes of a ROS domain find each other."""
+    first = 7400 + DDS_PORTS * domain
+    return Range(first, first + DDS_PORTS - 1)

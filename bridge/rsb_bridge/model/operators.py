@@ -27,7 +27,7 @@ def acting(who: str) -> Iterator[None]:
     """Give commands in somebody's name.
 
     Args:
-        who: in words: ``anna (uid 1000)``.
+        who: in words: ``anna on pts/3``.
     """
     token = _operator.set(who)
     try:

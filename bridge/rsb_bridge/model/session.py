@@ -14,10 +14,21 @@ import msgspec
 
 from rsb_bridge.model.qos import Qos, parse_qos
 
+DEADMAN = 60.0
+"""s: the deadman time of a topic that names none."""
+
+CALL_TIMEOUT = 30.0
+"""s: until a call is given up whose service names no timeout."""
+
 Direction = Literal["transmit", "receive"]
+Kind = Literal["topic", "service", "action", "parameters"]
+Provider = Literal["client", "server"]
+Identity = tuple[Kind, str, Direction]
+"""What no two of a session's topics have in common: kind, name on the client, direction."""
 Protocol = Literal["tcp", "udp", "bluetooth"]
 Compression = Literal["none", "zstd"]
 Role = Literal["client", "server"]
+May = Literal["publish", "read", "call", "serve"]
 
 _MAC = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}")
 
@@ -49,12 +60,16 @@ class Problem:
 
 
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """One bridged topic, as the *client* sees it (thesis, chapter 3).
+    """One bridged topic, service, action or node's parameters, as the *client* sees it (thesis, chapter 3).
+
+    In a session file those that are not topics stand under ``services``, ``actions`` and ``parameters``.
 
     Attributes:
-        topic: its name on the client, absolute (``/scan``).
-        direction: ``transmit`` goes from client to server, ``receive`` the other way.
-        type: ``pkg/msg/Name``, a short thesis name (``LaserScan``), or ``auto``: from either side's graph.
+        topic: its name on the client, absolute (``/scan``); of parameters, their node's.
+        direction: ``transmit`` goes from client to server, ``receive`` the other way; of what is not a topic, the
+            direction of the requests.
+        type: ``pkg/msg/Name`` (``pkg/srv/Name``, ``pkg/action/Name``), a short thesis name (``LaserScan``), or
+            ``auto``: from either side's graph.
         protocol: what carries it; None: tcp on an IP link, bluetooth on an RFCOMM link.
         port: a TCP or UDP port or an RFCOMM channel of its own (topics may share a channel); None: the link's.
         qos: ``auto``, a profile's name, a depth, or a mapping of `rsb_bridge.model.qos.Qos` fields.
@@ -64,6 +79,10 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         expected_rate: Hz, shown beside the real rate; None: learned.
         stale_after: s without a message until a warning; None: the session's; 0: never.
         paused: the topic is set up, and carries nothing until it is resumed.
+        arm: it carries nothing until an operator of either side arms it on a console.
+        deadman: s without a key on that console after which it disarms; None: `DEADMAN`; 0: none.
+        kind: what it is.
+        timeout: s after which a call without an answer is given up; None: `CALL_TIMEOUT`. Not of topics.
     """
 
     topic: str
@@ -78,10 +97,55 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     expected_rate: float | None = None
     stale_after: float | None = None
     paused: bool = False
+    arm: bool = False
+    deadman: float | None = None
+    kind: Kind = "topic"
+    timeout: float | None = None
+
+    @property
+    def identity(self) -> Identity:
+        """What no two of a session's have in common."""
+        return self.kind, self.topic, self.direction
+
+    @property
+    def provider(self) -> Provider:
+        """The side whose node answers, of what is not a topic."""
+        return "server" if self.direction == "transmit" else "client"
+
+    @property
+    def call_timeout(self) -> float:
+        """S after which a call without an answer is given up."""
+        return CALL_TIMEOUT if self.timeout is None else self.timeout
+
+    @property
+    def deadman_seconds(self) -> float:
+        """The deadman time (s); 0: none."""
+        return DEADMAN if self.deadman is None else self.deadman
 
     def parsed_qos(self) -> Qos | None:
         """The QoS; None is ``auto``."""
         return parse_qos(self.qos)
+
+
+class Grant(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What the other side of a link may do with some topics or services here; in `deny`, what it may not.
+
+    It is either about topics or about services.
+
+    Attributes:
+        topics: a pattern (shell glob) of their names on this side; of a client, with or without its prefix.
+        services: likewise of the names of services and actions, and of nodes with parameters.
+        may: ``publish`` topics here or ``read`` them here; ``call`` what nodes of this side provide, or ``serve``:
+            provide what is offered to nodes of this side. None: both.
+        protocol: what may carry them; None: anything.
+        max_rate: Hz, of each topic and direction, or of the calls of each service; None: no limit. Only in `allow`.
+    """
+
+    topics: str | None = None
+    services: str | None = None
+    may: May | None = None
+    protocol: Protocol | tuple[Protocol, ...] | None = None
+    max_rate: float | None = None
 
 
 class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -90,17 +154,22 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     Attributes:
         name: as in the client's session.
         key_file: its key; None: the server's `Session.key_file`.
+        next_key_file: the key that replaces it, and is valid, too; None: none, or `Session.next_key_file` where
+            `key_file` is the server's.
         use_name: prefix its topics on the server; None: the server's `Session.use_name`.
-        allow: patterns (shell globs) of the topics that it may bridge; empty: all.
-        deny: patterns of the topics that it may not bridge; stronger than `allow`.
+        allow: what it may bridge, each entry a `Grant`, or a pattern of topics; empty: everything. Where several
+            entries match a topic, each of them narrows what may be done with it.
+        deny: what it may not bridge, each entry a `Grant`, or a pattern of topics and services alike; stronger than
+            `allow`.
         topics: what the server proposes to it whenever it links, as the client sees them.
     """
 
     name: str
     key_file: str | None = None
+    next_key_file: str | None = None
     use_name: bool | None = None
-    allow: tuple[str, ...] = ()
-    deny: tuple[str, ...] = ()
+    allow: tuple[str | Grant, ...] = ()
+    deny: tuple[str | Grant, ...] = ()
     topics: tuple[Topic, ...] = ()
 
 
@@ -118,11 +187,17 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         use_name: the client's topics have its name before them on the server, in both directions.
         use_encryption: False sends everything in the clear.
         key_file: path, relative to the session file.
+        next_key_file: on a server, the key that replaces it. Both are valid as long as it is given.
         stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
         stale_warnings: how many times to warn of it (thesis: 5).
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         topics: a client's topics.
         clients: those that a server lets in; empty: one, with the session's own name and key.
+        ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.
+        allow: on a client, what the server may bridge, as in `Client`; empty: it may read all topics, and publish, call
+            and serve what `topics` lists.
+        deny: on a client, what it may not bridge, likewise; stronger than `allow`.
+        shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
     """
 
     name: str
@@ -134,11 +209,16 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     use_name: bool = False
     use_encryption: bool = True
     key_file: str | None = None
+    next_key_file: str | None = None
     stale_after: float = 15.0
     stale_warnings: int = 5
     shutdown_topic: str | None = "/shutdown"
     topics: tuple[Topic, ...] = ()
     clients: tuple[Client, ...] = ()
+    allow: tuple[str | Grant, ...] = ()
+    deny: tuple[str | Grant, ...] = ()
+    ports: tuple[int, ...] | Literal["none"] | None = None
+    shared_keys: bool = False
 
     @property
     def is_bluetooth(self) -> bool:

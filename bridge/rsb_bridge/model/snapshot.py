@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from rsb_bridge.model.qos import Qos  # noqa: TC001 -- these types must be known where a snapshot is decoded
-from rsb_bridge.model.session import Topic  # noqa: TC001
+import msgspec
+
+# These types must be known where a snapshot is decoded
+from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot  # noqa: TC001
+from rsb_bridge.model.qos import Qos  # noqa: TC001
+from rsb_bridge.model.session import Kind, Topic  # noqa: TC001
 
 
 class State(StrEnum):
@@ -25,6 +29,8 @@ class State(StrEnum):
     WAITING = "waiting"
     """Nothing is known to be wrong; no message has come yet."""
     PAUSED = "paused"
+    DISARMED = "disarmed"
+    """It has to be armed by an operator before anything crosses."""
     OK = "ok"
 
     @property
@@ -65,7 +71,12 @@ class Event:
         who: the operator who did it, or empty where no operator did.
         old: what the operator changed, as it was before; or empty.
         new: what the operator made of it; or empty.
-        cause: of a fault, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; else empty.
+        cause: of a fault, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; of a link that is not up, an
+            `rsb_bridge.model.verdict.LinkCause`; of a topic that disarms, an `rsb_bridge.route.arming.Disarmed`; else
+            empty.
+        state: what the route or the link has become, a `State`; empty: the event is about something else.
+        since: s since the epoch, when that state began; None: the event is about something else.
+        from_peer: the other side says so.
     """
 
     number: int
@@ -79,6 +90,9 @@ class Event:
     old: str = ""
     new: str = ""
     cause: str = ""
+    state: str = ""
+    since: float | None = None
+    from_peer: bool = False
 
     @property
     def source(self) -> str:
@@ -86,8 +100,7 @@ class Event:
         return self.code.partition(".")[0]
 
 
-@dataclass(frozen=True, slots=True)
-class Stage:
+class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """One step on a message's way. The first one that is not `done` is the reason why nothing flows.
 
     Attributes:
@@ -106,8 +119,8 @@ class Ledger:
     """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + in_flight``.
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
-    ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``expands too much``, ``would loop``,
-    ``paused``.
+    ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
+    ``would loop``, ``paused``, ``disarmed``.
     """
 
     offered: int = 0
@@ -125,15 +138,34 @@ class Ledger:
 
 
 @dataclass(frozen=True, slots=True)
+class ArmingSnapshot:
+    """Whether a topic that has to be armed is armed.
+
+    Attributes:
+        armed: it is, on this side.
+        by: the operator who armed it, in words; an operator of the other side has its name before; empty: it is not.
+        here: it was armed on this side.
+        left: s until it disarms, unless that operator presses a key; None: it is not armed, or has no deadman.
+        deadman: s; 0: none.
+    """
+
+    armed: bool
+    by: str = ""
+    here: bool = False
+    left: float | None = None
+    deadman: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class RouteSnapshot:
-    """One topic in one direction over one link.
+    """One topic in one direction over one link, or one service, action or node's parameters (`spec.kind`).
 
     Attributes:
         key: names the route in commands; stable across reconnects.
         link: the peer's name.
         topic: its name on this side.
         remote_topic: its name on the other side.
-        outgoing: True: this side sends.
+        outgoing: True: this side sends; of what is not a topic, the requests: the callers are here.
         spec: the topic as it was asked for, as the client sees it.
         state: its state, the worse of what both sides say; `reason` says why it is not OK, and who says so where it is
             the other side.
@@ -159,8 +191,15 @@ class RouteSnapshot:
         last_error: the last error, or empty.
         cause: of the state, an `rsb_bridge.model.verdict.Cause`, or a newer peer's; empty: there is nothing to say.
         from_peer: the other side says so.
+        since: s since the epoch, when this state began with this cause, as far as this process knows.
         publishers: the nodes that publish it on the sending side, as far as they are known.
         subscribers: the nodes that subscribe to it on the receiving side, likewise.
+        arming: whether it is armed; None: it need not be.
+        allowed_rate: Hz that the rights of the two sides allow; None: any.
+        calls: of what is not a topic, its calls, which `rate`, `history` and `age` are about then; None: a topic.
+        goals: of an action, the newest ones, those that are not over first.
+        lanes: of what is not a topic, the names that a call may be made to by hand: ``set_parameters``; a service has
+            one, ``""``.
     """
 
     key: str
@@ -193,8 +232,19 @@ class RouteSnapshot:
     last_error: str
     cause: str = ""
     from_peer: bool = False
+    since: float = 0.0
     publishers: tuple[str, ...] = ()
     subscribers: tuple[str, ...] = ()
+    arming: ArmingSnapshot | None = None
+    allowed_rate: float | None = None
+    calls: CallsSnapshot | None = None
+    goals: tuple[GoalSnapshot, ...] = ()
+    lanes: tuple[str, ...] = ()
+
+    @property
+    def max_rate(self) -> float | None:
+        """Hz that cross at most, whoever says so; None: all."""
+        return min((rate for rate in (self.spec.max_rate, self.allowed_rate) if rate), default=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +260,7 @@ class LinkSnapshot:
         attempts: failed attempts since it was last linked.
         encrypted: False must be shown in red.
         cipher: ``AESGCM``, ``ChaChaPoly``, or empty.
-        fingerprint: of the key on this side.
+        fingerprint: of the key in use; while it is down, of this side's.
         rtt: s; None: no figure.
         clock_offset: s, peer's clock minus ours; None: no figure.
         clock_uncertainty: s.
@@ -221,6 +271,7 @@ class LinkSnapshot:
         use_name: the client's topics have its name before them on the server.
         cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`; empty: there is none.
         warning: what is wrong though the link is up, for an operator; or empty.
+        next_fingerprint: on a server, of the key that replaces the client's, and is valid, too; empty: none does.
     """
 
     name: str
@@ -243,6 +294,7 @@ class LinkSnapshot:
     use_name: bool = False
     cause: str = ""
     warning: str = ""
+    next_fingerprint: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,15 +326,16 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of one side's graph.
+    """A topic of one side's graph, or a service, an action or a node with parameters.
 
     Attributes:
         topic: its name there.
         type_name: its type; empty if its endpoints disagree.
         type_hash: or empty.
-        qos: what its publishers offer, combined; None: no publisher.
-        publishers: how many.
-        subscriptions: how many.
+        qos: what its publishers offer, combined; None: no publisher, or not a topic.
+        publishers: how many; of what is not a topic, providers.
+        subscriptions: how many; of what is not a topic, callers.
+        kind: what it is.
     """
 
     topic: str
@@ -291,3 +344,4 @@ class TopicInfo:
     qos: Qos | None
     publishers: int
     subscriptions: int
+    kind: Kind = "topic"

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 Via: TypeAlias = tuple[str, ...]
 """Hops, the first one first; empty: the messages of a publisher that is no bridge."""
 
-ANNOUNCEMENT_TOPIC = "/_rsb_bridge/published"
+OWN_NAMES = "/_rsb_bridge/"
+"""Before the names of what bridges themselves publish or serve."""
+ANNOUNCEMENT_TOPIC = f"{OWN_NAMES}published"
 """What the bridges of a domain tell each other; hidden from ``ros2 topic list``, and never bridged."""
 
 MOST_HOPS = 16

@@ -10,19 +10,29 @@ from rsb_bridge.model.limits import REASON_LENGTH
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-UNPRINTABLE = "\\x00-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069"
-"""Control characters, and the marks that turn the direction of text; for a regular expression's brackets."""
+UNPRINTABLE = (
+    "\\x00-\\x1f\\x7f-\\x9f\\u2028\\u2029\\ufff9-\\ufffb"
+    "\\u00ad\\u034f\\u061c\\u115f\\u1160\\u17b4\\u17b5\\u180b-\\u180f\\u200b-\\u200f\\u202a-\\u202e\\u2060-\\u206f"
+    "\\u3164\\ufe00-\\ufe0f\\ufeff\\uffa0\\ufff0-\\ufff8\\U0001bca0-\\U0001bca3\\U0001d173-\\U0001d17a\\U000e0000-\\U000e0fff"
+)
+"""What text from elsewhere must not have, for a regular expression's brackets.
 
-INVISIBLE = "\u00ad\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u3164\ufe00-\ufe0f\uffa0\U000e0000-\U000e0fff"
-"""Characters that Python calls printable though they take no place on a screen, or seem not to; for brackets, too."""
+Control characters, ends of lines, and what Unicode calls default ignorable (DerivedCoreProperties.txt): marks that turn
+the direction of text, and characters that take no place on a screen, of which Python calls some printable.
+"""
 
 _unprintable = re.compile(f"[{UNPRINTABLE}\\ud800-\\udfff]")
-_escaped = re.compile(f'[{INVISIBLE}\\\\"]')
+_escaped = re.compile(f'[{UNPRINTABLE}\\\\"]')
 
 
 def sanitize_text(text: str, limit: int = REASON_LENGTH) -> str:
     """Replace each unprintable character by U+FFFD, and cut what is longer than `limit` characters."""
     return _unprintable.sub("\N{REPLACEMENT CHARACTER}", text[:limit])
+
+
+def is_clean(text: str) -> bool:
+    """Whether a text has no unprintable characters."""
+    return _unprintable.search(text) is None
 
 
 def encodable(text: str) -> str:
@@ -54,6 +64,8 @@ def plural(count: int, noun: str) -> str:
 
 
 def join_first(parts: Sequence[str], most: int) -> str:
-    """The first `most` parts with commas between them, and how many more there are."""
-    more = len(parts) - most
-    return ", ".join(parts[:most]) + (f" and {more} more" if more > 0 else "")
+    """``a``, ``a and b``, ``a, b and c``; of more than `most` parts, the first ones: ``a, b, c and 2 more``."""
+    shown = [*parts[:most]]
+    if (more := len(parts) - most) > 0:
+        shown.append(f"{more} more")
+    return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))

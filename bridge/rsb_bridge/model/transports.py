@@ -22,6 +22,7 @@ class TransportTraits:
         port_kind: what its numbers are called, for example ``port``; transports of the same kind share them.
         ports: the numbers that there are.
         topic_ports: the numbers that a topic may name for itself.
+        ip_ports: the numbers are the machine's TCP or UDP ports, which other programs have, too.
         slow: it carries some 50 kB/s, so what may be lost should not queue for seconds.
         compression: of a topic that names none.
         multiplexed: the routes of a link share one stream per number, and the link's own stream is one of them. Else
@@ -33,6 +34,7 @@ class TransportTraits:
     port_kind: ClassVar[str] = "port"
     ports: ClassVar[Range] = PORT
     topic_ports: ClassVar[Range] = TOPIC_PORT
+    ip_ports: ClassVar[bool] = True
     slow: ClassVar[bool] = False
     compression: ClassVar[Compression] = "none"
     multiplexed: ClassVar[bool] = False
@@ -50,6 +52,7 @@ class RfcommTraits(TransportTraits):
     name = "bluetooth"
     port_kind = "RFCOMM channel"
     ports = topic_ports = CHANNEL
+    ip_ports = False
     slow = True
     compression = "zstd"
     multiplexed = True

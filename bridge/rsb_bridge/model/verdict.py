@@ -19,6 +19,8 @@ class Cause(StrEnum):
     REFUSED = "refused"
     LOOP = "loop"
     PAUSED = "paused"
+    DISARMED = "disarmed"
+    """It has to be armed by an operator before anything crosses."""
     NO_PATH = "no_path"
     """Its transport does not get through, though the link is up."""
     SUBSCRIBE_FAILED = "subscribe_failed"
@@ -28,6 +30,8 @@ class Cause(StrEnum):
     """The nodes on the topic do not have one type."""
     TYPE_UNKNOWN = "type_unknown"
     NO_PUBLISHER = "no_publisher"
+    SIMILAR_NAME = "similar_name"
+    """It has no publisher, and a topic with a similar name has one: which may be meant."""
     PUBLISHER_GONE = "publisher_gone"
     """It had publishers, and has none any more."""
     PUBLISHER_SILENT = "publisher_silent"
@@ -47,6 +51,24 @@ class Cause(StrEnum):
     """As `SILENT`, while no message is due."""
     THROTTLED = "throttled"
     """As many messages cross as an operator allows."""
+    OFFER_FAILED = "offer_failed"
+    """ROS refuses its server on the callers' side, or its client on the providing one."""
+    NO_SERVER = "no_server"
+    """Nobody provides the service on the providing side, and nobody has since the link is up."""
+    SERVER_GONE = "server_gone"
+    """Somebody did."""
+    NO_PARAMETERS = "no_parameters"
+    """The node is there, and serves no parameters, or only a part of what they take."""
+    SEVERAL_SERVERS = "several_servers"
+    """Several nodes provide it, each of which gets every call."""
+    SERVED_HERE = "served_here"
+    """A node on the callers' side provides it, too, so that it is not offered there."""
+    NO_CALL = "no_call"
+    """It can be called, and has not been yet."""
+    UNANSWERED = "unanswered"
+    """Calls have no answer in time."""
+    CALLS_REFUSED = "calls_refused"
+    """More is called than the link or an operator allows."""
 
 
 class LinkCause(StrEnum):
@@ -65,6 +87,8 @@ class LinkCause(StrEnum):
     UNKNOWN_NAME = "unknown_name"
     NAME_TAKEN = "name_taken"
     """Two machines have its name."""
+    SHUT_DOWN = "shut_down"
+    """An operator has shut it down on the server, which refuses the client until the link is restarted there."""
 
 
 def about(seconds: float) -> str:
@@ -76,7 +100,7 @@ def about(seconds: float) -> str:
     return f"{int(seconds / 60)} min" if seconds < 3600 else f"{int(seconds / 3600)} h"
 
 
-_DETAILS_UNKNOWN = frozenset({Cause.SILENT, Cause.NO_MESSAGE})
+_DETAILS_UNKNOWN = frozenset({Cause.SILENT, Cause.NO_MESSAGE, Cause.NO_CALL})
 """Causes that give way to what the other side knows."""
 
 

@@ -1,0 +1,134 @@
+"""The fields of a message as an operator writes and reads them: YAML, within bounds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from rsb_bridge.cdr.decoder import Items
+from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml, scalar
+from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
+from rsb_bridge.model.text import escape_text, is_clean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_bridge.cdr.decoder import Decoded, Value
+    from rsb_bridge.model.fields import Fields
+
+ITEMS = 1000
+"""Elements of an array that are written."""
+STEPS = 10_000
+"""Values of a message that are written."""
+_TEXT_LENGTH = 64 << 10
+"""Characters of all texts of a message that are written."""
+_NOTES = 10
+_WIDTH = 100
+_NOTHING_IN_IT = "structure_needs_at_least_one_member"
+"""What rosidl puts into a message without fields."""
+
+_NO_NUMBER = (".inf", "-.inf", ".nan")
+"""Unquoted: values of fields, which a session has none of."""
+_TAGS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map"))
+_NULL = "tag:yaml.org,2002:null"
+
+
+def read_fields(text: str) -> Fields:
+    """What an operator wrote. Empty, it is no field at all.
+
+    Raises:
+        FieldError: it is no YAML, or too much of it.
+    """
+    if len(text) > FIELDS_LENGTH or len(text.encode("utf-8", "replace")) > FIELDS_LENGTH:
+        raise FieldError(f"the text is too long: {FIELDS_LENGTH:,} bytes are taken")
+    try:
+        node = compose(text)
+    except YamlError as error:
+        where = f"line {error.line}: " if error.line and "\n" in text.strip() else ""
+        raise FieldError(f"{where}{error}") from None
+    return {} if node is None else _fields(node)
+
+
+def _fields(node: yaml.Node) -> Fields:
+    if node.tag not in _TAGS:
+        raise FieldError(f"line {node.start_mark.line + 1}: tags (!) are not taken: write the value without")
+    if isinstance(node, yaml.SequenceNode):
+        return [_fields(each) for each in node.value]
+    if not isinstance(node, yaml.MappingNode):
+        return None if node.tag == _NULL else str(node.value)
+    fields: dict[str, Fields] = {}
+    for key, value in node.value:
+        line = key.start_mark.line + 1
+        if not isinstance(key, yaml.ScalarNode):
+            raise FieldError(f"line {line}: what stands before the colon is no field's name")
+        if key.value in fields:
+            raise FieldError(f"line {line}: {escape_text(key.value)} stands there twice")
+        fields[key.value] = _fields(value)
+    return fields
+
+
+def write_fields(decoded: Decoded) -> str:
+    """A message as YAML: what is left out, and what could not be read, stands in comments at the end."""
+    writing = _Writing()
+    data = writing.plain(decoded.message, "")
+    text = dump_yaml(data, width=_WIDTH)
+    if not all(map(is_clean, text.split("\n"))):
+        text = dump_yaml(data, allow_unicode=False, width=_WIDTH)
+    return text + "".join(f"# {note}\n" for note in writing.notes(decoded.problem))
+
+
+def read_written(text: str) -> Any:
+    """What `write_fields` wrote, as plain data; the comments, which say what is left out, are not in it.
+
+    Raises:
+        FieldError: it is no YAML.
+    """
+    try:
+        node = compose(text)
+    except YamlError as error:
+        raise FieldError(str(error)) from None
+    return None if node is None else _written(node)
+
+
+def _written(node: yaml.Node) -> Any:
+    if isinstance(node, yaml.MappingNode):
+        return {str(key.value): _written(value) for key, value in node.value}
+    if isinstance(node, yaml.SequenceNode):
+        return [_written(each) for each in node.value]
+    if isinstance(node, yaml.ScalarNode) and node.style is None and node.value in _NO_NUMBER:
+        return float(node.value.replace(".", ""))
+    return scalar(node)
+
+
+class _Writing:
+    """Makes plain data of what was read, and notes what is left out of it."""
+
+    def __init__(self) -> None:
+        self._room = _TEXT_LENGTH
+        self._left_out: list[str] = []
+
+    def plain(self, value: Value, location: str) -> Any:
+        """A value as it is written; `location` is its own."""
+        if isinstance(value, dict):
+            before = f"{location}." if location else ""
+            return {name: self.plain(each, before + name) for name, each in value.items() if name != _NOTHING_IN_IT}
+        if isinstance(value, Items):
+            if len(value.shown) < value.total:
+                self._left_out.append(f"{location}: the first {len(value.shown):,} of {value.total:,} elements")
+            return [self.plain(each, f"{location}[{number}]") for number, each in enumerate(value.shown)]
+        if isinstance(value, str):
+            kept = value[: self._room]
+            self._room -= len(kept)
+            if len(kept) < len(value):
+                self._left_out.append(f"{location}: the first {len(kept):,} of {len(value):,} characters")
+            return kept
+        return value
+
+    def notes(self, problem: str) -> Iterator[str]:
+        """What is left out, and the problem that a message could not be read further for."""
+        yield from self._left_out[:_NOTES]
+        if (more := len(self._left_out) - _NOTES) > 0:
+            yield f"and parts of {more:,} more"
+        if problem:
+            yield f"not read further: {problem}"

@@ -1,0 +1,192 @@
+"""A session in the form of its file, where services, actions and parameters have lists and keys of their own.
+
+`rsb_bridge.model.session` has all of them as topics of another kind, so that whatever is done with a topic is done with
+them, too. `KEYS` says how the entries of each kind are written; both directions follow from it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+from msgspec.structs import FieldInfo, fields
+
+from rsb_bridge.model.session import Client, Direction, Kind, Provider, Session, Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+LISTS: Final[dict[Kind, str]] = {
+    "topic": "topics",
+    "service": "services",
+    "action": "actions",
+    "parameters": "parameters",
+}
+"""Where a session file lists each kind."""
+
+NAME_KEYS: Final[dict[str, str]] = {"topics": "topic", "services": "service", "actions": "action", "parameters": "node"}
+"""The key of an entry's name, by list."""
+
+NOUNS: Final[dict[str, str]] = {
+    "topics": "topic", "services": "service", "actions": "action", "parameters": "parameters of", "clients": "client",
+}  # fmt: skip
+"""What an entry is called, before its name, by list."""
+
+_OF_TOPICS = ("qos", "expected_rate", "stale_after")
+_OF_CALLS = ("kind", "timeout")
+_PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
+DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
+"""The direction of requests, by which side's node answers."""
+
+
+def _keys(name: str) -> dict[str, str]:
+    known = (field.name for field in fields(Topic) if field.name not in (*_OF_TOPICS, *_OF_CALLS))
+    renamed = {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}"}
+    keys = {renamed.get(field, field): field for field in known if not (name == "node" and field == "type")}
+    first = [name, "provider", *(["type"] if "type" in keys else [])]
+    return {key: keys[key] for key in first} | {"timeout": "timeout"} | keys
+
+
+KEYS: Final[dict[Kind, dict[str, str]]] = {
+    "topic": {field.name: field.name for field in fields(Topic) if field.name not in _OF_CALLS},
+    "service": _keys("service"),
+    "action": _keys("action"),
+    "parameters": _keys("node"),
+}
+"""The fields of `Topic` by the keys of an entry, in the order in which one is written."""
+
+_SIDE = "the side whose node answers"
+_NOT_OF_TOPICS = {
+    "kind": "not a key: what is no topic is listed under services, actions or parameters instead",
+    "timeout": "a topic has none: leave it out; what is called is listed under services or actions",
+    "provider": "a topic has a direction, transmit or receive; what is called is listed under services or actions",
+    **{key: f"not a topic: list it under {name}" for name, key in NAME_KEYS.items() if name != "topics"},
+}
+_NOT_OF_CALLS = {
+    "kind": "not a key: the list says it",
+    "qos": "calls have ROS's own QoS: leave it out",
+    "expected_rate": "nobody expects calls at a rate: leave it out",
+    "stale_after": "nobody expects calls all the time: leave it out; timeout says how long an answer may take",
+    "direction": f"write provider: client or provider: server, {_SIDE}",
+}
+
+
+def hints_of(kind: Kind) -> dict[str, str]:
+    """What to say of keys that entries of a kind do not have, and others have."""
+    if kind == "topic":
+        return _NOT_OF_TOPICS
+    name = NAME_KEYS[LISTS[kind]]
+    hints = _NOT_OF_CALLS | {
+        key: f"list this entry under {other}, or write {name}: /..." for other, key in NAME_KEYS.items() if key != name
+    }
+    hints |= {f"remote_{key}": f"write remote_{name}" for key in NAME_KEYS.values() if key != name}
+    return hints | ({"type": "parameters have types of ROS's own: leave it out"} if kind == "parameters" else {})
+
+
+def _entry(kind: Kind) -> type[msgspec.Struct]:
+    known = {field.name: field for field in fields(Topic)}
+    own = [
+        _field(key, Provider if key == "provider" else known[field].type, known[field])
+        for key, field in KEYS[kind].items()
+    ]
+    return _struct(kind.capitalize(), own, hints_of(kind))
+
+
+def _field(name: str, kind: Any, like: FieldInfo) -> Any:
+    return (name, kind) if like.required else (name, kind, like.default)
+
+
+def _struct(name: str, own: list[Any], hints: Mapping[str, str]) -> type[msgspec.Struct]:
+    return msgspec.defstruct(
+        name, own, frozen=True, forbid_unknown_fields=True, omit_defaults=True, namespace={"hints": hints}
+    )  # fmt: skip
+
+
+_ENTRIES: dict[Kind, type[msgspec.Struct]] = {kind: _entry(kind) for kind in LISTS}
+
+
+def _holder(model: type[msgspec.Struct], **others: Any) -> type[msgspec.Struct]:
+    """A session or a client with a list for each kind."""
+    own: list[Any] = []
+    for field in fields(model):
+        if field.name == "topics":
+            own += [(name, tuple[_ENTRIES[kind], ...], ()) for kind, name in LISTS.items()]  # type: ignore[valid-type]
+        else:
+            own.append(_field(field.name, others.get(field.name, field.type), field))
+    return _struct(model.__name__, own, {})
+
+
+_CLIENT = _holder(Client)
+SESSION_FILE = _holder(Session, clients=tuple[_CLIENT, ...])  # type: ignore[valid-type]
+"""`Session` with lists for each kind, here and in its clients."""
+
+
+def key_of(kind: Kind, field: str) -> str:
+    """The key by which an entry of a kind has a field of `Topic`; for one that it does not have, the field's name."""
+    return next((key for key, each in KEYS[kind].items() if each == field), field)
+
+
+def field_of(kind: Kind, key: str) -> str:
+    """The inverse of `key_of`."""
+    return KEYS[kind].get(key, key)
+
+
+def locations(topics: Sequence[Topic]) -> list[str]:
+    """Where the file lists each topic of a session or a client: ``services[2]``."""
+    counted = dict.fromkeys(LISTS, 0)
+    found = []
+    for topic in topics:
+        found.append(f"{LISTS[topic.kind]}[{counted[topic.kind]}]")
+        counted[topic.kind] += 1
+    return found
+
+
+def foreign(topic: Topic) -> dict[str, str]:
+    """What a topic has and its kind cannot have: fields of `Topic`, each with the remedy."""
+    own, hints = set(KEYS[topic.kind].values()) | {"kind"}, hints_of(topic.kind)
+    return {
+        field.name: hints.get(field.name, "leave it out")
+        for field in fields(Topic)
+        if field.name not in own and getattr(topic, field.name) != field.default
+    }
+
+
+def as_written(value: msgspec.Struct) -> msgspec.Struct:
+    """A session, a client or a topic as its file has it; any other struct as it is."""
+    if isinstance(value, Topic):
+        return _ENTRIES[value.kind](**{key: _written(value, key, field) for key, field in KEYS[value.kind].items()})
+    if not isinstance(value, Session | Client):
+        return value
+    model = SESSION_FILE if isinstance(value, Session) else _CLIENT
+    given = {name: getattr(value, name) for name in value.__struct_fields__ if name != "topics"}
+    given |= {
+        name: tuple(as_written(topic) for topic in value.topics if topic.kind == kind) for kind, name in LISTS.items()
+    }
+    if isinstance(value, Session):
+        given["clients"] = tuple(map(as_written, value.clients))
+    return model(**given)
+
+
+def _written(topic: Topic, key: str, field: str) -> Any:
+    value = getattr(topic, field)
+    return _PROVIDERS.get(value, value) if key == "provider" else value
+
+
+def as_session(written: msgspec.Struct) -> Session:
+    """The session that a file says, given as `SESSION_FILE`."""
+    given = _given(written)
+    return Session(**given | {"clients": tuple(Client(**_given(client)) for client in given["clients"])})
+
+
+def as_topic(kind: Kind, written: msgspec.Struct) -> Topic:
+    """The topic that an entry of a file says."""
+    given = {field: getattr(written, key) for key, field in KEYS[kind].items()}
+    return Topic(**given | {"direction": DIRECTIONS.get(given["direction"], given["direction"])}, kind=kind)
+
+
+def _given(written: msgspec.Struct) -> dict[str, Any]:
+    """The fields of a session or a client, with the entries of all lists in one."""
+    lists = LISTS.values()
+    given = {name: getattr(written, name) for name in written.__struct_fields__ if name not in lists}
+    topics = (as_topic(kind, entry) for kind, name in LISTS.items() for entry in getattr(written, name))
+    return given | {"topics": tuple(topics)}

@@ -1,0 +1,301 @@
+"""Services, actions and parameters in a session file: read, refused in words, and saved in lists of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.file_form import KEYS, as_topic, as_written
+from rsb_bridge.config.session_file import SessionError, dump, load, load_file, parse, same, save, validate
+from rsb_bridge.config.validation import validate_topic
+from rsb_bridge.model.limits import TOPIC_LENGTH
+from rsb_bridge.model.session import Client, Session, Topic
+from rsb_console.session.draft import problems_of
+from rsb_console.session.saving import unsaved
+
+FILE = Path("robot1.yaml")
+DOCS = Path(__file__).parents[2] / "docs"
+CLIENT = "name: robot1\nrole: client\nserver_ip: 192.168.1.10\nserver_port: 49152\nkey_file: key.txt\n"
+SERVER = "name: control\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 49152\nkey_file: key.txt\n"
+BLUETOOTH = CLIENT.replace("192.168.1.10", "5C:F3:70:9A:1B:2E").replace("49152", "5")
+DOCK = "services:\n  - {service: /d, provider: client}\n"
+EVERY_KIND = """\
+topics:
+  - {topic: /scan, direction: transmit}
+# what the control room calls
+services:
+  - {service: /map_server/load_map, provider: client, timeout: 5.0}   # slow
+  - service: /dock
+    provider: server   # its own
+    type: std_srvs/srv/Trigger
+actions:
+  - {action: /navigate_to_pose, provider: client, arm: true, deadman: 30}
+parameters:
+  - {node: /controller_server, provider: client, remote_node: /robot/controller}
+"""
+
+
+def service(fields: str, base: str = CLIENT) -> str:
+    return f"{base}services:\n  - {{service: /dock, provider: server, {fields}}}\n"
+
+
+def entry(name: str, fields: str) -> str:
+    return f"{CLIENT}{name}:\n  - {fields}\n"
+
+
+def refusals(text: str) -> list[str]:
+    with pytest.raises(SessionError) as caught:
+        parse(text, FILE)
+    return str(caught.value).splitlines()
+
+
+def test_a_session_lists_what_is_called_beside_its_topics() -> None:
+    assert parse(CLIENT + EVERY_KIND, FILE).topics == (
+        Topic("/scan", "transmit"),
+        Topic("/map_server/load_map", "receive", kind="service", timeout=5.0),
+        Topic("/dock", "transmit", type="std_srvs/srv/Trigger", kind="service"),
+        Topic("/navigate_to_pose", "receive", kind="action", arm=True, deadman=30.0),
+        Topic("/controller_server", "receive", kind="parameters", remote_topic="/robot/controller"),
+    )
+
+
+def test_what_the_documents_show_is_right() -> None:
+    shown = [
+        block.partition("```")[0]
+        for name in ("services", "sessions")
+        for block in (DOCS / f"{name}.md").read_text().split("```yaml\n")[1:]
+    ]
+    sessions = [parse((SERVER if block.startswith("clients") else CLIENT) + block, FILE) for block in shown]
+    kinds = {topic.kind for session in sessions for topic in session.topics}
+    assert kinds == {"topic", "service", "action", "parameters"}
+    assert any(session.clients for session in sessions)
+
+
+def test_a_server_lists_it_under_its_clients() -> None:
+    listed = EVERY_KIND.replace("\n", "\n    ").rstrip(" ")
+    (client,) = parse(f"{SERVER}clients:\n  - name: robot1\n    {listed}", FILE).clients
+    assert client.topics == parse(CLIENT + EVERY_KIND, FILE).topics
+
+
+def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
+    session = parse(CLIENT + EVERY_KIND, FILE)
+    mixed = replace(session, topics=session.topics[::-1])
+    for each in (session, mixed):
+        text = dump(each)
+        assert [line for line in text.splitlines() if line.endswith(":")] == [
+            "topics:", "services:", "actions:", "parameters:"
+        ]  # fmt: skip
+        assert same(parse(text, FILE), session)
+        assert not validate(each)
+    server = Session(
+        name="pc", role="server", server_ip="::", server_port=7060, key_file="k",
+        clients=(Client("robot1", topics=session.topics), Client("robot2")),
+    )  # fmt: skip
+    assert parse(dump(server), FILE) == server
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (service("kind: service"), 7, "service /dock, kind: not a key: the list says it"),
+        (service("qos: 5"), 7, "service /dock, qos: calls have ROS's own QoS: leave it out"),
+        (service("expected_rate: 5"), 7, "service /dock, expected_rate: nobody expects calls at a rate: leave it out"),
+        (service("stale_after: 5"), 7, "service /dock, stale_after: nobody expects calls all the time: leave it out"),
+        (service("direction: transmit"), 7, "direction: write provider: client or provider: server, the side whose"),
+        (service("remote_topic: /d"), 7, "service /dock, remote_topic: write remote_service"),
+        (service("time_out: 1"), 7, "service /dock, time_out: unknown key (did you mean timeout?)"),
+        (service("timeout: 0"), 7, "service /dock, timeout: 0.0 is out of range: 0.1 to 86400 s, or leave it out"),
+        (service("timeout: 90000"), 7, "service /dock, timeout: 90000.0 is out of range"),
+        (service("timeout: nan"), 7, "service /dock, timeout: 'nan' is not a number"),
+        (service("protocol: udp"), 7, "service /dock, protocol: udp loses datagrams, and a call has to arrive whole"),
+        (service("protocol: udp", BLUETOOTH), 7, "service /dock, protocol: udp loses datagrams"),
+        (service("protocol: tcp", BLUETOOTH), 7, "service /dock, protocol: tcp does not cross a Bluetooth link"),
+        (service("protocol: bluetooth"), 7, "service /dock, protocol: bluetooth needs the MAC"),
+        (service("port: 0"), 7, "service /dock, port: 0 is not a valid port"),
+        (service("max_rate: 0"), 7, "service /dock, max_rate: 0.0 is out of range"),
+        (service("deadman: 5"), 7, "service /dock, deadman: only a service that is armed has one: set arm: true"),
+        (service("type: std_srvs/Trigger"), 7, "write package/srv/Name, or leave it out (did you mean std_srvs/"),
+        (service("type: std_srvs/msg/Trigger"), 7, "(did you mean std_srvs/srv/Trigger?)"),
+        (service("type: Trigger"), 7, "'Trigger' is no type of a service: write package/srv/Name, or leave it out"),
+        (service(f"type: a/srv/{'B' * 300}"), 7, "characters: that is too long"),
+        (service("remote_service: dock"), 7, "remote_service: 'dock' is not an absolute service name"),
+        (service("remote_service: /_rsb_bridge/x"), 7, "remote_service: '/_rsb_bridge/x' is the bridge's own"),
+        (service("remote_service: /a/_action/send_goal"), 7, "belongs to the action /a: list that under actions"),
+        (entry("services", "{service: /d}"), 7, "provider: missing: give one of client, server (the side whose"),
+        (entry("services", "{service: /d, provider: robot}"), 7, "provider: 'robot' is not one of client, serv"),
+        (entry("services", "{provider: client}"), 7, "service 1, service: missing: give text"),
+        (entry("services", "/d"), 7, "service 1: '/d' is not a mapping of service, provider"),
+        (CLIENT + "services: /d\n", 6, "services: '/d' is not a list"),
+        (CLIENT + "service: []\n", 6, "service: unknown key (did you mean services?)"),
+        (entry("services", "{service: /a/_action/get_result, provider: client}"), 7, "the action /a: list that"),
+        (entry("services", "{service: /_rsb_bridge/published, provider: client}"), 7, "the bridge's own"),
+        (entry("services", "{topic: /d, provider: client, service: /d}"), 7, "topic: list this entry under topics, or"),
+        (entry("actions", "{action: /a, provider: client, type: p/srv/A}"), 7, "type: 'p/srv/A' is the type of a"),
+        (service("type: p/action/A"), 7, "is the type of an action: list this"),
+        (entry("services", "{service: /d/*, provider: client}"), 7, "'/d/*' is a pattern"),
+        (entry("parameters", "{node: n, provider: client}"), 7, "parameters of n, node: 'n' is not an abs"),
+        (entry("parameters", "{node: /n, provider: client, type: x}"), 7, "parameters of /n, type: parameters h"),
+        (entry("topics", "{topic: /a, direction: transmit, kind: service}"), 7, "topic /a, kind: not a key: what"),
+        (entry("topics", "{topic: /a, direction: transmit, timeout: 3}"), 7, "topic /a, timeout: a topic has"),
+        (entry("topics", "{topic: /a, direction: transmit, provider: client}"), 7, "a topic has a direction"),
+        (entry("topics", "{topic: /a, direction: transmit, node: /n}"), 7, "not a topic: list it under param"),
+        (SERVER + "services:\n  - {service: /d, provider: client}\n", 2, "role: a server has no services of its own"),
+        (
+            SERVER + "clients:\n  - name: a\n    services:\n      - {service: /d, provider: client, timeout: -1}\n",
+            9,
+            "client a, service /d, timeout: -1.0 is out of range",
+        ),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_its_line_and_what_would_be_right(text: str, line: int, words: str) -> None:
+    (refusal,) = refusals(text)
+    assert refusal.startswith(f"robot1.yaml:{line}: ")
+    assert words in refusal
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        (DOCK + "  - {service: /d, provider: client}", "there already, as number 1"),
+        (DOCK + "  - {service: /d, provider: server}", "only one side's node"),
+        (
+            "services: [{service: /n/set_parameters, provider: client}]\nparameters: [{node: /n, provider: client}]",
+            "/n/set_parameters is bridged already, with service /n/set_parameters",
+        ),
+    ],
+)  # fmt: skip
+def test_a_service_is_listed_once(entries: str, words: str) -> None:
+    (refusal,) = refusals(f"{CLIENT}{entries}\n")
+    assert words in refusal
+
+
+def test_a_topic_a_service_and_an_action_may_have_one_name() -> None:
+    lists = "topics: [{topic: /d, direction: transmit}]\nservices: [{service: /d, provider: client}]\n"
+    lists += "actions: [{action: /d, provider: client}]\nparameters: [{node: /d, provider: client}]\n"
+    assert len({topic.identity for topic in parse(CLIENT + lists, FILE).topics}) == 4
+
+
+def test_names_leave_room_for_what_belongs_to_them() -> None:
+    longest = f"/{'n' * (TOPIC_LENGTH - len('/_action/cancel_goal') - 1)}"
+    assert validate_topic(Topic(longest, "transmit", kind="action")) == []
+    for topic, client in ((Topic(f"{longest}n", "transmit", kind="action"), None),
+                          (Topic(longest, "transmit", kind="action"), "robot1")):  # fmt: skip
+        assert [problem.location for problem in validate_topic(topic, client=client)] == ["action"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("qos", 5), ("expected_rate", 1.0), ("stale_after", 3.0)]
+)  # fmt: skip
+def test_what_a_file_cannot_say_is_refused_where_a_session_is_made_otherwise(field: str, value: Any) -> None:
+    """By a peer's proposal, or a program at the control socket."""
+    topic = Topic("/d", "transmit", kind="service", **{field: value})
+    assert [problem.location for problem in validate_topic(topic)] == [field]
+    session = replace(parse(CLIENT, FILE), topics=(Topic("/a", "transmit"), topic))
+    assert [problem.location for problem in validate(session)] == [f"services[0].{field}"]
+    timed = replace(session, topics=(Topic("/a", "transmit", timeout=3.0),))
+    assert [problem.location for problem in validate(timed)] == ["topics[0].timeout"]
+
+
+@pytest.mark.parametrize(
+    ("change", "before", "after"),
+    [
+        (lambda topics: topics, "", ""),
+        (
+            lambda topics: (topics[0], replace(topics[1], timeout=9.0), *topics[2:]),
+            "timeout: 5.0}   # slow",
+            "timeout: 9.0}   # slow",
+        ),
+        (
+            lambda topics: (*topics[:2], *topics[3:]),
+            "  - service: /dock\n    provider: server   # its own\n    type: std_srvs/srv/Trigger\n",
+            "",
+        ),
+        (
+            lambda topics: (*topics, Topic("/undock", "receive", kind="action")),
+            "arm: true, deadman: 30}\n",
+            "arm: true, deadman: 30}\n  - {action: /undock, provider: client}\n",
+        ),
+        (
+            lambda topics: (Topic("/b", "receive", kind="service"), *topics),
+            "    type: std_srvs/srv/Trigger\n",
+            "    type: std_srvs/srv/Trigger\n  - service: /b\n    provider: client\n",
+        ),
+    ],
+    ids=["nothing", "edited", "removed", "added", "added first"],
+)  # fmt: skip
+def test_a_save_changes_only_what_changed(change: Any, before: str, after: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(CLIENT + EVERY_KIND)
+    opened = load_file(path)
+    session = replace(opened.session, topics=change(opened.session.topics))
+    save(session, path, opened)
+    assert path.read_text() == (CLIENT + EVERY_KIND).replace(before, after)
+    assert same(load(path), session)
+
+
+def test_the_first_service_of_a_file_begins_a_list(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    path.write_text(f"{CLIENT}topics:\n  - {{topic: /scan, direction: transmit}}  # laser\n# the end\n")
+    opened = load_file(path)
+    save(replace(opened.session, topics=(*opened.session.topics, Topic("/d", "receive", kind="service"))), path, opened)
+    assert path.read_text().endswith(
+        "  - {topic: /scan, direction: transmit}  # laser\nservices:\n  - {service: /d, provider: client}\n# the end\n"
+    )
+
+
+calls = st.builds(
+    Topic,
+    topic=st.sampled_from(["/a", "/b", "/c/d"]), direction=st.sampled_from(["transmit", "receive"]),
+    kind=st.sampled_from(["topic", "service", "action", "parameters"]), protocol=st.sampled_from([None, "tcp"]),
+    remote_topic=st.sampled_from([None, "/e"]), max_rate=st.none() | st.floats(0.5, 99), paused=st.booleans(),
+    arm=st.booleans(),
+)  # fmt: skip
+several = st.lists(calls, max_size=6, unique_by=lambda topic: (topic.kind, topic.topic)).map(tuple)
+
+
+@given(old=several, new=several)
+def test_a_save_of_any_kinds_is_a_merge(old: tuple[Topic, ...], new: tuple[Topic, ...]) -> None:
+    from rsb_bridge.config.merge import merge
+    from rsb_bridge.config.yaml_text import read_yaml
+
+    session = replace(parse(CLIENT, FILE), topics=old)
+    text = f"# first\n{dump(session)}# last\n"
+    now = replace(session, topics=new)
+    result = merge(text, read_yaml(text, FILE).root, parse(text, FILE), now)
+    assert same(parse(result, FILE), now)
+    assert result.startswith("# first\n")
+    assert "# last\n" in result
+    if same(session, now):
+        assert result == text
+
+
+@given(topic=calls)
+def test_an_entry_says_all_of_a_topic(topic: Topic) -> None:
+    written = as_written(topic)
+    assert as_topic(topic.kind, written) == topic
+    assert set(written.__struct_fields__) == set(KEYS[topic.kind])
+
+
+def test_differences_are_told_in_the_words_of_the_file() -> None:
+    old = Topic("/dock", "transmit", kind="service")
+    new = replace(old, remote_topic="/robot/dock", timeout=5.0)
+    assert changes(old, new) == ["timeout none → 5.0", "remote_service none → /robot/dock"]
+    assert described(new) == "{service: /dock, provider: server, timeout: 5.0, remote_service: /robot/dock}"
+    session = parse(CLIENT, FILE)
+    assert unsaved(session, replace(session, topics=(Topic("/dock", "transmit"), new))) == "added /dock, /dock"
+
+
+def test_a_form_is_told_of_mistakes_by_the_fields_of_a_topic() -> None:
+    session = parse(CLIENT + EVERY_KIND, FILE)
+    new = Topic("dock", "transmit", remote_topic="x", kind="service", timeout=0.0)
+    assert set(problems_of(new, session, None)) == {"topic", "remote_topic", "timeout"}
+    assert set(problems_of(Topic("/dock", "transmit", kind="service"), session, None)) == {"topic"}
+    part = Topic("/controller_server/get_parameters", "receive", kind="service")
+    assert set(problems_of(part, session, None)) == {"topic"}
+    assert problems_of(Topic("/undock", "transmit", kind="service"), session, None) == {}

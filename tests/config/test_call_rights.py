@@ -1,0 +1,254 @@
+"""Who may call what, and provide what: `services` entries of `allow` and `deny`, on a server and on a client."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rsb_bridge.config.advice import advise
+from rsb_bridge.config.grants import typed_grants
+from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server
+from rsb_bridge.config.rights_table import listings
+from rsb_bridge.config.session_file import SessionError, dump, parse
+from rsb_bridge.link.authorizing import use_of
+from rsb_bridge.model.session import Client, Grant, Session, Topic
+from rsb_bridge.wire.messages import Propose
+
+CLIENT: dict[str, Any] = {
+    "name": "robot1", "role": "client", "server_ip": "10.0.0.1", "server_port": 7060, "key_file": "k"
+}  # fmt: skip
+SERVER: dict[str, Any] = CLIENT | {"name": "pc", "role": "server"}
+DOCK = Topic("/dock", "receive", kind="service")  # the robot's own node docks it
+MAP = Topic("/get_map", "transmit", kind="service")
+NAVIGATE = Topic("/navigate", "receive", kind="action")
+CALL, SERVE = Grant(services="/dock", may="call"), Grant(services="/dock", may="serve")
+
+
+def call(name: str, kind: Any = "service", protocol: str = "tcp") -> Use:
+    return Use(name, "call", protocol, kind)
+
+
+def serve(name: str, kind: Any = "service", protocol: str = "tcp") -> Use:
+    return Use(name, "serve", protocol, kind)
+
+
+@pytest.mark.parametrize(
+    ("client", "use", "may"),
+    [
+        ({}, call("/dock"), True),
+        ({}, serve("/dock"), True),
+        ({"allow": ("/*",)}, call("/dock"), False),
+        ({"allow": ("/*",)}, serve("/dock"), False),
+        ({"allow": ("/*", CALL)}, call("/dock"), True),
+        ({"allow": ("/*", CALL)}, serve("/dock"), False),
+        ({"allow": ("/*", CALL)}, call("/undock"), False),
+        ({"allow": (CALL,)}, Use("/dock", "read", "tcp"), False),
+        ({"allow": (CALL,)}, call("/robot1/dock"), True),
+        ({"allow": (Grant(services="/nav/*"),)}, call("/nav/to_pose", "action"), True),
+        ({"allow": (Grant(services="/n"),)}, call("/n", "parameters"), True),
+        ({"allow": (Grant(services="/n"),)}, call("/n/set_parameters"), False),
+        ({"allow": (Grant(services="/n/get_parameters"),)}, call("/n", "parameters"), False),
+        ({"allow": (Grant(services="/dock", protocol="tcp"),)}, call("/dock", protocol="bluetooth"), False),
+        ({"deny": ("/dock",)}, call("/dock"), False),
+        ({"deny": ("/dock",)}, Use("/dock", "read", "tcp"), False),
+        ({"deny": (Grant("/dock"),)}, call("/dock"), True),
+        ({"deny": (SERVE,)}, call("/dock"), True),
+        ({"deny": (SERVE,)}, Use("/dock", "read", "tcp"), True),
+        ({"deny": (Grant(services="/dock", protocol="bluetooth"),)}, call("/dock"), True),
+    ],
+)
+def test_what_a_client_may_call_and_serve_on_a_server(client: dict[str, Any], use: Use, may: bool) -> None:
+    assert (rights_of_client(Client("robot1", **client), "pc").refusal(use) is None) is may
+
+
+@pytest.mark.parametrize(
+    ("session", "use", "may"),
+    [
+        ({}, call("/dock"), False),
+        ({}, serve("/dock"), False),
+        ({"topics": (DOCK,)}, call("/dock"), True),
+        ({"topics": (DOCK,)}, serve("/dock"), False),
+        ({"topics": (DOCK,)}, call("/dock", "action"), False),
+        ({"topics": (DOCK,)}, Use("/dock", "publish", "tcp"), False),
+        ({"topics": (MAP,)}, serve("/get_map"), True),
+        ({"topics": (MAP,)}, call("/get_map"), False),
+        ({"topics": (DOCK,), "deny": ("/dock",)}, call("/dock"), False),
+        ({"topics": (DOCK,), "allow": ("/*",)}, call("/dock"), True),
+        ({"allow": ("/*",)}, call("/dock"), False),
+        ({"allow": (CALL,)}, call("/dock"), True),
+        ({"allow": (CALL,)}, serve("/dock"), False),
+    ],
+)
+def test_what_a_server_may_call_and_serve_on_a_client(session: dict[str, Any], use: Use, may: bool) -> None:
+    assert (rights_of_server(Session(**CLIENT, **session)).refusal(use) is None) is may
+
+
+@pytest.mark.parametrize(
+    ("denied", "use"),
+    [
+        ("/n/set_parameters", call("/n", "parameters")),
+        ("*/set_parameters*", call("/n", "parameters")),
+        ("/n", call("/n/set_parameters_atomically")),
+        ("/navigate/_action/send_goal", call("/navigate", "action")),
+    ],
+)
+def test_who_is_denied_a_part_has_no_way_around_by_the_whole(denied: str, use: Use) -> None:
+    for rights in (
+        rights_of_client(Client("robot1", deny=(denied,)), "pc"),
+        rights_of_server(
+            Session(**CLIENT, deny=(Grant(services=denied),), topics=(Topic(use.topic, "receive", kind=use.kind),))
+        ),
+    ):
+        refusal = rights.refusal(use)
+        assert refusal is not None
+        assert denied in refusal.remedy
+
+
+@pytest.mark.parametrize(
+    ("rights", "use", "words"),
+    [
+        (
+            rights_of_server(Session(**CLIENT)), call("/navigate", "action"),
+            "let the server call action /navigate: list it under actions in the session file of robot1, with provider:",
+        ),
+        (
+            rights_of_server(Session(**CLIENT, allow=("/a",))), serve("/n", "parameters"),
+            "under parameters in the session file of robot1, with provider: server, or add {services: /n, may: serve}",
+        ),
+        (
+            rights_of_client(Client("robot1", allow=("/dock",)), "pc"), call("/dock"),
+            "let robot1 call service /dock: add {services: /dock, may: call} to allow of client robot1 in the session",
+        ),
+        (
+            rights_of_client(Client("robot1", deny=("/d*",)), "pc"), call("/dock"),
+            "the server denies service /dock to robot1: deny of client robot1 in the session file of pc has /d*",
+        ),
+        (
+            rights_of_client(Client("robot1", deny=(CALL,)), "pc"), call("/dock"),
+            "deny of client robot1 in the session file of pc has {services: /dock, may: call}",
+        ),
+    ],
+)  # fmt: skip
+def test_a_refusal_names_what_would_allow_it(rights: Rights, use: Use, words: str) -> None:
+    assert words in str(rights.refusal(use))
+
+
+def test_calls_have_a_rate_of_their_own() -> None:
+    rights = rights_of_client(
+        Client("robot1", allow=("/*", Grant("/dock", max_rate=1.0), Grant(services="/dock", max_rate=5.0))), "pc"
+    )
+    assert rights.max_rate(call("/dock")) == 5.0
+    assert rights.max_rate(Use("/dock", "publish")) == 1.0
+
+
+def test_names_that_nothing_may_be_done_with_are_not_shown() -> None:
+    rights = rights_of_server(Session(**CLIENT, topics=(DOCK, NAVIGATE), deny=("/navigate",)))
+    assert rights.shows("/dock", "service")
+    assert not rights.shows("/dock", "action")
+    assert not rights.shows("/navigate", "action")
+    assert not rights.shows("/other", "service")
+    assert rights.shows("/other")
+
+
+@pytest.mark.parametrize(
+    ("from_client", "is_client", "use"),
+    [
+        (True, False, Use("/far", "call", "tcp", "service")),
+        (False, True, Use("/far", "call", "tcp", "service")),
+        (True, True, Use("/near", "serve", "tcp", "service")),
+        (False, False, Use("/near", "serve", "tcp", "service")),
+    ],
+)
+def test_whose_nodes_call_decides_what_a_proposal_asks_for(from_client: bool, is_client: bool, use: Use) -> None:
+    """`Propose.topic` is the name on the callers' side."""
+    proposal = Propose(
+        route=1, topic="/near", remote_topic="/far", from_client=from_client, transport="tcp", kind="service", type="",
+        compression="none", qos=None, port=0, max_rate=0.0, expected_rate=0.0, stale_after=None,
+    )  # fmt: skip
+    assert use_of(proposal, is_client=is_client) == use
+
+
+def test_grants_are_read_typed_and_written() -> None:
+    text = (
+        "name: robot1\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n"
+        "allow: [/camera/*, {services: /dock, may: call, max_rate: 10.0}]\ndeny: [{services: /tf2/*}]\n"
+    )
+    session = parse(text, Path("robot1.yaml"))
+    dock = Grant(services="/dock", may="call", max_rate=10.0)
+    assert session.allow == ("/camera/*", dock)
+    assert session.deny == (Grant(services="/tf2/*"),)
+    assert "{services: /dock, may: call, max_rate: 10.0}" in dump(session)
+    assert parse(dump(session), Path("again.yaml")) == session
+    assert typed_grants("{services: /dock, may: call, max_rate: 10}") == (dock,)
+
+
+@pytest.mark.parametrize(
+    ("entry", "location", "words"),
+    [
+        ("allow: [{services: dock}]", "allow[0].services", "matches no service: a pattern begins with / or *"),
+        ("allow: [{services: /dock/}]", "allow[0].services", "matches no service"),
+        ("allow: [{services: /a, topics: /a}]", "allow[0].services", "make an entry of each"),
+        ("allow: [{may: call}]", "allow[0].topics", "give a pattern as topics, or as services"),
+        ("allow: [{services: /a, may: read}]", "allow[0].may", "read is for topics: a service takes call or serve"),
+        ("allow: [{topics: /a, may: serve}]", "allow[0].may", "serve is for services: a topic takes publish or read"),
+        ("allow: [{services: /a, protocol: udp}]", "allow[0].protocol", "udp carries no calls"),
+        ("allow: [{services: /a, protocol: [tcp, udp]}]", "allow[0].protocol", "udp carries no calls"),
+        ("deny: [{services: /a, max_rate: 5}]", "deny[0].max_rate", "belongs under allow"),
+        ("allow: [{service: /a}]", "allow[0].service", "did you mean services?"),
+    ],
+)
+def test_a_mistake_has_its_place_and_remedy(entry: str, location: str, words: str) -> None:
+    text = f"name: r\nrole: client\nserver_ip: 10.0.0.1\nserver_port: 7060\nkey_file: k\n{entry}\n"
+    with pytest.raises(SessionError) as raised:
+        parse(text, Path("robot1.yaml"))
+    problem = raised.value.problems[0]
+    assert (problem.location, problem.line) == (location, 6)
+    assert words in problem.message
+
+
+def test_the_table_says_what_may_be_called_and_what_of_it_changes_a_robot() -> None:
+    clients = (
+        Client("open"),
+        Client("named", use_name=True),
+        Client("viewer", allow=("/*",)),
+        Client("reader", allow=(Grant(services="*/get_parameters", may="call"), Grant(services="/dock", may="serve"))),
+        Client("driver", allow=(CALL, Grant(services="/n/*"), Grant(services="/x/get_state")), deny=("/n/*",)),
+        Client("shut", deny=("*",)),
+    )
+    found = {each.peer: each for each in listings(Session(**SERVER, clients=clients))}
+    calls = {peer: [row[1:5] for row in each.rows if row.may[0] in "cs"] for peer, each in found.items()}
+    assert calls["open"] == [("call, serve", "all", "tcp", "any")]
+    assert calls["named"] == [("call, serve", "/named/*", "tcp", "any")]
+    assert calls["viewer"] == [("call, serve", "nothing", "-", "-")]
+    assert calls["reader"] == [("call", "*/get_parameters", "tcp", "any"), ("serve", "/dock", "tcp", "any")]
+    assert calls["driver"] == [
+        ("call", "/dock, /n/* and /x/get_state, not /n/*", "tcp", "any"),
+        ("serve", "/n/* and /x/get_state, not /n/*", "tcp", "any"),
+    ]
+    assert {peer: each.acts for peer, each in found.items()} == {
+        "open": ("any service, action and parameter",),
+        "named": (), "viewer": (), "reader": (), "shut": (),
+        "driver": ("/dock",),
+    }  # fmt: skip
+
+
+def test_on_a_client_the_table_says_what_its_lists_let_the_server_do() -> None:
+    state = Topic("/n/get_state", "receive", kind="service")
+    (found,) = listings(Session(**CLIENT, topics=(DOCK, MAP, NAVIGATE, state)))
+    rows = {row.may: row.topics for row in found.rows}
+    assert rows["call"] == "/dock, /n/get_state and /navigate (action)"
+    assert rows["serve"] == "/get_map"
+    assert rows["publish"] == "nothing"
+    assert set(found.acts) == {"/dock", "/navigate (action)"}
+
+
+def test_what_allow_and_deny_would_refuse_and_crosses_all_the_same_is_warned_of() -> None:
+    session = Session(**CLIENT, topics=(DOCK, MAP, Topic("/a", "transmit")), deny=("/dock",), domain_id=3)
+    (problem,) = [each for each in advise(session, None) if "allow and deny" in each.message]
+    assert problem.location == "services[0]"
+    assert problem.place == "service /dock"
+    server = Session(**SERVER, clients=(Client("robot1", allow=("/a",), topics=(DOCK,)),), domain_id=3)
+    (problem,) = [each for each in advise(server, None) if "allow and deny" in each.message]
+    assert (problem.location, problem.place) == ("clients[0].services[0]", "service /dock")
