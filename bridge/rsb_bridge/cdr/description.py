@@ -12,6 +12,8 @@ from typing import Annotated, TypeAlias
 import msgspec
 from msgspec import Meta
 
+from rsb_bridge.model.text import sanitize_text
+
 HASH_PREFIX = "RIHS01_"
 DESCRIPTION_LIMIT = 64 << 10
 """Bytes of a description; the longest of the common interfaces has 10 kB."""
@@ -94,4 +96,4 @@ def read_description(text: str, type_hash: str) -> TypeDescription:
             raise DescriptionError("the description has another hash than the type")
         return _decoder.decode(text)
     except (msgspec.DecodeError, UnicodeEncodeError, RecursionError) as error:
-        raise DescriptionError(f"the description is invalid: {error}") from None
+        raise DescriptionError(sanitize_text(f"the description is invalid: {error}")) from None
