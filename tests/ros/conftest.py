@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,10 @@ import pytest
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
 from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 
+from rsb_bridge.ros import service_types
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
@@ -51,6 +54,15 @@ def open_node() -> Iterator[Callable[..., RosNode]]:
         node.stop()
 
 
+@pytest.fixture(params=["raw", "typed"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """How calls of installed types are carried: as here, or as with another middleware; none comes as a wheel."""
+    name: str = request.param
+    if name == "typed":
+        monkeypatch.setattr(service_types, "why_not_raw", lambda: "this is another middleware")
+    return name
+
+
 @pytest.fixture
 def rclpy_node() -> Iterator[Node]:
     """A stock rclpy node, as a robot's own programs are."""
@@ -58,6 +70,26 @@ def rclpy_node() -> Iterator[Node]:
     context.init([], domain_id=DOMAIN)
     node = Node("stock", context=context, enable_rosout=False, use_global_arguments=False)
     yield node
+    node.destroy_node()
+    context.shutdown()
+    context.destroy()
+
+
+@pytest.fixture
+def stock() -> Iterator[Node]:
+    """A stock rclpy node that is spun."""
+    context = Context()
+    context.init([], domain_id=DOMAIN)
+    node = Node(
+        "stock", context=context, enable_rosout=False, use_global_arguments=False, start_parameter_services=False
+    )
+    executor = MultiThreadedExecutor(4, context=context)
+    executor.add_node(node)
+    spinning = threading.Thread(target=executor.spin)
+    spinning.start()
+    yield node
+    executor.shutdown()
+    spinning.join(60)
     node.destroy_node()
     context.shutdown()
     context.destroy()

@@ -12,8 +12,9 @@ from tests.support.offline import NoRos, loop
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
-from rsb_bridge.ros.announcements import LONGEST, Announcements, Origin
+from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.own_announcement import LONGEST, Origin
 from rsb_bridge.ros.std_string import serialize_string, string_bytes
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class Publisher:
 
     gid = b"announcer"
     subscriber_count = 0
+    acknowledged = True
 
     def __init__(self, loop: VirtualLoop) -> None:
         self.published: list[tuple[float, bytes]] = []

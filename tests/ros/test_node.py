@@ -391,7 +391,7 @@ def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a publisher that was there before, nobody knows which messages the subscription should have had."""
-    monkeypatch.setattr("rsb_bridge.ros.rcl._DISCOVERED_WITHIN", -1.0)
+    monkeypatch.setattr("rsb_bridge.ros.topic_endpoints._DISCOVERED_WITHIN", -1.0)
     node, other = open_node(), open_node(name="other")
     before = other.advertise("/fast", STRING, "", DEEP, "link")
     for _ in range(50):
@@ -416,7 +416,7 @@ def test_what_dds_drops_of_a_newcomer_is_counted_from_its_first_message(
 def test_a_history_that_begins_late_is_no_loss(
     open_node: Callable[..., RosNode], eventually: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rsb_bridge.ros.rcl._DISCOVERED_WITHIN", -1.0)
+    monkeypatch.setattr("rsb_bridge.ros.topic_endpoints._DISCOVERED_WITHIN", -1.0)
     node, other = open_node(), open_node(name="other")
     received = Received()
     latched = Qos(durability="transient_local", history="keep_all")
@@ -433,3 +433,14 @@ def test_closed_publishers_are_forgotten_in_time(open_node: Callable[..., RosNod
     for number in range(1100):
         node.advertise(f"/closed_{number % 7}", STRING, "", Qos(), "link").close()
     assert sum(len(gids) for gids in node._own.values()) == 1000
+
+
+def test_topics_that_are_not_subscribed_to_any_more_are_forgotten(open_node: Callable[..., RosNode]) -> None:
+    node = open_node()
+    for number in range(20):
+        node.subscribe(f"/gone{number}", STRING, "", Qos(), print, "link").close()
+    publisher = node.advertise("/stays", STRING, "", Qos(), "link")
+    subscriptions = [node.subscribe("/stays", STRING, "", Qos(), print, "link") for _ in range(2)]
+    for each in subscriptions:
+        each.close()
+    assert dict(node._own) == {("/stays", "link"): {publisher.gid}}

@@ -1,4 +1,4 @@
-"""What the bridges of a domain tell each other: what each publishes there, and by which bridges that came.
+"""What the bridges of a domain tell each other: what each publishes and offers there, and by which bridges that came.
 
 Each keeps one latched message on a topic of its own (PROTOCOL.md, 4). What others say there may be anything: it is
 bounded in size, number and rate, and what does not read is left unheeded.
@@ -9,34 +9,30 @@ from __future__ import annotations
 import contextlib
 import re
 import threading
-from collections import Counter, OrderedDict, defaultdict
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from collections import OrderedDict
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
-from msgspec import Meta
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES, Via
+from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC, MOST_BRIDGES
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.ros.api import Endpoint, RosError
 from rsb_bridge.ros.lasting_subscription import LastingSubscription
+from rsb_bridge.ros.own_announcement import LONGEST, Announcement, Origin, OwnAnnouncement
 from rsb_bridge.ros.std_string import STRING, STRING_HASH, serialize_string, string_bytes
-from rsb_bridge.wire.fields import Hops, Name  # noqa: TC001 - msgspec resolves the annotations at run time
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Hashable, Sequence
 
+    from rsb_bridge.model.sources import Via
     from rsb_bridge.ros.api import OnFailure, Publisher, RawMessage, RosInterface, Subscription
 
-LONGEST = 4 << 20
-"""Bytes of one announcement."""
 _A_SECOND = 4 << 20
 """Bytes of others' announcements that are read: about 40 ms of the I/O thread's time."""
 _KEPT = 8 << 20
 """Bytes of others' announcements that are kept, as they came; likewise of those that wait to be read."""
-_A_LINK = 1 << 20
-"""Bytes of this bridge's announcement about the publishers of one link."""
 _SOON = 0.02  # s: changes at once make one announcement
 _READ_EVERY = 0.05  # s
 _SAY_AGAIN = 1.0  # s
@@ -48,52 +44,27 @@ _HEARD = Qos(durability="transient_local", depth=_MOST_UNREAD)
 """A reader's depth counts the messages of all publishers: with 1, a bridge that starts would hear one other only."""
 
 
-class _Entry(msgspec.Struct, frozen=True):
-    topic: Name
-    gid: Annotated[str, Meta(pattern=r"\A([0-9a-f]{2}){1,24}\Z")]
-    via: Hops
-    live: bool = True
+_decode = msgspec.json.Decoder(Announcement).decode
+_ORDINARY = Origin(())
 
 
-class _Announcement(msgspec.Struct, frozen=True):
-    version: Literal[1]
-    publishers: list[_Entry]
-
-
-_decode = msgspec.json.Decoder(_Announcement).decode
-_encode = msgspec.json.Encoder().encode
-
-
-class Origin(NamedTuple):
-    """Where a publisher's messages come from.
+class Told(NamedTuple):
+    """What another bridge says.
 
     Attributes:
-        via: the bridges that they crossed; empty: it is no bridge's.
-        live: False: nothing reaches it any more.
+        publishers: where the messages of each come from, by id.
+        services: where the answers to those that it offers come from, by name.
     """
 
-    via: Via
-    live: bool = True
-
-
-_ORDINARY = Origin(())
+    publishers: dict[bytes, Origin]
+    services: dict[str, Origin]
 
 
 class _Heard(NamedTuple):
     """A bridge's announcement."""
 
     size: int
-    publishers: dict[bytes, Origin]
-
-
-class _Own(NamedTuple):
-    """A publisher of ours."""
-
-    topic: str
-    link: Hashable
-    endpoint: Endpoint
-    origin: Origin
-    entry: bytes
+    told: Told
 
 
 class _Inbox:
@@ -124,6 +95,10 @@ class _Inbox:
         return sorted(taken.items(), key=lambda item: len(item[1]))
 
 
+class AnnouncementError(Exception):
+    """A message is no announcement of a bridge."""
+
+
 class Announcements:
     """This bridge's announcement, and the others'. It belongs to the I/O thread.
 
@@ -146,10 +121,8 @@ class Announcements:
         self._changed: Callable[[], None] = _nobody
         self._publisher: Publisher | None = None
         self._subscription: LastingSubscription | None = None
-        self._own: dict[bytes, _Own] = {}
-        self._own_by_topic: defaultdict[str, dict[bytes, _Own]] = defaultdict(dict)
-        self._own_size = 0
-        self._sizes: Counter[Hashable] = Counter()  # parts of `_own_size`, by link
+        self._own = OwnAnnouncement()
+        self._offers = 0
         self._said = b""
         self._saying: asyncio.TimerHandle | None = None
         self._lock = threading.Lock()
@@ -219,46 +192,53 @@ class Announcements:
         Raises:
             RosError: there are too many.
         """
-        entry = _encode(_Entry(topic, endpoint.gid.hex(), origin.via, origin.live))
-        before = self._own.get(endpoint.gid)
-        more = len(entry) - (len(before.entry) if before else 0)
-        if self._sizes[link] + more > _A_LINK or self._own_size + more > LONGEST - 1024:
-            raise RosError(
-                "this bridge publishes more than it can announce to the other bridges in its domain: "
-                "bridge fewer topics over one link"
-            )
-        self._own_size += more
-        self._sizes[link] += more
-        self._own[endpoint.gid] = self._own_by_topic[topic][endpoint.gid] = _Own(topic, link, endpoint, origin, entry)
-        if before is None or before.entry != entry:
+        if self._own.put_publisher(topic, link, endpoint, origin):
             self._say_soon()
 
+    def offer(self, service: str, link: Hashable, type_name: str, type_hash: str, via: Via) -> bytes:
+        """Tell the others of a service that is about to be offered here.
+
+        Args:
+            service: its name.
+            link: where the calls go.
+            type_name: of the service.
+            type_hash: likewise.
+            via: the bridges that the answers cross on their way here.
+
+        Returns:
+            What to `withdraw` it by.
+
+        Raises:
+            RosError: there are too many.
+        """
+        self._offers += 1
+        gid = b"offer%d" % self._offers
+        self._own.put_service(service, link, Endpoint(f"/{self._ros.node_name}", type_name, type_hash, Qos(), gid), via)
+        self._say_soon()
+        return gid
+
     def withdraw(self, gid: bytes) -> None:
-        """A publisher of ours is closed."""
-        own = self._own.pop(gid, None)
-        if own is not None:
-            self._own_size -= len(own.entry)
-            self._sizes[own.link] -= len(own.entry)
-            if not self._sizes[own.link]:
-                del self._sizes[own.link]
-            del self._own_by_topic[own.topic][gid]
-            if not self._own_by_topic[own.topic]:
-                del self._own_by_topic[own.topic]
+        """A publisher of ours is closed, or a service is offered no more."""
+        if self._own.remove(gid):
             self._say_soon()
 
     def own_publishers(self, topic: str, besides: Hashable) -> list[Endpoint]:
         """What we publish on a topic ourselves, but for one link's messages."""
-        return [own.endpoint for own in self._own_by_topic.get(topic, {}).values() if own.link != besides]
+        return self._own.publishers(topic, besides)
+
+    def own_servers(self, service: str, besides: Hashable) -> list[Endpoint]:
+        """What we offer as a service ourselves, but for what one link answers."""
+        return self._own.servers(service, besides)
 
     def _say_soon(self) -> None:
         if self._saying is None and self._publisher is not None:
             # Not more in a second than the others read.
-            self._saying = self._loop.call_later(max(_SOON, self._own_size / _A_SECOND), self._say)
+            self._saying = self._loop.call_later(max(_SOON, self._own.size / _A_SECOND), self._say)
 
     def _say(self) -> None:
         self._saying = None
         self._changed()  # for our own routes that take what we publish
-        content = b'{"version":1,"publishers":[%s]}' % b",".join([own.entry for own in self._own.values()])
+        content = self._own.content()
         if content == self._said or self._publisher is None:
             return
         try:
@@ -274,16 +254,23 @@ class Announcements:
 
     def origin_of(self, publisher: Endpoint) -> Origin | None:
         """Where a publisher's messages come from; None: it is a bridge's that has not said so, or nobody known yet."""
-        own = self._own.get(publisher.gid)
+        return self._origin_of(publisher, lambda told: told.publishers.get(publisher.gid))
+
+    def origin_of_server(self, server: Endpoint, service: str) -> Origin | None:
+        """Where a server's answers come from; None: as with `origin_of`."""
+        return self._origin_of(server, lambda told: told.services.get(service))
+
+    def _origin_of(self, endpoint: Endpoint, find: Callable[[Told], Origin | None]) -> Origin | None:
+        own = self._own.origin_of(endpoint.gid)
         if own is not None:
-            return own.origin
-        node = publisher.node.lstrip("/")
+            return own
+        node = endpoint.node.lstrip("/")
         if not node:
             return None
         if node not in self._by_node and node not in self._ordinary:
             self.look()
         if node in self._by_node:
-            found = (heard.publishers.get(publisher.gid) for heard in self._by_node[node])
+            found = (find(heard.told) for heard in self._by_node[node])
             return next((origin for origin in found if origin is not None), None)
         if node not in self._ordinary:
             while len(self._ordinary) >= _ORDINARY_REMEMBERED:
@@ -349,8 +336,8 @@ class Announcements:
 
     def _hear(self, gid: bytes, payload: bytes) -> None:
         try:
-            announcement = _decode(string_bytes(payload))
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            told = read_announcement(payload)
+        except AnnouncementError:
             self._heard.pop(gid, None)
             if self._warnings.take(1, self._loop.time()):
                 node = self._announcers.get(gid, "a node")
@@ -359,16 +346,34 @@ class Announcements:
                     "nothing but rsb-console should publish there"
                 )
             return
-        publishers = {bytes.fromhex(each.gid): Origin(each.via, each.live) for each in announcement.publishers}
         self._heard.pop(gid, None)
         if not self._has_room(len(payload)):
             for other in self._heard.keys() - self._announcers.keys():
                 del self._heard[other]
         if self._has_room(len(payload)):
-            self._heard[gid] = _Heard(len(payload), publishers)
+            self._heard[gid] = _Heard(len(payload), told)
 
     def _has_room(self, size: int) -> bool:
         return len(self._heard) < MOST_BRIDGES and size + sum(heard.size for heard in self._heard.values()) <= _KEPT
+
+
+def read_announcement(payload: bytes) -> Told:
+    """What another bridge's announcement says.
+
+    Args:
+        payload: the message.
+
+    Raises:
+        AnnouncementError: it is no announcement.
+    """
+    try:
+        announcement = _decode(string_bytes(payload))
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        raise AnnouncementError("no announcement of a bridge") from None
+    return Told(
+        {bytes.fromhex(each.gid): Origin(each.via, each.live) for each in announcement.publishers},
+        {each.service: Origin(each.via) for each in announcement.services},
+    )
 
 
 def _nobody() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.qos import Qos
 
 
@@ -89,10 +90,86 @@ class Publisher(Protocol):
         """How many subscriptions of other nodes match it now."""
         ...
 
+    @property
+    def acknowledged(self) -> bool:
+        """Whether every reliable subscription has acknowledged all messages, so that DDS keeps none for them."""
+        ...
+
     def close(self) -> None:
         """Free it. May be called twice."""
         ...
 
+
+class Request(NamedTuple):
+    """One call taken from a service that this node offers.
+
+    Attributes:
+        payload: the serialized request (CDR with its 4-byte encapsulation header).
+        caller: whose call it is, and which of its calls: opaque, for `ServiceServer.answer`.
+        stamp: ns since the epoch on this machine's clock, when it was taken.
+    """
+
+    payload: bytes
+    caller: bytes
+    stamp: int
+
+
+class Response(NamedTuple):
+    """The answer to one of this node's calls.
+
+    Attributes:
+        payload: the serialized response, as `Request.payload`.
+        number: what `ServiceClient.call` gave for the call.
+        stamp: ns since the epoch on this machine's clock, when DDS received it.
+    """
+
+    payload: bytes
+    number: int
+    stamp: int
+
+
+class ServiceServer(Protocol):
+    """A service that this node offers; others see it until it is closed. Its methods may be called from any thread."""
+
+    def answer(self, caller: bytes, payload: bytes) -> None:
+        """Answer a call; nothing happens where the caller has gone.
+
+        `caller` may be of a call that an earlier server of the service took, in this process.
+
+        Raises:
+            RosError: the middleware refused it.
+        """
+        ...
+
+    def close(self) -> None:
+        """Offer it no more. After it returns the sink is not called again. May be called twice."""
+        ...
+
+
+class ServiceClient(Protocol):
+    """Calls a service of another node. Its methods may be called from any thread."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a server of it is matched, so that a call reaches it."""
+        ...
+
+    def call(self, payload: bytes) -> int:
+        """Send one serialized request; its answer, if any comes, goes to the sink under this number, above 0.
+
+        Raises:
+            RosError: the middleware refused it.
+        """
+        ...
+
+    def close(self) -> None:
+        """Free it. After it returns the sink is not called again. May be called twice."""
+        ...
+
+
+RequestSink = Callable[[Sequence[Request]], None]
+ResponseSink = Callable[[Sequence[Response]], None]
+"""Called on the ROS thread with one or more, oldest first. They may block briefly."""
 
 Sink = Callable[[Sequence[RawMessage]], None]
 """Called on the ROS thread with one or more messages, oldest first. It may block briefly: DDS keeps the newest."""
@@ -151,7 +228,24 @@ class RosInterface(Protocol):
         ...
 
     def installed_description(self, type_name: str) -> str | None:
-        """The text of the description (`rsb_bridge.cdr.description`) of a type that is installed here, else None."""
+        """The text of the description (`rsb_bridge.cdr.description`) of a type that is installed here, else None.
+
+        Of a service's request or response, the type is ``pkg/srv/Name_Request``.
+        """
+        ...
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        """A message of a type that is installed here (CDR with its encapsulation header), of what an operator wrote.
+
+        Args:
+            type_name: as `installed_description`.
+            fields: what stands in it; those that are missing have their defaults.
+            now: ns since the epoch, for a time that is ``now``.
+
+        Raises:
+            RosError: the type is not installed.
+            FieldError: something does not fit into its field.
+        """
         ...
 
     def ask_description(
@@ -195,4 +289,45 @@ class RosInterface(Protocol):
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
         """Create a raw publisher; types and errors as `subscribe`."""
+        ...
+
+    def services(self) -> dict[str, list[str]]:
+        """Every service of the graph with its type names (``pkg/srv/Name``, ``pkg/action/Name_SendGoal``).
+
+        Services that only our own node holds are left out.
+        """
+        ...
+
+    def servers(self, service: str) -> list[Endpoint]:
+        """The servers of a service, our own node's left out.
+
+        A service's hash is that of its request, a ``+``, and that of its response: these the middleware announces, and
+        its own it does not.
+        """
+        ...
+
+    def callers(self, service: str) -> list[Endpoint]:
+        """The clients of a service, our own node's left out; the hash as of `servers`."""
+        ...
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        """The hash of a service type that is installed here, as of `servers`, else None."""
+        ...
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> ServiceServer:
+        """Offer a service, of a type installed here or known by name and hash only.
+
+        A server that fails later closes itself and calls `on_failure`; it is never called for one that was closed.
+
+        Raises:
+            RosError: as `subscribe`.
+        """
+        ...
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> ServiceClient:
+        """Prepare to call a service; types, failures and errors as `serve`."""
         ...

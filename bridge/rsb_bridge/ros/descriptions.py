@@ -25,6 +25,7 @@ from rsb_bridge.cdr.description import (
 from rsb_bridge.ros.typesupport import FIND_DESCRIPTION, installed_class, type_support_of
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Iterator
 
 _SERVED_WITHIN = 0.5  # s: from when the client exists to when DDS has matched it
@@ -115,7 +116,13 @@ def _field_type(described: Any) -> FieldType:
 
 
 def ask_node(
-    own: Any, context: Any, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
+    own: Any,
+    context: Any,
+    node: str,
+    type_name: str,
+    type_hash: str,
+    still_wanted: Callable[[], bool],
+    entities: threading.RLock,
 ) -> str | None:
     """Ask a node for the description of a type that it uses, by its ``~/get_type_description`` service.
 
@@ -128,6 +135,7 @@ def ask_node(
         type_name: ``pkg/msg/Name``.
         type_hash: ``RIHS01_...``.
         still_wanted: asked several times a second; False ends the waiting.
+        entities: held while our node's endpoints are created or freed.
 
     Returns:
         The text; None: it does not serve it, or does not answer.
@@ -141,7 +149,8 @@ def ask_node(
         return None
     check_for_type_support(GetTypeDescription)
     profile = qos_profile_services_default.get_c_qos_profile()
-    client = _rclpy.Client(own, GetTypeDescription, f"{node}/get_type_description", profile)
+    with entities:
+        client = _rclpy.Client(own, GetTypeDescription, f"{node}/get_type_description", profile)
     waits = _rclpy.WaitSet(0, 0, 0, 1, 0, 0, context)
     try:
         deadline = time.monotonic() + _SERVED_WITHIN
@@ -160,7 +169,8 @@ def ask_node(
                 return _answered(answer)
     finally:
         waits.destroy_when_not_in_use()
-        client.destroy_when_not_in_use()
+        with entities:
+            client.destroy_when_not_in_use()
     return None
 
 

@@ -8,27 +8,37 @@ import re
 import secrets
 import threading
 from collections import defaultdict, deque
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.model.qos import incompatible
-from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.api import RawMessage, RosError
+from rsb_bridge.ros.drain import ClientDrain, Drain, ServerDrain
 from rsb_bridge.ros.middleware import check_middleware
-from rsb_bridge.ros.typesupport import hash_of, installed_class
+from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint, OnFailure, Publisher, Sink, Subscription
-    from rsb_bridge.ros.rcl import Participant, Reader, Writer
+    from rsb_bridge.ros.api import (
+        Endpoint,
+        OnFailure,
+        Publisher,
+        RequestSink,
+        ResponseSink,
+        ServiceClient,
+        ServiceServer,
+        Sink,
+        Subscription,
+    )
+    from rsb_bridge.ros.rcl import Incoming, Participant
+    from rsb_bridge.ros.topic_endpoints import Reader, Writer
 
 _Key: TypeAlias = "tuple[str, Hashable]"
 """A topic, and who our endpoints on it belong to."""
 
 _log = logging.getLogger(__name__)
-
-_BATCH = 64
-"""Messages taken from one subscription before the next has its turn."""
 
 _CLOSED_REMEMBERED = 1000
 """Publishers of our own that were closed: their messages are still known as ours."""
@@ -55,9 +65,9 @@ class RosNode:
         """Held by whoever asks another node something: the domain is not left meanwhile."""
         self._participant: Participant | None = None
         self._thread: threading.Thread | None = None
-        self._subscriptions: dict[int, _Subscription] = {}  # by reader's address; replaced, never changed
+        self._drains: dict[int, Drain[Any]] = {}  # by endpoint's address; replaced, never changed
         self._publishers: frozenset[_Publisher] = frozenset()  # likewise
-        self._retired: deque[Reader] = deque()
+        self._retired: deque[Incoming] = deque()
         self._on_graph_change: Callable[[], None] = _nothing
         self._on_failure: Callable[[str], None] = _log.error
         self._failure = ""
@@ -105,7 +115,7 @@ class RosNode:
     def topics(self) -> dict[str, list[str]]:
         """Every topic of the graph with its type names; topics that only our own node holds are left out."""
         participant = self._joined()
-        own = {each.topic for each in self._subscriptions.values()} | {each.topic for each in self._publishers}
+        own = {each.topic for each in self._subscriptions()} | {each.topic for each in self._publishers}
         return {
             topic: types
             for topic, types in participant.topics().items()
@@ -137,6 +147,12 @@ class RosNode:
         except ValueError:
             return None
 
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        """Serialize what an operator wrote; see `rsb_bridge.ros.api.RosInterface.serialize`."""
+        from rsb_bridge.ros.by_hand import serialize  # noqa: PLC0415  as in `start`
+
+        return serialize(type_name, fields, now)
+
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
     ) -> str | None:
@@ -161,10 +177,9 @@ class RosNode:
         with self._lock:
             participant = self._joined()
             reader = participant.create_reader(topic, type_name, type_hash, qos)
-            own = self._own[reader.topic, origin]
-            subscription = _Subscription(reader, qos, sink, on_failure, own, self._retire)
-            self._subscriptions = {**self._subscriptions, reader.address: subscription}
-            participant.wake()
+            key = (reader.topic, origin)
+            subscription = _Subscription(reader, qos, sink, on_failure, key, self._own[key], self._retire)
+            self._drain(subscription, participant)
         return subscription
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
@@ -176,10 +191,57 @@ class RosNode:
             self._publishers |= {publisher}
         return publisher
 
+    def services(self) -> dict[str, list[str]]:
+        """Every service of the graph with its type names; services that only our own node holds are left out."""
+        participant = self._joined()
+        own = {each.service for each in self._drains.values() if isinstance(each, (ServerDrain, ClientDrain))}
+        return {
+            service: types
+            for service, types in participant.services().items()
+            if service not in own or participant.servers(service) or participant.callers(service)
+        }
+
+    def servers(self, service: str) -> list[Endpoint]:
+        """The servers of a service, our own node's left out."""
+        return self._joined().servers(service)
+
+    def callers(self, service: str) -> list[Endpoint]:
+        """The clients of a service, our own node's left out."""
+        return self._joined().callers(service)
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        """The hash of a service type that is installed here, else None."""
+        try:
+            installed = installed_service(type_name)
+        except ValueError:
+            return None
+        return None if installed is None else service_hash_of(installed)
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> ServiceServer:
+        """Offer a service; see `rsb_bridge.ros.api.RosInterface.serve`."""
+        with self._lock:
+            participant = self._joined()
+            created = participant.create_server(service, type_name, type_hash)
+            server = ServerDrain(created, sink, on_failure, self._retire)
+            self._drain(server, participant)
+        return server
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> ServiceClient:
+        """Prepare to call a service; see `rsb_bridge.ros.api.RosInterface.call_service`."""
+        with self._lock:
+            participant = self._joined()
+            created = participant.create_client(service, type_name, type_hash)
+            client = ClientDrain(created, sink, on_failure, self._retire)
+            self._drain(client, participant)
+        return client
+
     def own_subscriptions(self, topic: str, offered: Qos) -> int:
         """How many of our own subscriptions match a publisher of that QoS on a topic."""
-        own = self._subscriptions.values()
-        return sum(each.topic == topic and not incompatible(offered, each.qos) for each in own)
+        return sum(each.topic == topic and not incompatible(offered, each.qos) for each in self._subscriptions())
 
     def forget(self, publisher: _Publisher) -> None:
         """Drop a publisher that was closed."""
@@ -191,8 +253,16 @@ class RosNode:
             if len(self._closed) > _CLOSED_REMEMBERED:
                 key, gid = self._closed.popleft()
                 self._own[key].discard(gid)
-                if not self._own[key] and not any(each.own is self._own[key] for each in self._subscriptions.values()):
-                    del self._own[key]
+                self._tidy(key)
+
+    def _tidy(self, key: _Key) -> None:
+        """Forget a topic on which we neither publish, nor did lately, nor subscribe."""
+        own = self._own.get(key)
+        if own is not None and not own and not any(each.own is own for each in self._subscriptions()):
+            del self._own[key]
+
+    def _subscriptions(self) -> list[_Subscription]:
+        return [each for each in self._drains.values() if isinstance(each, _Subscription)]
 
     def _joined(self) -> Participant:
         participant = self._participant
@@ -200,28 +270,36 @@ class RosNode:
             raise RosError("the ROS node is not running")
         return participant
 
-    def _retire(self, subscription: _Subscription) -> None:
-        """Have the thread free a subscription's reader. It is out of `_subscriptions` before it is in `_retired`."""
-        reader = subscription.reader
+    def _drain(self, drain: Drain[Any], participant: Participant) -> None:
+        """Have the thread take from an endpoint."""
+        self._drains = {**self._drains, drain.endpoint.handle.address: drain}
+        participant.wake()
+
+    def _retire(self, drain: Drain[Any]) -> None:
+        """Have the thread free a drain's endpoint. It is out of `_drains` before it is in `_retired`."""
         with self._lock:
-            if self._subscriptions.get(reader.address) is subscription:
-                self._subscriptions = {
-                    address: each for address, each in self._subscriptions.items() if each is not subscription
-                }
-                self._retired.append(reader)
+            if self._drains.get(drain.endpoint.handle.address) is drain:
+                self._drains = {address: each for address, each in self._drains.items() if each is not drain}
+                if isinstance(drain, _Subscription):
+                    self._tidy(drain.key)
+                self._retired.append(drain.endpoint)
                 if self._participant is not None:
                     self._participant.wake()
 
     def _run(self, participant: Participant) -> None:
+        drains: dict[int, Drain[Any]] = {}
+        endpoints: tuple[Incoming, ...] = ()
         try:
             while self._participant is participant:
                 while self._retired:
                     self._retired.popleft().close()
-                subscriptions = self._subscriptions
-                ready = participant.wait([each.reader for each in subscriptions.values()])
-                for address in ready.readers:
+                if drains is not self._drains:
+                    drains = self._drains
+                    endpoints = tuple(each.endpoint for each in drains.values())
+                ready = participant.wait(endpoints)
+                for address in ready.addresses:
                     if self._participant is participant:
-                        subscriptions[address].deliver()
+                        drains[address].deliver()
                 if ready.graph_changed:
                     self._on_graph_change()
         except Exception as error:  # noqa: BLE001 — whatever it is, the thread must not end unnoticed
@@ -233,20 +311,20 @@ class RosNode:
     def _leave(self, participant: Participant) -> None:
         with self._lock:
             self._participant = None
-            readers = [*self._retired, *(each.reader for each in self._subscriptions.values())]
+            endpoints = [*self._retired, *(each.endpoint for each in self._drains.values())]
             publishers, self._publishers = self._publishers, frozenset()
-            self._subscriptions = {}
+            self._drains = {}
             self._retired.clear()
-        for reader in readers:
-            reader.close()
+        for endpoint in endpoints:
+            endpoint.close()
         for publisher in publishers:
             publisher.writer.close()
         with self._asking:
             participant.leave()
 
 
-class _Subscription:
-    """A reader, and the sink that its messages go to."""
+class _Subscription(Drain[RawMessage]):
+    """A reader, and whose it is."""
 
     def __init__(
         self,
@@ -254,42 +332,20 @@ class _Subscription:
         qos: Qos,
         sink: Sink,
         on_failure: OnFailure | None,
+        key: _Key,
         own: set[bytes],
-        retire: Callable[[_Subscription], None],
+        retire: Callable[[Drain[Any]], None],
     ) -> None:
-        self.reader = reader
+        super().__init__(reader, lambda limit: reader.take(limit, own), sink, on_failure, retire)
         self.topic = reader.topic
         self.qos = qos
-        self._sink = sink
-        self._on_failure = on_failure
+        self.key = key
         self.own = own
-        self._retire = retire
-        self._delivering = threading.RLock()  # a sink may close its own subscription
-        self._closed = False
+        self._reader = reader
 
     @property
     def lost(self) -> int:
-        return self.reader.lost
-
-    def deliver(self) -> None:
-        """Take one batch and hand it on."""
-        with self._delivering:
-            if self._closed:
-                return
-            try:
-                batch = self.reader.take(_BATCH, self.own)
-            except RosError as error:
-                self.close()
-                if self._on_failure is not None:
-                    self._on_failure(error)
-                return
-            if batch:
-                self._sink(batch)
-
-    def close(self) -> None:
-        with self._delivering:
-            self._closed = True
-        self._retire(self)
+        return self._reader.lost
 
 
 class _Publisher:
@@ -308,6 +364,10 @@ class _Publisher:
     def subscriber_count(self) -> int:
         own = self._node.own_subscriptions(self.topic, self._qos)
         return max(0, self.writer.matched - own)
+
+    @property
+    def acknowledged(self) -> bool:
+        return self.writer.acknowledged
 
     def close(self) -> None:
         self._node.forget(self)

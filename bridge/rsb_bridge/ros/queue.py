@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Sequence
 
-    from rsb_bridge.ros.api import RawMessage
-
 _BACKLOG = 64
 _PATIENCE = 0.1
 
 
-class Receiver(Protocol):
-    """Where a subscription's messages go on the I/O loop."""
+T_contra = TypeVar("T_contra", contravariant=True)
+T = TypeVar("T")
 
-    def offer(self, batch: Sequence[RawMessage]) -> None:
-        """Take messages, oldest first."""
+
+class Receiver(Protocol[T_contra]):
+    """Where an endpoint's messages, requests or responses go on the I/O loop."""
+
+    def offer(self, batch: Sequence[T_contra]) -> None:
+        """Take them, oldest first."""
         ...
 
 
@@ -32,11 +34,11 @@ class RosToLoopQueue:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._batches: deque[tuple[Receiver, Sequence[RawMessage]]] = deque()
+        self._batches: deque[tuple[Receiver[Any], Sequence[Any]]] = deque()
         self._room = threading.Event()
         self._scheduled = False
 
-    def put(self, receiver: Receiver, batch: Sequence[RawMessage]) -> None:
+    def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
         """Called on the ROS thread."""
         self._batches.append((receiver, batch))
         if not self._scheduled:

@@ -1,17 +1,17 @@
 """What the bridge uses of ROS's C client library, rcl: a participant in one domain and its raw endpoints.
 
 rclpy's executors cost three times what is needed here, and its `Node` brings a publisher and services that nobody would
-serve. So this works on the extension module under rclpy, and calls rcl itself for the two things that it hides: the
-publisher of a message taken, and changes of the graph. Structs: rmw/types.h, rcl/wait.h, rcutils/types/uint8_array.h,
-rcutils/allocator.h (ROS 2 Jazzy).
+serve. So this works on the extension module under rclpy, and calls rcl itself for what that hides: changes of the graph
+here, more in the endpoints' modules. Structs: rcl/wait.h (ROS 2 Jazzy).
 """
 
 from __future__ import annotations
 
 import ctypes
-import struct
-import time
-from typing import TYPE_CHECKING, Any, NamedTuple
+import threading
+from collections import Counter
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -19,49 +19,31 @@ from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rsb_bridge.model.limits import DOMAIN, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.anytype import message_class
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.anytype import borrow_type
+from rsb_bridge.ros.api import Endpoint, RosError
 from rsb_bridge.ros.conversions import endpoint_of, rcl_profile, safe_type_name
 from rsb_bridge.ros.descriptions import ask_node
+from rsb_bridge.ros.librcl import Handle, librcl, reason_of, reset_error
+from rsb_bridge.ros.serialization import Buffer
+from rsb_bridge.ros.service_endpoints import Client, Server
+from rsb_bridge.ros.service_graph import CallerTable, callers, servers
+from rsb_bridge.ros.service_types import borrow_service
+from rsb_bridge.ros.topic_endpoints import Reader, Writer
+from rsb_bridge.ros.typed_services import TypedClient, TypedServer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable
+
+    from rsb_bridge.ros.anytype import BorrowedType
 
 _ARGUMENTS = ["--ros-args", "--disable-rosout-logs", "--disable-stdout-logs", "--disable-external-lib-logs"]
 """ROS arguments of ours alone, not the process's; and no log line of rcl's may garble a terminal user interface."""
 
-_TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
+_TRY_AGAIN_NS = 100_000_000  # after which answers that are kept are tried again, if nothing happens before
 _KEPT = 5000  # messages: Fast DDS's limit on a history that keeps all
-_PUBLISHERS_REMEMBERED = 1024
-_DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
-_LAST_NUMBER = 2**63 - 1
 
-_INFO = struct.Struct("@qqQQP16s?0P")
-"""rmw_message_info_t: source and reception time in ns, publication and reception number, publisher's gid (its
-middleware's name and 16 bytes), whether it came within the process."""
-
-
-class _Allocator(ctypes.Structure):
-    """A rcutils_allocator_t."""
-
-    _fields_ = tuple((name, ctypes.c_void_p) for name in ("allocate", "deallocate", "reallocate", "zero", "state"))
-
-
-class _Buffer(ctypes.Structure):
-    """A rcl_serialized_message_t: a buffer that rcl makes larger as it needs."""
-
-    _fields_ = (
-        ("data", ctypes.c_void_p),
-        ("length", ctypes.c_size_t),
-        ("capacity", ctypes.c_size_t),
-        ("allocator", _Allocator),
-    )
-
-
-class _Gid(ctypes.Structure):
-    """A rmw_gid_t."""
-
-    _fields_ = (("middleware", ctypes.c_char_p), ("value", ctypes.c_uint8 * 16))
+_CALLS = Qos("reliable", "volatile", "keep_last", _KEPT)
+"""As all services are, but for the depth: many calls that come at once must not push each other out."""
 
 
 class _WaitSetHead(ctypes.Structure):
@@ -75,42 +57,47 @@ class _WaitSetHead(ctypes.Structure):
     )
 
 
-# PyDLL keeps the GIL: these take about 1 µs, and giving it up each time would cost a whole switch interval whenever
-# another thread is busy. rclpy has loaded the libraries; librcl's handle also finds what it depends on.
-_rcl = ctypes.PyDLL("librcl.so")
-_take = _rcl.rcl_take_serialized_message
-_take.argtypes = [ctypes.c_void_p] * 4
-_reset_error = _rcl.rcutils_reset_error
-_publisher_handle = _rcl.rcl_publisher_get_rmw_handle
-_publisher_handle.argtypes, _publisher_handle.restype = [ctypes.c_void_p], ctypes.c_void_p
-_gid_of_publisher = _rcl.rmw_get_gid_for_publisher
-_gid_of_publisher.argtypes = [ctypes.c_void_p, ctypes.POINTER(_Gid)]
-_default_allocator = _rcl.rcutils_get_default_allocator
-_default_allocator.restype = _Allocator
-_buffer_init = _rcl.rcutils_uint8_array_init
-_buffer_init.argtypes = [ctypes.POINTER(_Buffer), ctypes.c_size_t, ctypes.POINTER(_Allocator)]
-_buffer_fini = _rcl.rcutils_uint8_array_fini
-_buffer_fini.argtypes = [ctypes.POINTER(_Buffer)]
-_graph_guard_condition = _rcl.rcl_node_get_graph_guard_condition
+_graph_guard_condition = librcl.rcl_node_get_graph_guard_condition
 _graph_guard_condition.argtypes, _graph_guard_condition.restype = [ctypes.c_void_p], ctypes.c_void_p
-_add_guard_condition = _rcl.rcl_wait_set_add_guard_condition
+_add_guard_condition = librcl.rcl_wait_set_add_guard_condition
 _add_guard_condition.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+
+
+class Incoming(Protocol):
+    """An endpoint that messages, requests or responses come to.
+
+    Attributes:
+        handle: rclpy's.
+        kind: what it is in a wait set.
+    """
+
+    handle: Handle
+
+    @property
+    def kind(self) -> Literal["subscription", "client", "service"]: ...
+
+    def close(self) -> None:
+        """Free it. To be called once."""
+        ...
 
 
 class Ready(NamedTuple):
     """What ended a wait.
 
     Attributes:
-        readers: the addresses of those that have messages.
-        graph_changed: a node, publisher or subscription came or went.
+        addresses: of the endpoints that something came to.
+        graph_changed: a node or an endpoint came or went.
     """
 
-    readers: list[int]
+    addresses: list[int]
     graph_changed: bool
 
 
 class Participant:
-    """Our one node in one domain. The graph may be asked from any thread; `wait` and readers belong to one thread."""
+    """Our one node in one domain.
+
+    The graph may be asked from any thread; `wait`, and to take from endpoints, belong to one thread.
+    """
 
     def __init__(self, domain_id: int, node_name: str) -> None:
         """Join the domain.
@@ -126,18 +113,24 @@ class Participant:
             self._node = _rclpy.Node(node_name, "/", self._context.handle, [], False, False)
         except RuntimeError as error:
             self._context.try_shutdown()
-            raise RosError(f"ROS domain {domain_id} cannot be joined: {_reason(error)}") from error
+            raise RosError(f"ROS domain {domain_id} cannot be joined: {reason_of(error)}") from error
         self._name = self._node.get_fully_qualified_name()
         self._guard = _rclpy.GuardCondition(self._context.handle)
         self._graph_guard = _graph_guard_condition(self._node.pointer)
         self._graph_guard_index = ctypes.c_size_t()
-        self._waits, self._capacity = self._wait_set(0), 0
-        self._buffer = _Buffer()
-        _buffer_init(self._buffer, 0, _default_allocator())
+        self._waited_for: tuple[Incoming, ...] = ()
+        self._capacity: Counter[str] = Counter()
+        self._graph_version = 0
+        self._late: dict[Server, None] = {}
+        self._waits = self._wait_set(self._capacity)
+        self._buffer = Buffer()
+        # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
+        # GIL may change hands: nobody may have it then and want that lock.
+        self._entities = threading.RLock()
 
     def leave(self) -> None:
         """Leave the domain; every endpoint is closed before."""
-        _buffer_fini(self._buffer)
+        self._buffer.free()
         for handle in (self._waits, self._guard, self._node):
             handle.destroy_when_not_in_use()
         self._context.shutdown()
@@ -145,12 +138,14 @@ class Participant:
 
     def topics(self) -> dict[str, list[str]]:
         """Every topic that ROS can subscribe to, our own node's too, with its type names."""
-        found = self._ask(_rclpy.rclpy_get_topic_names_and_types)
-        return {
-            name: [safe_type_name(each) for each in types]
-            for name, types in found
-            if len(name) <= TOPIC_LENGTH and is_topic_name(name)
-        }
+        return _named(self._ask(_rclpy.rclpy_get_topic_names_and_types))
+
+    def services(self) -> dict[str, list[str]]:
+        """Every service, our own node's too, with its type names."""
+        try:
+            return _named(_rclpy.rclpy_get_service_names_and_types(self._node))
+        except RuntimeError as error:
+            raise _unreadable(error) from error
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers on a topic, our own left out."""
@@ -159,6 +154,14 @@ class Participant:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         """The subscriptions on a topic, our own left out."""
         return self._others(self._ask(_rclpy.rclpy_get_subscriptions_info_by_topic, topic))
+
+    def servers(self, service: str) -> list[Endpoint]:
+        """The servers of a service, our own left out."""
+        return [each for each in servers(self._ask_dds, service) if each.node != self._name]
+
+    def callers(self, service: str) -> list[Endpoint]:
+        """The clients of a service, our own left out."""
+        return [each for each in callers(self._ask_dds, service) if each.node != self._name]
 
     def ask_description(
         self, node: str, type_name: str, type_hash: str, still_wanted: Callable[[], bool]
@@ -169,10 +172,10 @@ class Participant:
             RosError: rcl failed.
         """
         try:
-            return ask_node(self._node, self._context.handle, node, type_name, type_hash, still_wanted)
+            return ask_node(self._node, self._context.handle, node, type_name, type_hash, still_wanted, self._entities)
         except RuntimeError as error:
-            _reset_error()
-            raise RosError(f"{node} cannot be asked: {_reason(error)}") from error
+            reset_error()
+            raise RosError(f"{node} cannot be asked: {reason_of(error)}") from error
 
     def create_reader(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Reader:
         """A raw subscription.
@@ -182,7 +185,7 @@ class Participant:
         """
         latched = qos.latched
         earlier = None if latched else frozenset(each.gid for each in self.publishers(topic))
-        handle = self._create(_rclpy.Subscription, topic, type_name, type_hash, qos)
+        handle = self._create(_rclpy.Subscription, topic, borrow_type(type_name, type_hash), qos)
         return Reader(handle, self._buffer, earlier)
 
     def create_writer(self, topic: str, type_name: str, type_hash: str, qos: Qos) -> Writer:
@@ -192,178 +195,111 @@ class Participant:
         behind, and then refuse the message; so it keeps the same number and lets the oldest go instead.
         """
         kept = Qos(qos.reliability, qos.durability, "keep_last", _KEPT, qos.deadline, qos.lifespan)
-        handle = self._create(_rclpy.Publisher, topic, type_name, type_hash, kept if qos.history == "keep_all" else qos)
-        return Writer(handle)
+        asked = kept if qos.history == "keep_all" else qos
+        return Writer(self._create(_rclpy.Publisher, topic, borrow_type(type_name, type_hash), asked))
 
-    def wait(self, readers: Collection[Reader]) -> Ready:
-        """Block until a reader has messages, the graph changes, or `wake` is called."""
-        if len(readers) != self._capacity:
-            self._waits.destroy_when_not_in_use()
-            self._waits, self._capacity = self._wait_set(len(readers)), len(readers)
+    def create_server(self, service: str, type_name: str, type_hash: str) -> Server | TypedServer:
+        """A raw service; errors as `create_reader`."""
+        borrowed = borrow_service(type_name, type_hash)
+        handle = self._create(_rclpy.Service, service, borrowed.type, _CALLS)
+        name: str = handle.rclpy.name
+        if not borrowed.raw:
+            return TypedServer(handle, name, borrowed.type.interface)
+        callers_of = CallerTable(self._ask_dds, name, _CALLS, lambda: self._graph_version)
+        return Server(handle, name, callers_of, self._have_tried)
+
+    def create_client(self, service: str, type_name: str, type_hash: str) -> Client | TypedClient:
+        """A raw client of a service; errors as `create_reader`."""
+        borrowed = borrow_service(type_name, type_hash)
+        handle = self._create(_rclpy.Client, service, borrowed.type, _CALLS)
+        name: str = handle.rclpy.service_name
+        return Client(handle, name) if borrowed.raw else TypedClient(handle, name, borrowed.type.interface)
+
+    def wait(self, endpoints: tuple[Incoming, ...]) -> Ready:
+        """Block until something came to an endpoint, the graph changes, or `wake` is called.
+
+        What is quick here is felt by every message and call. It is quickest where `endpoints` is what it was last time.
+        """
+        if endpoints is not self._waited_for:
+            self._waited_for = endpoints
+            capacity = Counter[str](each.kind for each in endpoints)
+            if capacity != self._capacity:
+                self._waits.destroy_when_not_in_use()
+                self._waits, self._capacity = self._wait_set(capacity), capacity
         waits = self._waits
         waits.clear_entities()
         waits.add_guard_condition(self._guard)
         _add_guard_condition(waits.pointer, self._graph_guard, self._graph_guard_index)
-        for reader in readers:
-            waits.add_subscription(reader.handle)
-        waits.wait(-1)
+        add = {"subscription": waits.add_subscription, "client": waits.add_client, "service": waits.add_service}
+        for endpoint in endpoints:
+            add[endpoint.kind](endpoint.handle.rclpy)
+        waits.wait(_TRY_AGAIN_NS if self._late else -1)
         head = _WaitSetHead.from_address(waits.pointer)
         graph_changed = bool(head.guard_conditions[self._graph_guard_index.value])
-        return Ready(waits.get_ready_entities("subscription"), graph_changed)
+        self._graph_version += graph_changed
+        for server in tuple(self._late):
+            del self._late[server]
+            if server.try_again():
+                self._late[server] = None
+        addresses = [address for kind in self._capacity for address in waits.get_ready_entities(kind)]
+        return Ready(addresses, graph_changed)
 
     def wake(self) -> None:
         """Make `wait` return, now or the next time it is called. From any thread."""
         self._guard.trigger_guard_condition()
 
-    def _wait_set(self, readers: int) -> Any:
+    def _wait_set(self, capacity: Counter[str]) -> Any:
         # subscriptions, guard conditions, timers, clients, services, events
-        return _rclpy.WaitSet(readers, 2, 0, 0, 0, 0, self._context.handle)
+        numbers = (capacity["subscription"], 2, 0, capacity["client"], capacity["service"], 0)
+        return _rclpy.WaitSet(*numbers, self._context.handle)
 
-    def _create(self, kind: Any, topic: str, type_name: str, type_hash: str, qos: Qos) -> Any:
-        message = message_class(type_name, type_hash)
+    def _have_tried(self, server: Server) -> None:
+        """Have `wait` try a server's late answers again."""
+        self._late[server] = None
+        self.wake()
+
+    def _create(self, kind: Any, name: str, borrowed: BorrowedType, qos: Qos) -> Handle:
+        with ExitStack() as failed, self._entities:
+            failed.callback(borrowed.give_back)
+            handle = Handle(self._create_of(kind, name, borrowed.interface, qos), borrowed, self._entities)
+            failed.pop_all()
+        return handle
+
+    def _create_of(self, kind: Any, name: str, interface: type, qos: Qos) -> Any:
+        profile = rcl_profile(qos).get_c_qos_profile()
         try:
-            return kind(self._node, message, topic, rcl_profile(qos).get_c_qos_profile())
+            return kind(self._node, interface, name, profile)
         except ValueError as error:
-            _reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
+            reset_error()  # rclpy leaves it set, and rcl then writes to the terminal
+            what = "service" if kind in {_rclpy.Service, _rclpy.Client} else "topic"
             raise RosError(
-                f"{topic!r} is not a topic name: write parts of letters, digits and _ after one / each, "
+                f"{name!r} is not a {what} name: write parts of letters, digits and _ after one / each, "
                 "none beginning with a digit"
             ) from error
         except RuntimeError as error:
-            raise RosError(f"{topic}: {_reason(error)}") from error
+            raise RosError(f"{name}: {reason_of(error)}") from error
 
-    def _ask(self, question: Any, *arguments: str) -> Any:
+    def _ask_dds(self, question: Any, topic: str) -> Any:
+        return self._ask(question, topic, mangled=True)
+
+    def _ask(self, question: Any, *arguments: str, mangled: bool = False) -> Any:
         try:
-            return question(self._node, *arguments, False)  # names as ROS has them, not DDS
+            return question(self._node, *arguments, mangled)  # names as DDS has them, or as ROS
         except RuntimeError as error:
-            raise RosError(f"the ROS graph cannot be read: {_reason(error)}") from error
+            raise _unreadable(error) from error
 
     def _others(self, infos: list[dict[str, Any]]) -> list[Endpoint]:
         return [end for info in infos if (end := endpoint_of(info)).node != self._name]
 
 
-class Reader:
-    """A raw subscription, of the thread that takes from it.
-
-    Attributes:
-        handle: rclpy's.
-        address: of the rcl subscription; names the reader in `Participant.wait`.
-        topic: its resolved name.
-        lost: messages missing between those taken, and before those of a publisher that came after the subscription.
-    """
-
-    def __init__(self, handle: Any, buffer: _Buffer, earlier: frozenset[bytes] | None) -> None:
-        """Begin to count.
-
-        Args:
-            handle: rclpy's.
-            buffer: that messages are taken into, shared by the readers of a thread.
-            earlier: the publishers that were there before; None: what comes first is history, and none is new.
-        """
-        self.handle = handle
-        self.address: int = handle.pointer
-        self.topic: str = handle.get_topic_name()
-        self.lost = 0
-        self._buffer = buffer
-        self._info = ctypes.create_string_buffer(_INFO.size)
-        self._last: dict[bytes, int] = {}  # newest sequence number by publisher
-        self._earlier = earlier
-        self._made_at = time.monotonic()
-
-    def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
-        """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
-
-        Raises:
-            RosError: rcl failed.
-        """
-        address, buffer, info, last = self.address, self._buffer, self._info, self._last
-        buffer_reference, unpack, copy = ctypes.byref(buffer), _INFO.unpack, ctypes.string_at
-        taken = []
-        for _ in range(limit):
-            code = _take(address, buffer_reference, info, None)
-            if code:
-                if code == _TAKE_FAILED:
-                    break
-                _reset_error()
-                raise RosError(f"{self.topic}: a message could not be taken (rcl error {code})")
-            _, stamp, number, _, _, gid, _ = unpack(info)
-            if gid in skip:
-                continue
-            if number > _LAST_NUMBER:
-                number = 0  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
-            previous = last.get(gid)
-            if previous is None:
-                previous = 0 if self._is_newcomer(gid) else number
-                self._forget_oldest()
-            if number > previous + 1:
-                self.lost += number - previous - 1
-            last[gid] = number
-            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp, gid, number))
-        return taken
-
-    def close(self) -> None:
-        """Free it."""
-        self.handle.destroy_when_not_in_use()
-
-    def _is_newcomer(self, gid: bytes) -> bool:
-        """Whether a publisher came after the subscription, which so should have had its first message."""
-        if self._earlier is None or gid in self._earlier:
-            return False
-        return time.monotonic() - self._made_at > _DISCOVERED_WITHIN
-
-    def _forget_oldest(self) -> None:
-        """Make room for another publisher: short-lived ones must not fill the memory."""
-        if len(self._last) >= _PUBLISHERS_REMEMBERED:
-            del self._last[next(iter(self._last))]
-            self._earlier = None  # from now on, one that seems new may be one that was forgotten
+def _named(found: list[tuple[str, list[str]]]) -> dict[str, list[str]]:
+    """Names that ROS can use, with their types."""
+    return {
+        name: [safe_type_name(each) for each in types]
+        for name, types in found
+        if len(name) <= TOPIC_LENGTH and is_topic_name(name)
+    }
 
 
-class Writer:
-    """A raw publisher, for any thread: rclpy publishes with the GIL held, so it is never freed under a `publish`.
-
-    Attributes:
-        topic: its resolved name.
-        gid: what messages taken say of their publisher.
-    """
-
-    def __init__(self, handle: Any) -> None:
-        self.topic: str = handle.get_topic_name()
-        gid = _Gid()
-        _gid_of_publisher(_publisher_handle(handle.pointer), gid)
-        self.gid = bytes(gid.value)
-        self._handle = handle
-        self._publish = handle.publish_raw
-        self._closed = False
-
-    def publish(self, payload: bytes) -> None:
-        """Publish one serialized message.
-
-        Raises:
-            RosError: it is closed, the payload is no message, or the middleware refused it.
-        """
-        if len(payload) < 4:
-            raise RosError(f"{self.topic}: a serialized message has at least 4 bytes, not {len(payload)}")
-        try:
-            self._publish(payload)
-        except RuntimeError as error:
-            reason = "the publisher is closed" if self._closed else _reason(error)
-            raise RosError(f"{self.topic}: {reason}") from error
-
-    @property
-    def matched(self) -> int:
-        """How many subscriptions match it, our own node's too; 0 once closed."""
-        try:
-            count: int = self._handle.get_subscription_count()
-        except RuntimeError:
-            return 0
-        return count
-
-    def close(self) -> None:
-        """Free it. May be called twice."""
-        self._closed = True
-        self._handle.destroy_when_not_in_use()
-
-
-def _reason(error: Exception) -> str:
-    """An rcl error without the places in its source code."""
-    return str(error).partition(", at ")[0]
+def _unreadable(error: RuntimeError) -> RosError:
+    return RosError(f"the ROS graph cannot be read: {reason_of(error)}")

@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.srv import GetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import BatteryState, LaserScan
+from std_srvs.srv import SetBool
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,6 +36,8 @@ SCAN_RATE, ODOM_RATE, BATTERY_RATE, GOAL_RATE = 10.0, 50.0, 1.0, 1.0
 """Hz."""
 _BEAMS = 360
 _MAP_SIDE = 384  # cells
+_CALL_EVERY = 2.0  # s
+_SPEED, _TOP_SPEED = 0.2, 1.0  # m/s
 _LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -44,12 +49,12 @@ class Simulation:
         received: messages by topic.
     """
 
-    def __init__(self, domain_id: int, name: str) -> None:
+    def __init__(self, domain_id: int, name: str, *, parameters: bool = False) -> None:
         self.published: dict[str, int] = {}
         self.received: dict[str, int] = {}
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(name, context=self._context, enable_rosout=False, start_parameter_services=False)
+        self._node = Node(name, context=self._context, enable_rosout=False, start_parameter_services=parameters)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._began = time.monotonic()
@@ -85,15 +90,35 @@ class Simulation:
 
         self._node.create_subscription(kind, topic, count, qos)
 
+    def _calls(self, kind: Any, service: str, make: Callable[[float], Any]) -> None:
+        client = self._node.create_client(kind, service)
+        pending: list[Any] = []
+
+        def call() -> None:
+            while pending:  # an answer that has not come by now does not matter any more
+                client.remove_pending_request(pending.pop())
+            if client.service_is_ready():
+                pending.append(client.call_async(make(time.monotonic() - self._began)))
+
+        self._node.create_timer(_CALL_EVERY, call)
+
     def _stamp(self) -> Any:
         return self._node.get_clock().now().to_msg()
 
 
 class Robot(Simulation):
-    """Drives a circle in a square room: scan, odometry, a latched map, the battery; takes goals."""
+    """Drives a circle in a square room: scan, odometry, a latched map, the battery; takes goals.
+
+    It has a light, switched by a service, and a parameter: its speed.
+    """
 
     def __init__(self, domain_id: int) -> None:
-        super().__init__(domain_id, "simulated_robot")
+        super().__init__(domain_id, "simulated_robot", parameters=True)
+        within = FloatingPointRange(from_value=0.0, to_value=_TOP_SPEED)
+        about = ParameterDescriptor(description="m/s", floating_point_range=[within])
+        self._node.declare_parameter("speed", _SPEED, about)
+        self._node.create_service(SetBool, "/set_light", self._set_light)
+        self._lit = False
         self._publishes(LaserScan, "/scan", qos_profile_sensor_data, SCAN_RATE, self._scan)
         self._publishes(Odometry, "/odom", 10, ODOM_RATE, self._odometry)
         self._publishes(OccupancyGrid, "/map", _LATCHED, 0, self._map)
@@ -114,7 +139,7 @@ class Robot(Simulation):
         odometry.header.stamp, odometry.header.frame_id = self._stamp(), "odom"
         odometry.pose.pose.position.x, odometry.pose.pose.position.y = math.cos(t / 5), math.sin(t / 5)
         odometry.pose.pose.orientation.w = 1.0
-        odometry.twist.twist.linear.x = 0.2
+        odometry.twist.twist.linear.x = self._node.get_parameter("speed").value
         return odometry
 
     def _map(self, _: float) -> OccupancyGrid:
@@ -132,9 +157,15 @@ class Robot(Simulation):
         battery.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
         return battery
 
+    def _set_light(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        was, self._lit = self._lit, request.data
+        response.success = True
+        response.message = f"the light is {'on' if self._lit else 'off'}{' already' if was == self._lit else ''}"
+        return response
+
 
 class Desk(Simulation):
-    """The control PC's side: listens to the robot, sends it goals."""
+    """The control PC's side: listens to the robot, sends it goals, has its light blink, and looks at its speed."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, "simulated_desk")
@@ -143,6 +174,8 @@ class Desk(Simulation):
         self._counts(OccupancyGrid, "/map", _LATCHED)
         self._counts(BatteryState, "/battery_state", 10)
         self._publishes(PoseStamped, "/goal_pose", 10, GOAL_RATE, self._goal)
+        self._calls(SetBool, "/set_light", lambda t: SetBool.Request(data=int(t / _CALL_EVERY) % 2 == 0))
+        self._calls(GetParameters, "/simulated_robot/get_parameters", lambda _: GetParameters.Request(names=["speed"]))
 
     def _goal(self, t: float) -> PoseStamped:
         goal = PoseStamped()

@@ -1,7 +1,8 @@
-"""rosidl's type supports seen through ctypes, and the message classes that are installed here.
+"""rosidl's type supports seen through ctypes, and the message and service classes that are installed here.
 
-A message class keeps its type support in a capsule without a name: a pointer to rosidl_message_type_support_t, laid
-out as in rosidl_runtime_c/message_type_support_struct.h and rosidl_runtime_c/type_hash.h (ROS 2 Jazzy).
+A class keeps its type support in a capsule without a name: a pointer to rosidl_message_type_support_t or
+rosidl_service_type_support_t, laid out as in rosidl_runtime_c/message_type_support_struct.h,
+service_type_support_struct.h and type_hash.h (ROS 2 Jazzy).
 """
 
 from __future__ import annotations
@@ -9,13 +10,17 @@ from __future__ import annotations
 import ctypes
 import importlib
 import importlib.util
-from functools import cache
+import sys
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from rsb_bridge.model.type_names import split_type_name
 
 HASH_PREFIX = "RIHS01_"
+HASH_PATTERN = f"{HASH_PREFIX}[0-9a-f]{{64}}"
+_REMEMBERED = 4096
+"""Type names whose class, or that there is none, is remembered: a peer may name any."""
 
 
 class TypeHash(ctypes.Structure):
@@ -31,6 +36,24 @@ class TypeSupport(ctypes.Structure):
         ("identifier", ctypes.c_char_p),
         ("data", ctypes.c_void_p),
         ("find", ctypes.c_void_p),
+        ("get_hash", ctypes.c_void_p),
+        ("get_description", ctypes.c_void_p),
+        ("get_description_sources", ctypes.c_void_p),
+    )
+
+
+class ServiceTypeSupport(ctypes.Structure):
+    """A rosidl_service_type_support_t."""
+
+    _fields_ = (
+        ("identifier", ctypes.c_char_p),
+        ("data", ctypes.c_void_p),
+        ("find", ctypes.c_void_p),
+        ("request", ctypes.POINTER(TypeSupport)),
+        ("response", ctypes.POINTER(TypeSupport)),
+        ("event", ctypes.c_void_p),
+        ("event_create", ctypes.c_void_p),
+        ("event_destroy", ctypes.c_void_p),
         ("get_hash", ctypes.c_void_p),
         ("get_description", ctypes.c_void_p),
         ("get_description_sources", ctypes.c_void_p),
@@ -56,39 +79,83 @@ _capsule_new.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
 
 def type_support_of(message_class: type) -> TypeSupport:
     """The type support of a message class, in place: it lives as long as the process."""
-    metaclass: Any = type(message_class)
-    if metaclass._TYPE_SUPPORT is None:
-        metaclass.__import_type_support__()
-    return TypeSupport.from_address(_capsule_get_pointer(metaclass._TYPE_SUPPORT, None))
+    return TypeSupport.from_address(_address_of(message_class))
 
 
-def capsule_of(type_support: TypeSupport) -> object:
-    """A capsule that rclpy takes for a message class's type support; the caller keeps `type_support` alive."""
+def capsule_of(type_support: TypeSupport | ServiceTypeSupport) -> object:
+    """A capsule that rclpy takes for a class's type support; the caller keeps `type_support` alive."""
     return _capsule_new(ctypes.addressof(type_support), None, None)
+
+
+def pointer_in(capsule: object) -> int:
+    """What a capsule without a name holds."""
+    pointer: int = _capsule_get_pointer(capsule, None)
+    return pointer
 
 
 def hash_of(message_class: type) -> str:
     """The type hash (REP 2016) that the middleware announces for a message class: ``RIHS01_`` and 64 hex digits."""
-    type_support = type_support_of(message_class)
+    return _hash_of(type_support_of(message_class))
+
+
+def service_hash_of(service_class: type) -> str:
+    """What tells versions of a service apart; see `rsb_bridge.ros.api.RosInterface.servers`."""
+    type_support = ServiceTypeSupport.from_address(_address_of(service_class))
+    return joined_hash(_hash_of(type_support.request.contents), _hash_of(type_support.response.contents))
+
+
+def joined_hash(request: str, response: str) -> str:
+    """A service's hash, of its request's and its response's; empty where one is not known."""
+    return f"{request}+{response}" if request and response else ""
+
+
+def _address_of(interface: type) -> int:
+    metaclass: Any = type(interface)
+    if metaclass._TYPE_SUPPORT is None:
+        metaclass.__import_type_support__()
+    return pointer_in(metaclass._TYPE_SUPPORT)
+
+
+def _hash_of(type_support: TypeSupport) -> str:
     address = GET_HASH(type_support.get_hash)(ctypes.addressof(type_support))
     return HASH_PREFIX + bytes(TypeHash.from_address(address).value).hex()
 
 
-@cache
+@lru_cache(_REMEMBERED)
 def installed_class(type_name: str) -> type | None:
     """The message class of a type that is installed here, else None.
+
+    Messages inside services and actions are found, too: ``pkg/srv/Name_Request``, ``pkg/action/Name_FeedbackMessage``.
 
     Raises:
         ValueError: `type_name` is not of the form ``pkg/msg/Name``.
     """
+    found = _installed(type_name)
+    return found if hasattr(found, "get_fields_and_field_types") else None
+
+
+@lru_cache(_REMEMBERED)
+def installed_service(type_name: str) -> type | None:
+    """The class of a service that is installed here, else None.
+
+    Raises:
+        ValueError: `type_name` is not of the form ``pkg/srv/Name``, as ``pkg/action/Name_SendGoal`` is.
+    """
+    found = _installed(type_name)
+    return found if hasattr(found, "Request") and hasattr(found, "Response") else None
+
+
+def _installed(type_name: str) -> type | None:
     package, kind, name = split_type_name(type_name)
-    if kind != "msg" or not _is_interface_package(package):
+    if not _is_interface_package(package):
         return None
     try:
-        messages = importlib.import_module(f"{package}.msg")
-    except ImportError:  # it has services or actions only, or is broken
+        interfaces = importlib.import_module(f"{package}.{kind}")
+    except ImportError:  # it has none of that kind, or is broken
         return None
-    found: type | None = getattr(messages, name, None)
+    # The module of an interface has the interfaces inside it, too; its own name has no underscore (ROS's naming rules).
+    outermost = getattr(interfaces, name.partition("_")[0], None)
+    found: type | None = getattr(sys.modules.get(getattr(outermost, "__module__", "")), name, None)
     return found
 
 

@@ -1,0 +1,183 @@
+"""Raw endpoints of topics, on rcl through ctypes.
+
+rclpy hides the publisher of a message taken, so rcl is called for it. Structs: rmw/types.h (ROS 2 Jazzy).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+import threading
+import time
+from typing import TYPE_CHECKING, Literal
+
+from rsb_bridge.ros.api import RawMessage, RosError
+from rsb_bridge.ros.librcl import librcl, reason_of, reset_error
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from rsb_bridge.ros.librcl import Handle
+    from rsb_bridge.ros.serialization import Buffer
+
+_TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
+_PUBLISHERS_REMEMBERED = 1024
+_DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
+_LAST_NUMBER = 2**63 - 1
+
+_INFO = struct.Struct("@qqQQP16s?0P")
+"""rmw_message_info_t: source and reception time in ns, publication and reception number, publisher's gid (its
+middleware's name and 16 bytes), whether it came within the process."""
+
+
+class _Gid(ctypes.Structure):
+    """A rmw_gid_t."""
+
+    _fields_ = (("middleware", ctypes.c_char_p), ("value", ctypes.c_uint8 * 16))
+
+
+_take = librcl.rcl_take_serialized_message
+_take.argtypes = [ctypes.c_void_p] * 4
+_publisher_handle = librcl.rcl_publisher_get_rmw_handle
+_publisher_handle.argtypes, _publisher_handle.restype = [ctypes.c_void_p], ctypes.c_void_p
+_gid_of_publisher = librcl.rmw_get_gid_for_publisher
+_gid_of_publisher.argtypes = [ctypes.c_void_p, ctypes.POINTER(_Gid)]
+_wait_for_all_acked = librcl.rcl_publisher_wait_for_all_acked
+_wait_for_all_acked.argtypes = [ctypes.c_void_p, ctypes.c_int64]
+
+
+class Reader:
+    """A raw subscription, of the thread that takes from it.
+
+    Attributes:
+        handle: rclpy's.
+        topic: its resolved name.
+        kind: what it is in a wait set.
+        lost: messages missing between those taken, and before those of a publisher that came after the subscription.
+    """
+
+    kind: Literal["subscription"] = "subscription"
+
+    def __init__(self, handle: Handle, buffer: Buffer, earlier: frozenset[bytes] | None) -> None:
+        """Begin to count.
+
+        Args:
+            handle: rclpy's.
+            buffer: that messages are taken into, shared by the readers of a thread.
+            earlier: the publishers that were there before; None: what comes first is history, and none is new.
+        """
+        self.handle = handle
+        self.topic: str = handle.rclpy.get_topic_name()
+        self.lost = 0
+        self._buffer = buffer
+        self._info = ctypes.create_string_buffer(_INFO.size)
+        self._last: dict[bytes, int] = {}  # newest sequence number by publisher
+        self._earlier = earlier
+        self._made_at = time.monotonic()
+
+    def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
+        """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
+
+        Raises:
+            RosError: rcl failed.
+        """
+        address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
+        buffer_reference, unpack, copy = ctypes.byref(buffer), _INFO.unpack, ctypes.string_at
+        taken = []
+        for _ in range(limit):
+            code = _take(address, buffer_reference, info, None)
+            if code:
+                if code == _TAKE_FAILED:
+                    break
+                reset_error()
+                raise RosError(f"{self.topic}: a message could not be taken (rcl error {code})")
+            _, stamp, number, _, _, gid, _ = unpack(info)
+            if gid in skip:
+                continue
+            if number > _LAST_NUMBER:
+                number = 0  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
+            previous = last.get(gid)
+            if previous is None:
+                previous = 0 if self._is_newcomer(gid) else number
+                self._forget_oldest()
+            if number > previous + 1:
+                self.lost += number - previous - 1
+            last[gid] = number
+            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp, gid, number))
+        return taken
+
+    def close(self) -> None:
+        """Free it. To be called once."""
+        self.handle.free()
+
+    def _is_newcomer(self, gid: bytes) -> bool:
+        """Whether a publisher came after the subscription, which so should have had its first message."""
+        if self._earlier is None or gid in self._earlier:
+            return False
+        return time.monotonic() - self._made_at > _DISCOVERED_WITHIN
+
+    def _forget_oldest(self) -> None:
+        """Make room for another publisher: short-lived ones must not fill the memory."""
+        if len(self._last) >= _PUBLISHERS_REMEMBERED:
+            del self._last[next(iter(self._last))]
+            self._earlier = None  # from now on, one that seems new may be one that was forgotten
+
+
+class Writer:
+    """A raw publisher, for any thread: rclpy publishes with the GIL held, so it is never freed under a `publish`.
+
+    Attributes:
+        topic: its resolved name.
+        gid: what messages taken say of their publisher.
+    """
+
+    def __init__(self, handle: Handle) -> None:
+        self.topic: str = handle.rclpy.get_topic_name()
+        gid = _Gid()
+        _gid_of_publisher(_publisher_handle(handle.address), gid)
+        self.gid = bytes(gid.value)
+        self._handle = handle
+        self._publish = handle.rclpy.publish_raw
+        self._closed = False
+        self._closing = threading.Lock()
+
+    def publish(self, payload: bytes) -> None:
+        """Publish one serialized message.
+
+        Raises:
+            RosError: it is closed, the payload is no message, or the middleware refused it.
+        """
+        if len(payload) < 4:
+            raise RosError(f"{self.topic}: a serialized message has at least 4 bytes, not {len(payload)}")
+        try:
+            self._publish(payload)
+        except RuntimeError as error:
+            reason = "the publisher is closed" if self._closed else reason_of(error)
+            raise RosError(f"{self.topic}: {reason}") from error
+
+    @property
+    def matched(self) -> int:
+        """How many subscriptions match it, our own node's too; 0 once closed."""
+        try:
+            count: int = self._handle.rclpy.get_subscription_count()
+        except RuntimeError:
+            return 0
+        return count
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether every reliable subscription has acknowledged all (asked in 2 µs) or not (100 µs); yes once closed."""
+        try:
+            code = _wait_for_all_acked(self._handle.rclpy.pointer, 0)
+        except RuntimeError:
+            return True
+        if code:
+            reset_error()
+        return not code
+
+    def close(self) -> None:
+        """Free it. May be called twice, and from two threads."""
+        with self._closing:
+            if not self._closed:
+                self._closed = True
+                self._handle.free()

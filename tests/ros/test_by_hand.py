@@ -1,0 +1,185 @@
+"""What an operator writes becomes the message that rclpy would make of it, or an error that says what to write."""
+
+from __future__ import annotations
+
+import array
+import math
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message
+from tests.cdr.test_decoder import TYPES
+from tests.support.filled import filled
+
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import hash_of_text, read_description
+from rsb_bridge.config.fields_text import read_fields, write_fields
+from rsb_bridge.model.fields import FIELDS_LENGTH, FieldError
+from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.by_hand import serialize
+from rsb_bridge.ros.descriptions import installed_description
+from rsb_bridge.ros.typesupport import installed_class
+
+NOW = 1_700_000_000_000_000_005
+EVENT, VALUE = "rcl_interfaces/msg/ParameterEvent", "rcl_interfaces/msg/ParameterValue"
+PARTS = [
+    "std_srvs/srv/Trigger_Request", "std_srvs/srv/SetBool_Response", "nav_msgs/srv/GetPlan_Response",
+    "lifecycle_msgs/srv/GetAvailableTransitions_Response", "rcl_interfaces/srv/DescribeParameters_Response",
+    "action_msgs/srv/CancelGoal_Request", "sensor_msgs/srv/SetCameraInfo_Request",
+]  # fmt: skip
+
+
+def made(type_name: str, text: str) -> Any:
+    """The message that is made of a text."""
+    return deserialize_message(serialize(type_name, read_fields(text), NOW), installed_class(type_name))
+
+
+def fields_of(value: Any) -> Any:
+    """What rclpy made of a message, as an operator would write it."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {field: fields_of(getattr(value, field)) for field in value.get_fields_and_field_types()}
+    if isinstance(value, list | array.array | np.ndarray):
+        return [fields_of(each) for each in value]
+    if isinstance(value, bytes):
+        return str(value[0])
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+@pytest.mark.parametrize("type_name", [*TYPES, *PARTS])
+def test_every_installed_type_is_made_with_every_field(type_name: str) -> None:
+    message_class: Any = installed_class(type_name)
+    for message in (message_class(), filled(message_class)):
+        assert deserialize_message(serialize(type_name, fields_of(message), NOW), message_class) == message
+    assert deserialize_message(serialize(type_name, {}, NOW), message_class) == message_class()
+
+
+@pytest.mark.parametrize("type_name", [*TYPES, *PARTS])
+def test_what_is_written_of_a_message_makes_the_same_message(type_name: str) -> None:
+    message_class: Any = installed_class(type_name)
+    message = filled(message_class)
+    description = installed_description(type_name)
+    assert description is not None
+    payload = serialize(type_name, fields_of(message), NOW)
+    text = write_fields(decode(read_description(description, hash_of_text(description)), payload))
+    assert "#" not in text
+    if len(text.encode()) < FIELDS_LENGTH:
+        assert made(type_name, text) == message
+    else:
+        assert type_name == "visualization_msgs/msg/InteractiveMarkerUpdate"
+
+
+@settings(deadline=None)
+@given(
+    st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=20),
+    st.floats(),
+    st.integers(-(2**63), 2**63 - 1),
+    st.lists(st.floats(), max_size=4),
+    st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=10), max_size=4),
+)
+def test_any_value_is_the_same_after_it_was_written_and_read(
+    text: str, number: float, integer: int, numbers: list[float], texts: list[str]
+) -> None:
+    message_class: Any = installed_class(VALUE)
+    message = message_class(
+        string_value=text,
+        double_value=number,
+        integer_value=integer,
+        double_array_value=numbers,
+        string_array_value=texts,
+        byte_array_value=[b"\0", b"\xff"],
+    )
+    payload = serialize(VALUE, fields_of(message), NOW)
+    description = installed_description(VALUE)
+    assert description is not None
+    written = write_fields(decode(read_description(description, hash_of_text(description)), payload))
+    assert repr(made(VALUE, written)) == repr(message)  # NaN equals NaN there
+
+
+def test_a_text_stays_as_it_was_written() -> None:
+    for text in ("no", "1.10", "0x10", "12:30:00", "2024-01-01", "true", "''", "'~'"):
+        assert made("std_msgs/msg/String", f"data: {text}").data == text.strip("'")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1", 1.0), ("-1.5e3", -1500.0), (".5", 0.5), ("0x10", 16.0), (".inf", math.inf), ("-inf", -math.inf),
+     ("nan", None), (".NaN", None)],
+)  # fmt: skip
+def test_a_number_may_be_written_as_yaml_or_ros_does(text: str, value: float | None) -> None:
+    number = made("std_msgs/msg/Float32", f"data: {text}").data
+    assert math.isnan(number) if value is None else number == value
+
+
+def test_defaults_are_those_of_the_type() -> None:
+    assert made("geometry_msgs/msg/Pose", "position: {x: 2}").orientation.w == 1.0
+
+
+def test_now_and_auto_are_the_time() -> None:
+    stamp = made("builtin_interfaces/msg/Time", "{sec: 3}")
+    assert (stamp.sec, stamp.nanosec) == (3, 0)
+    for text in ("header: auto", "header: {stamp: now}"):
+        stamp = made("geometry_msgs/msg/PoseStamped", text).header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == NOW
+    assert made(EVENT, "stamp: now").stamp.nanosec == 5
+
+
+def test_a_goal_is_named_as_it_is_shown() -> None:
+    digits = "00112233445566778899aabbccddeeff"
+    for text in (digits, "00112233-4455-6677-8899-AABBCCDDEEFF"):
+        request = made("action_msgs/srv/CancelGoal_Request", f"goal_info: {{goal_id: {text}}}")
+        assert bytes(request.goal_info.goal_id.uuid).hex() == digits
+
+
+@pytest.mark.parametrize(
+    ("type_name", "text", "words"),
+    [
+        ("std_srvs/srv/SetBool_Request", "data: yes", "data: 'yes' is not true or false"),
+        ("std_srvs/srv/SetBool_Request", "dat: true", "no field 'dat': did you mean data?"),
+        ("std_srvs/srv/SetBool_Request", "{x: 1}", "no field 'x': it has data"),
+        ("std_srvs/srv/Trigger_Request", "{x: 1}", "no field 'x': it has no fields"),
+        ("std_srvs/srv/SetBool_Request", "data:", "data has no value"),
+        ("std_srvs/srv/SetBool_Request", "true", "the request: 'true' is not a mapping of data"),
+        ("std_srvs/srv/SetBool_Request", "- true", "the request: a list is not a mapping of data"),
+        ("std_msgs/msg/UInt8", "data: 256", "data: 256 is not in 0 to 255 (uint8)"),
+        ("std_msgs/msg/Byte", "data: -1", "data: -1 is not in 0 to 255 (byte)"),
+        ("std_msgs/msg/Int64", "data: 1.0", "data: '1.0' is not a whole number (int64)"),
+        ("std_msgs/msg/Int64", f"data: {'9' * 39}", "is not in -9223372036854775808 to"),
+        ("std_msgs/msg/Int64", f"data: {'9' * 5000}", "9…' is not a whole number"),
+        ("std_msgs/msg/Float32", "data: 1e39", "data: 1e39 is too large for a float32"),
+        ("std_msgs/msg/Float64", "data: 1_0", "data: '1_0' is not a number (float64)"),
+        ("std_msgs/msg/Float64", "data: [1]", "data: a list is not a number (float64)"),
+        ("std_msgs/msg/String", "data: {a: b}", "data: a mapping is not text"),
+        ("std_msgs/msg/String", 'data: "\\0"', "data has a character of code 0"),
+        ("std_msgs/msg/String", 'data: "\\uD800"', "data has half of a surrogate pair"),
+        ("geometry_msgs/msg/Pose", "position: {x: 1, q: 2}", "position has no field 'q': it has x, y, z"),
+        ("geometry_msgs/msg/Pose", "position: here", "position: 'here' is not a mapping of x, y, z"),
+        ("geometry_msgs/msg/PoseArray", "poses: [{}, {position: {x: a}}]", "poses[1].position.x: 'a' is not a num"),
+        ("geometry_msgs/msg/PoseArray", "header: {stamp: then}", "header.stamp: 'then' is not a mapping of sec"),
+        ("sensor_msgs/msg/CameraInfo", "k: [1, 2]", "k has 2 elements: it takes 9"),
+        ("sensor_msgs/msg/CameraInfo", "k: 5", "k: '5' is not a list"),
+        ("rcl_interfaces/msg/ParameterDescriptor", "integer_range: [{}, {}]", "it takes 1 at most"),
+        ("unique_identifier_msgs/msg/UUID", "uuid: 0011", "uuid: '0011' is not a list"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_said_with_its_place_and_the_remedy(type_name: str, text: str, words: str) -> None:
+    with pytest.raises(FieldError) as refused:
+        serialize(type_name, read_fields(text), NOW)
+    assert words in str(refused.value)
+    assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize(
+    "type_name", ["no_such_msgs/srv/Name_Request", "std_srvs/srv/Nope_Request", "std_srvs/srv/SetBool", "std_srvs"]
+)
+def test_a_type_that_is_not_installed_is_refused(type_name: str) -> None:
+    with pytest.raises(RosError, match=r"install|write it as"):
+        serialize(type_name, {}, NOW)
+
+
+def test_numbers_are_serialized_as_rclpy_serializes_them() -> None:
+    payload = serialize("std_msgs/msg/UInt32", {"data": "258"}, NOW)
+    assert payload[:8] == b"\0\1\0\0" + struct.pack("<I", 258)

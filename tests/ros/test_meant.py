@@ -1,0 +1,65 @@
+"""What an operator may have meant by a name that nobody serves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.offline import NoRos
+
+from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.ros.meant import Meant
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.session import Kind
+
+
+class _Graph(NoRos):
+    """One with an action /navigate, a node /dock_server with parameters, and a service /dock.
+
+    Attributes:
+        asked: how often for all services.
+    """
+
+    def __init__(self) -> None:
+        self._served = {"/dock"}
+        wholes: tuple[tuple[Kind, str], ...] = (("action", "/navigate"), ("parameters", "/dock_server"))
+        for kind, name in wholes:
+            self._served |= {name + lane.suffix for lane in LANES[kind] if not lane.is_topic}
+        self.asked = 0
+
+    def services(self) -> dict[str, list[str]]:
+        self.asked += 1
+        return {service: [] for service in (*self._served, "/dokc_called_only", "/_hidden")}
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return [Endpoint("/node", "", "", Qos())] if service in self._served else []
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "words"),
+    [
+        ("service", "/dokc", "/dock?"),
+        ("service", "/navigate", "under actions"),
+        ("service", "/dock_server", "under parameters"),
+        ("service", "/dokc_called_onyl", ""),
+        ("service", "/scan", ""),
+        ("action", "/navigat", "/navigate?"),
+        ("action", "/dock", "under services"),
+        ("parameters", "/dock_srver", "/dock_server?"),
+        ("parameters", "/navigate", "under actions"),
+    ],
+)
+def test_what_is_of_another_kind_or_alike_is_named(kind: Kind, name: str, words: str) -> None:
+    hint = Meant(_Graph(), lambda: 0.0).by(kind, name)
+    assert bool(hint) is bool(words)
+    assert words in hint
+
+
+def test_it_is_not_searched_for_at_each_question() -> None:
+    graph = _Graph()
+    meant = Meant(graph, lambda: 0.0)
+    assert [meant.by("service", name) for name in ("/dokc", "/dokc", "/navigate")] == ["did you mean /dock?"] * 2 + [""]
+    assert graph.asked == 1

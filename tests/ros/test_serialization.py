@@ -1,0 +1,89 @@
+"""What this program serializes has zeros for padding, and is otherwise what rclpy makes of a message."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.serialization import serialize_message as by_rclpy
+from tests.cdr.test_decoder import TYPES
+from tests.support.filled import filled
+from tests.support.resources import resources
+
+from rsb_bridge.ros.by_hand import serialize
+from rsb_bridge.ros.serialization import serialize_message
+from rsb_bridge.ros.typesupport import installed_class
+
+ROOT = Path(__file__).parents[2]
+PARTS = [
+    "std_srvs/srv/SetBool_Response", "nav_msgs/srv/GetPlan_Request", "nav_msgs/srv/LoadMap_Response",
+    "rcl_interfaces/srv/SetParameters_Request", "rcl_interfaces/srv/DescribeParameters_Response",
+    "lifecycle_msgs/srv/GetAvailableTransitions_Response", "action_msgs/srv/CancelGoal_Request",
+]  # fmt: skip
+M_PERTURB = -6
+"""Of glibc's mallopt: what is allocated is filled with the complement of this byte."""
+FILLS = (0xA5, 0x5A)
+
+
+def serialized(fill: int) -> list[list[str]]:
+    """Every installed type, default and filled, by rclpy and by us, in memory that was filled before."""
+    ctypes.CDLL(None).mallopt(M_PERTURB, fill)
+    found = []
+    for name in (*TYPES, *PARTS):
+        message_class: Any = installed_class(name)
+        messages = message_class(), filled(message_class)
+        found += [[by_rclpy(each).hex(), serialize_message(each).hex()] for each in messages]
+        assert serialize(name, {}, 0).hex() == found[-2][1]  # by hand
+    return found
+
+
+def test_padding_of_every_installed_type_is_zero() -> None:
+    """In a process whose memory shows where nothing was written: without caches, which are not filled."""
+    found = subprocess.run(
+        [sys.executable, "-m", "tests.ros.test_serialization"],
+        env=os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=0"},
+        cwd=ROOT, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert not found.returncode, found.stderr
+    one, other = json.loads(found.stdout)
+    assert len(one) == 2 * len((*TYPES, *PARTS))
+    padded = 0
+    for (theirs, ours), (theirs_again, ours_again) in zip(one, other, strict=True):
+        assert ours == ours_again
+        same = zip(*map(bytes.fromhex, (theirs, theirs_again)), strict=True)
+        unwritten = [first != second for first, second in same]
+        padded += any(unwritten)
+        expected = (0 if left else byte for byte, left in zip(bytes.fromhex(theirs), unwritten, strict=True))
+        assert bytes(expected).hex() == ours
+    assert padded > 100  # or the memory shows nothing
+
+
+def test_what_does_not_fit_is_refused_as_by_rclpy() -> None:
+    message_class: Any = installed_class("std_msgs/msg/String")
+    message = message_class()
+    message._data = "half a surrogate pair: \ud800"
+    for way in (by_rclpy, serialize_message):
+        with pytest.raises(UnicodeEncodeError):
+            way(message)
+
+
+def test_nothing_is_kept_of_a_message() -> None:
+    message_class: Any = installed_class("nav_msgs/msg/OccupancyGrid")
+    grid = message_class(data=[1] * 1_000_000)
+    size = len(serialize_message(grid))
+    gc.collect()
+    before = resources().resident
+    for _ in range(50):
+        serialize_message(grid)
+    assert resources().resident - before < 10 * size
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps([serialized(fill) for fill in FILLS]))

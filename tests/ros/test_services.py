@@ -1,0 +1,130 @@
+"""Services, ours at one end and stock rclpy's at the other: calls both ways, carried raw or by rclpy."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from nav_msgs.srv import GetPlan
+from rclpy.serialization import deserialize_message, serialize_message
+from std_srvs.srv import SetBool
+
+from rsb_bridge.ros.api import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from rsb_bridge.ros.node import RosNode
+
+PLAN = "nav_msgs/srv/GetPlan"
+SET = "std_srvs/srv/SetBool"
+
+
+pytestmark = pytest.mark.usefixtures("way")
+
+
+class Requests(list[Any]):
+    """A sink that keeps requests, or answers them at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.respond: Callable[[Any], None] | None = None
+
+    def __call__(self, batch: Any) -> None:
+        self.extend(batch)
+        if self.respond is not None:
+            for request in batch:
+                self.respond(request)
+
+
+def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+    """What a stock server answers."""
+    response.plan.header.frame_id = request.start.header.frame_id + "!"
+    response.plan.poses = [request.start, request.goal]
+    return response
+
+
+def test_a_stock_node_answers_our_calls(
+    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any]
+) -> None:
+    ours = open_node()
+    stock.create_service(GetPlan, "/plan", plan)
+    [server] = eventually(lambda: [each for each in ours.servers("/plan") if each.node])
+    assert (server.node, server.type_name) == ("/stock", PLAN)
+    assert server.type_hash == ours.installed_service_hash(PLAN)
+    responses: list[Any] = []
+    client = ours.call_service("/plan", PLAN, server.type_hash, responses.extend)
+    eventually(lambda: client.ready)
+    numbers = {}
+    for number in range(20):
+        request = GetPlan.Request()
+        request.start.header.frame_id = f"frame {number}"
+        numbers[client.call(serialize_message(request))] = f"frame {number}!"
+        eventually(lambda number=number: len(responses) > number)
+    answers = {each.number: deserialize_message(each.payload, GetPlan.Response) for each in responses}
+    assert {number: each.plan.header.frame_id for number, each in answers.items()} == numbers
+
+
+def test_we_answer_a_stock_nodes_calls(
+    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any]
+) -> None:
+    """In any order."""
+    ours = open_node()
+    requests = Requests()
+    server = ours.serve("/set", SET, "", requests)
+    client = stock.create_client(SetBool, "/set")
+    assert client.wait_for_service(60)
+    [caller] = eventually(lambda: [each for each in ours.callers("/set") if each.node])
+    assert (caller.node, caller.type_name) == ("/stock", SET)
+    assert caller.type_hash == ours.installed_service_hash(SET)
+    futures = [client.call_async(SetBool.Request(data=bool(number % 2))) for number in range(5)]
+    eventually(lambda: len(requests) == 5)
+    for request in reversed(requests):
+        asked = deserialize_message(request.payload, SetBool.Request)
+        server.answer(request.caller, serialize_message(SetBool.Response(success=asked.data, message="é")))
+    eventually(lambda: all(each.done() for each in futures))
+    assert [each.result().success for each in futures] == [False, True, False, True, False]
+    assert {each.result().message for each in futures} == {"é"}
+
+
+def test_what_a_peer_sends_that_is_no_message_is_refused_or_never_read(
+    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any], way: str
+) -> None:
+    """Nothing but this call comes to harm: those after it are answered."""
+    ours = open_node()
+    taken: list[Any] = []
+
+    def set_it(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        taken.append(request.data)
+        return response
+
+    stock.create_service(SetBool, "/set", set_it)
+    stock.create_service(GetPlan, "/plan", plan)
+    requests = Requests()
+    server = ours.serve("/mine", SET, "", requests)
+    caller = stock.create_client(SetBool, "/mine")
+    assert caller.wait_for_service(60)
+    responses: list[Any] = []
+    setting, planning = (
+        ours.call_service(name, kind, "", responses.extend) for name, kind in (("/set", SET), ("/plan", PLAN))
+    )
+    eventually(lambda: setting.ready and planning.ready)
+    for payload in (b"", b"\0\1\0"):
+        with pytest.raises(RosError):
+            setting.call(payload)
+    endless = serialize_message(GetPlan.Request())[:12] + b"\xff\xff\xff\x7f" + bytes(40)
+    with pytest.raises(RosError) if way == "typed" else nullcontext():
+        planning.call(endless)  # raw, whoever serves it finds out
+    future = caller.call_async(SetBool.Request())
+    eventually(lambda: requests)
+    for broken in (b"", b"\0\1"):
+        with pytest.raises(RosError):
+            server.answer(requests[0].caller, broken)
+    server.answer(requests[0].caller, serialize_message(SetBool.Response()))
+    eventually(future.done)
+    number = setting.call(serialize_message(SetBool.Request(data=True)))
+    eventually(lambda: any(each.number == number for each in responses))
+    assert taken == [True]
