@@ -71,6 +71,9 @@ class Owner:
     def offer_latched(self, new: int, samples: object) -> None:
         """Take nothing."""
 
+    def too_late(self, messages: int) -> None:
+        self.late = messages
+
     def log_intake(self, level: object, code: EventCode, text: str) -> None:
         self.events.append(code)
 

@@ -15,7 +15,8 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.wire.messages import Report, decode, encode
+from rsb_bridge.wire.codec import decode, encode
+from rsb_bridge.wire.messages import Report
 from rsb_bridge.wire.records import ReceivedReport, SentReport, VerdictRecord
 
 if TYPE_CHECKING:

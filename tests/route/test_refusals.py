@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.support.offline import FakePeer
 
 from rsb_bridge.link.proposals import proposal_of
@@ -35,3 +36,18 @@ def test_a_route_is_asked_for_again_after_any_number_of_refusals(
     assert pauses[:6] == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
     assert max(pauses) < 10.001
     assert len(context.events.after(0)) == 1
+
+
+@pytest.mark.parametrize("state", ["refused", "paused"])
+def test_where_nobody_looks_for_publishers_it_is_not_said_that_there_are_none(
+    state: str, make_context: Callable[..., Context]
+) -> None:
+    context = make_context()
+    topic = Topic("/scan", "transmit", paused=state == "paused")
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, FakePeer(), topic, proposal, proposed_here=True)
+    route.open(1)
+    if state == "refused":
+        route.refuse(EventCode.ROUTE_REFUSED, "denied")
+    (seen,) = [stage for stage in route.snapshot().stages if stage.name == "publisher seen"]
+    assert seen.done is None

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import pytest
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.route.resolving import MessageType, UnresolvedError, choose_type, left_out
+from rsb_bridge.route.resolving import MessageType, Resolver, UnresolvedError, choose_type, left_out
+from rsb_bridge.wire.messages import Propose
 
 A, B = "std_msgs/msg/String", "std_msgs/msg/Int32"
 UNUSED = MessageType()
@@ -49,17 +53,19 @@ def test_a_type_that_the_session_names_is_sent_whoever_publishes_others() -> Non
 
 def test_publishers_that_disagree_leave_the_type_that_is_in_use() -> None:
     publishers = (publisher(A, "1", "/a"), publisher(B, "2", "/b"))
-    with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\), {A} \(from /a\)"):
+    with pytest.raises(UnresolvedError, match=rf"{B} \(from /b\) and {A} \(from /a\)"):
         chosen(*publishers)
     assert chosen(*publishers, used=MessageType(B, "2")) == (B, "2")
     assert f"{A} (from /a)" in left_out(publishers, "", B)
+    third = publisher("zoo/msg/C", "3", "/c")
+    assert f"{A} (from /a) and zoo/msg/C (from /c) are not bridged, only {B}" in left_out((*publishers, third), "", B)
     assert not left_out(publishers[:1], "", A)
 
 
 def test_versions_of_one_type_are_not_mixed() -> None:
     """DDS takes them for the same type, so none is sent."""
     publishers = (publisher(A, "1", "/new"), publisher(A, "2", "/old"))
-    with pytest.raises(UnresolvedError, match=r"1 \(from /new\), 2 \(from /old\)"):
+    with pytest.raises(UnresolvedError, match=r"1 \(from /new\) and 2 \(from /old\)"):
         chosen(*publishers, used=MessageType(A, "1"))
 
 
@@ -70,3 +76,13 @@ def test_a_sentence_names_a_few_nodes_and_types() -> None:
     assert len(str(failure.value)) < 400
     assert "and 6 more" in str(failure.value)
     assert "and 2 more" in str(failure.value)
+
+
+def test_another_name_is_suggested_only_where_nobody_ever_published_this_one() -> None:
+    similar = SimpleNamespace(of=lambda topic: "/chart")
+    context = cast("Any", SimpleNamespace(domain_id=3, similar_topics=similar))
+    resolver = Resolver(context, Propose(route=1, topic="/chat", remote_topic="/chat", from_client=True))
+    assert resolver.no_publisher() == "no publisher of /chat in domain 3; did you mean /chart?"
+    resolver.look([publisher(A, "1")])
+    resolver.look([])
+    assert resolver.no_publisher() == "no publisher of /chat in domain 3"

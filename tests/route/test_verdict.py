@@ -64,7 +64,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"endpoints": [endpoint("/a", BEST_EFFORT)], "came": False, "stale_since": NOW - 16.0},
             State.DOWN,
             Cause.QOS_INCOMPATIBLE,
-            ["/a offers best_effort", "asks for reliable", "qos: auto"],
+            ["/a offers best_effort", "asks for reliable", "its messages are not received", "qos: auto"],
         ),
         (
             SENDER,
@@ -78,7 +78,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"endpoints": [TALKER, endpoint("/b")], "qos": LATCHED},
             State.DOWN,
             Cause.QOS_INCOMPATIBLE,
-            ["/b and /talker offer volatile", "asks for transient_local"],
+            ["/b and /talker offer volatile", "asks for transient_local", "their messages are not received"],
         ),
         (
             SENDER,
@@ -105,7 +105,7 @@ def test_a_route_that_flows_is_fine() -> None:
             SENDER,
             {"came": False, "endpoints": [], "similar": "/char"},
             State.WAITING,
-            Cause.NO_PUBLISHER,
+            Cause.SIMILAR_NAME,
             ["no publisher of /chat in domain 2; did you mean /char?"],
         ),
         (SENDER, {"came": False}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker has published nothing yet"]),
@@ -136,7 +136,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"stopped_since": NOW - 20.0, "stale_since": NOW - 20.0, "expected_rate": 10.0},
             State.STALE,
             Cause.PUBLISHER_SILENT,
-            ["nothing for 20 s: /talker is there, and publishes nothing"],
+            ["nothing for 20 s: /talker is running, but publishes nothing"],
         ),
         (RECEIVER, {"stale_since": NOW - 20.0}, State.STALE, Cause.SILENT, ["nothing for 20 s"]),
         (
@@ -189,7 +189,7 @@ def test_a_route_that_flows_is_fine() -> None:
             {"qos": BEST_EFFORT},
             State.UNHEARD,
             Cause.QOS_INCOMPATIBLE,
-            ["/rviz asks for reliable", "published best_effort"],
+            ["/rviz asks for reliable", "published with best_effort"],
         ),
         (
             RECEIVER,
@@ -249,6 +249,7 @@ facts = st.builds(
     refusal=texts,
     loop=texts,
     paused=st.booleans(),
+    disarmed=st.sampled_from(["", "nobody has armed it"]),
     no_path=texts,
     subscribe_failed=texts,
     left_out=texts,
@@ -296,7 +297,7 @@ def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, 
     sender.take(record_of(other), NOW)
     receiver.take(record_of(one), NOW)
     shown = [sender.shown(one), receiver.shown(other)]
-    own = {Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED}
+    own = {Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED}
     if not own & {one.cause, other.cause}:
         assert len({(each.verdict.state, each.verdict.cause) for each in shown}) == 1
         for each in shown:
@@ -327,6 +328,18 @@ def test_how_long_it_has_lasted_counts_on_at_the_other_side() -> None:
     here.take(lasting(record_of(slow), slow, NOW), 100.0)
     assert here.shown(FINE).verdict.said(100.0) == "robot1: slow, for 5 s"
     assert here.shown(FINE).verdict.said(295.0) == "robot1: slow, for 3 min"
+
+
+def test_since_when_it_is_so() -> None:
+    """It counts from the beginning of the trouble, and not anew when only the words or the side that says it change."""
+    here = BothSides(sends=False, peer_name="robot1")
+    assert here.since(FINE, 10.0) == here.since(FINE, 20.0) == 10.0
+    slow = Verdict(State.SLOW, Cause.SLOW, "2 Hz of 20, for {lasting}", 25.0)
+    assert here.since(slow, 30.0) == 25.0
+    assert here.since(Verdict(State.SLOW, Cause.SLOW, "robot1: 3 Hz of 20"), 40.0) == 25.0
+    assert here.since(Verdict(State.SLOW, Cause.LOSSY, "half is lost"), 50.0) == 50.0
+    here.announce(FINE, 60.0)  # which happens every second, whoever looks
+    assert here.since(FINE, 70.0) == 60.0
 
 
 @pytest.mark.parametrize("lasts", [float("nan"), float("inf"), -1.0, 1e300])

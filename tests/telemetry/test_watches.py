@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
@@ -20,11 +19,26 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
-def learned(counts: Iterable[int], usual: UsualRate | None = None) -> UsualRate:
-    usual = usual or UsualRate()
-    for messages in counts:
-        usual.add(messages, 1.0)
-    return usual
+class Learner:
+    """Has a rate learned from how many messages come in each second, the last one at its end."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.usual = UsualRate()
+
+    def learn(self, counts: Iterable[int]) -> Learner:
+        for messages in counts:
+            self.now += 1.0
+            self.usual.add(messages, self.now, self.now)
+        return self
+
+    @property
+    def rate(self) -> float | None:
+        return self.usual.rate
+
+
+def learned(counts: Iterable[int], usual: Learner | None = None) -> Learner:
+    return (usual or Learner()).learn(counts)
 
 
 @pytest.mark.parametrize("rate", [1, 3, 20, 1000])
@@ -57,7 +71,7 @@ def test_a_faster_rate_is_learned_at_once_and_a_slower_one_after_ten_minutes() -
     usual = learned([20] * 30)
     assert learned([2] * 300, usual).rate == pytest.approx(20, rel=0.02)
     assert learned([2] * 400, usual).rate == pytest.approx(2, rel=0.02)
-    assert learned([20] * 12, usual).rate == pytest.approx(20, rel=0.02)
+    assert learned([20] * 21, usual).rate == pytest.approx(20, rel=0.02)
 
 
 @given(st.lists(st.integers(0, 1000), max_size=300))
@@ -100,17 +114,18 @@ def test_a_topic_has_stopped_after_five_of_its_periods() -> None:
     assert fast.since == 10.0
 
 
-@pytest.mark.parametrize(("publishers", "intermittent"), [("aaaaaa", True), ("abcdef", False)])
-def test_a_topic_that_pauses_by_itself_is_not_said_to_have_stopped_for_ever(
-    publishers: str, intermittent: bool
-) -> None:
-    """A joystick is let go of again and again; a publisher that died comes back as another one."""
-    watch, now = StopWatch(), 0.0
-    for before, after in pairwise(publishers):
-        watch.tick(now, 20.0, now + 5.0, before)
-        now += 6.0
-        watch.tick(now, 20.0, now, after)
-    assert watch.intermittent is intermittent
+def test_after_a_pause_only_a_longer_one_counts_unless_another_publisher_paused() -> None:
+    watch = StopWatch()
+    watch.tick(10.0, 20.0, 15.0, "a")
+    assert watch.since == 10.0
+    watch.tick(16.0, 20.0, 16.0, "a")
+    for now, stopped in ((19.0, False), (27.9, False), (28.1, True)):  # it has paused for 6 s
+        watch.tick(16.0, 20.0, now, "a")
+        assert watch.quiet
+        assert (watch.since is not None) is stopped
+    watch.tick(100.0, 20.0, 100.0, "b")
+    watch.tick(100.0, 20.0, 103.0, "b")
+    assert watch.since == 100.0
 
 
 def lossy(watch: LossWatch, seconds: Iterable[tuple[int, int]], state: list[int]) -> None:
@@ -176,3 +191,25 @@ def test_what_comes_and_goes_is_said_once_a_minute_at_the_most() -> None:
 def test_a_topic_that_turns_unheard_is_said_and_one_that_nobody_has_heard_yet_is_not() -> None:
     assert said(Announcer(), [UNHEARD] * 100) == []
     assert [code for _, code, _ in said(Announcer(), [FINE] * 5 + [UNHEARD] * 5)] == [EventCode.ROUTE_FAULT]
+
+
+def test_what_a_topic_waits_for_is_said_once_it_has_waited_for_a_while_and_not_again_while_it_waits_for_that() -> None:
+    waiting = Verdict(State.WAITING, Cause.NO_PUBLISHER, "no publisher of /w_tpyo; did you mean /w_typo?")
+    down = Verdict(State.DOWN, Cause.LINK_DOWN, "gone")
+    assert said(Announcer(), [waiting] * 9 + [FINE] * 9 + [waiting] * 9) == []
+    heard = said(Announcer(), ([waiting] * 60 + [down] * 20) * 10 + [FINE] * 5, 100.0)
+    assert heard == [
+        (110, EventCode.ROUTE_WAITING, Cause.NO_PUBLISHER),
+        (903, EventCode.ROUTE_RECOVERED, Cause.NO_PUBLISHER),
+    ]
+
+
+def test_that_no_message_is_due_yet_is_not_said() -> None:
+    for cause in (Cause.NO_MESSAGE, Cause.PUBLISHER_SILENT, "of a newer peer"):
+        assert said(Announcer(), [Verdict(State.WAITING, cause, "waits")] * 100) == []
+
+
+def test_a_topic_that_waited_and_turns_stale_for_the_same_cause_is_a_fault() -> None:
+    states = [Verdict(state, Cause.NO_PUBLISHER, "nobody") for state in (State.WAITING, State.STALE)]
+    heard = said(Announcer(), [states[0]] * 15 + [states[1]] * 100)
+    assert [code for _, code, _ in heard] == [EventCode.ROUTE_WAITING, EventCode.ROUTE_FAULT]

@@ -18,9 +18,11 @@ if TYPE_CHECKING:
 
     from rsb_bridge.ros.api import Endpoint
 
-_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED})
+_SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
 """Causes that each side knows for itself."""
-_ENOUGH_SAID_HERE = frozenset({Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED})
+_ENOUGH_SAID_HERE = frozenset(
+    {Cause.NONE, Cause.NO_MESSAGE, Cause.SILENT, Cause.THROTTLED, Cause.NO_CALL, Cause.UNANSWERED, Cause.CALLS_REFUSED}
+)
 """Causes of which the other side knows no more, if it has the same."""
 _TEXT_LENGTH = 300
 """Characters of a text that is sent: a report has room for a thousand routes."""
@@ -58,6 +60,8 @@ class BothSides:
         self._sends = sends
         self._peer_name = peer_name
         self._announcer = Announcer()
+        self._shows: tuple[State, str] | None = None
+        self._since = 0.0
 
     def take(self, record: VerdictRecord | None, now: float) -> None:
         """The other side tells its verdict, at `now` (s)."""
@@ -80,7 +84,20 @@ class BothSides:
 
     def announce(self, own: Verdict, now: float) -> Announcement | None:
         """Once a second: what to log, if anything."""
-        return self._announcer.tick(self.shown(own).verdict, now)
+        verdict = self.shown(own).verdict
+        self.since(verdict, now)
+        return self._announcer.tick(verdict, now)
+
+    def since(self, verdict: Verdict, now: float) -> float:
+        """Since when (s) the state and the cause are those of `verdict`, which is shown at `now` (s).
+
+        That is the beginning of the trouble where the verdict says it, else the moment when it was first shown.
+        """
+        shows = (verdict.state, verdict.cause)
+        if shows != self._shows:
+            self._shows = shows
+            self._since = now if verdict.since is None else verdict.since
+        return self._since
 
 
 def record_of(verdict: Verdict) -> VerdictRecord | None:

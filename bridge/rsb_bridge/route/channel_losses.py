@@ -19,6 +19,11 @@ _AGAIN_AND_AGAIN = 2
 _TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 
 
+def timed_out(reason: str) -> bool:
+    """Whether the kernel has tried for long to get something through before it gave a channel up."""
+    return _TIMED_OUT in reason
+
+
 class ChannelLosses:
     """Of one route, since a message was last known to have arrived."""
 
@@ -44,6 +49,6 @@ class ChannelLosses:
     @property
     def repeated(self) -> str:
         """Why channels end again and again, before a message arrives; empty: they do not."""
-        if len(self._reasons) == _AGAIN_AND_AGAIN or any(_TIMED_OUT in reason for reason in self._reasons):
+        if len(self._reasons) == _AGAIN_AND_AGAIN or any(map(timed_out, self._reasons)):
             return self._reasons[-1]
         return ""

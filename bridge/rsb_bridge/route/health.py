@@ -41,7 +41,7 @@ class Health:
     """What the watches say.
 
     Attributes:
-        expected_rate: Hz, that the route is judged by; None: it is not known, or the topic pauses as it likes.
+        expected_rate: Hz, that the route is judged by; None: it is not known, or messages come at random.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Health:
         ledger = flow.ledger
         self._lost_in_dds.append(ledger.lost_in_dds)
         self._loss.tick(ledger.delivered, {**ledger.dropped, "expired": ledger.expired}, now)
-        expected = flow.given_rate or (None if self._stop.intermittent else flow.usual_rate)
+        expected = flow.given_rate or flow.usual_rate
         if expected and flow.limit:
             expected = min(expected, flow.limit)
         self.expected_rate = expected
@@ -64,10 +64,10 @@ class Health:
             self._stop.reset()
             self._slow.reset()
             return
-        self._stop.tick(flow.last, expected, now, flow.publishers)
+        self._stop.tick(flow.last, expected, now, flow.publishers, promised=bool(flow.given_rate))
         if self._stop.since is not None:
             self._slow.reset()
-        else:
+        elif not self._stop.quiet:  # a pause is not slow
             self._slow.tick(flow.rate, expected, now)
 
     def added_to(self, facts: Facts) -> Facts:

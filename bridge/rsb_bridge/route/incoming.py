@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 import zstandard
 
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.limits import KEPT_DEPTH, LATCHED_DEPTH
 from rsb_bridge.model.qos import incompatible, match_subscriptions
 from rsb_bridge.model.snapshot import Ledger, Level, Stage, State
 from rsb_bridge.model.text import sanitize_text
@@ -19,12 +18,17 @@ from rsb_bridge.ros.graph import type_hint
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
-from rsb_bridge.route.ledger import reported_ledger
+from rsb_bridge.route.ledger import THROTTLED, reported_ledger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.outputs import Outputs, Subject
 from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.route import Owner, Route
-from rsb_bridge.wire.framing import HISTORY, MESSAGE_LIMIT, SOURCE_SHIFT, ZSTD, Message, ProtocolError
+from rsb_bridge.route.publisher_qos import AUTO_DEPTH, bounded, without_history
+from rsb_bridge.route.stages import accepted_stage, link_stage
+from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
+from rsb_bridge.route.verdict import no_subscriber
+from rsb_bridge.route.volatile import SlowSubscriberError
+from rsb_bridge.wire.framing import HISTORY, SOURCE_SHIFT, ZSTD, Message, ProtocolError
 from rsb_bridge.wire.history import PUBLISHER_ID_LENGTH, HistoryHeader, split_history
 from rsb_bridge.wire.messages import Describe, Propose, Ready, Refuse
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -36,17 +40,14 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.peer import Owner
     from rsb_bridge.route.verdict import Facts
 
-EXPANSION_AT_ONCE = 4 * MESSAGE_LIMIT
-EXPANSION_A_SECOND = 256 << 20
-"""Bytes that a link's compressed messages may have more here than on the wire: 64 MiB of zeros come as 2 kB, and to
-unpack and publish them keeps the thread of all links busy for 60 ms."""
 _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
 """s until the graph is asked again who subscribes, where their number is the same."""
-_AUTO_DEPTH = 10  # messages
-_NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=_AUTO_DEPTH)
+_NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
 
 
@@ -64,7 +65,7 @@ class _NotPublishedError(Exception):
         self.code = code
 
 
-class IncomingRoute(Route):
+class IncomingRoute(TopicRoute):
     """Publishes here what the peer sends."""
 
     outgoing: ClassVar[bool] = False
@@ -73,7 +74,8 @@ class IncomingRoute(Route):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._outputs = Outputs(context, peer, self._failed_later)
-        self._decompressor = zstandard.ZstdDecompressor()
+        self._unpacker = Unpacker(peer.budget.expansion, context)
+        self._later: deque[Message] = deque()
         self._received = 0
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
@@ -96,6 +98,7 @@ class IncomingRoute(Route):
             self._before = self.instance, self._received_report()
             self._received = self._delivered = 0
             self._dropped.clear()
+        self._later.clear()
         super().close(reason)
 
     def described(self, description: Describe) -> None:
@@ -112,7 +115,8 @@ class IncomingRoute(Route):
             self._outputs.close()
         elif first:
             self._outputs.renumber(description.sources)
-        subject = Subject(self.remote_topic, description.type, description.type_hash, _bounded(description.qos))
+        qos = without_history(description.qos) if self.arming.required else description.qos
+        subject = Subject(self.remote_topic, description.type, description.type_hash, bounded(qos))
         try:
             self._outputs.make(subject, description.sources)
         except (RosError, LatchedFullError) as error:
@@ -147,6 +151,11 @@ class IncomingRoute(Route):
         self.refuse(EventCode.ROUTE_TYPE_DIFFERS, reason)
         self.peer.send(Refuse(route=route_id, code="type_differs", reason=sanitize_text(reason)))
 
+    def disarm(self, why: Disarmed) -> None:
+        """Make the publishers anew: what they hold for slow subscribers goes nowhere."""
+        self._outputs.close()
+        super().disarm(why)
+
     def advance(self) -> None:
         """Make the path once there is a publisher, and look who listens."""
         if not self._outputs:
@@ -178,14 +187,30 @@ class IncomingRoute(Route):
     # --- messages
 
     def deliver(self, messages: Iterable[Message]) -> None:
-        """Publish messages that arrived whole and authentic."""
+        """Publish messages that arrived whole and authentic, or have them wait for later turns of the I/O loop."""
+        if self._later:
+            self._later.extend(messages)
+            return
+        if not self.arming.passes(self.context.now()):
+            disarmed = len(tuple(messages))
+            self._received += disarmed
+            self._dropped["disarmed"] += disarmed
+            return
         if not self._outputs.sinks:
             return
-        now = self.context.wall_ns()
+        now, began = self.context.wall_ns(), self.context.now()
         count = size = 0
-        stamp = now
-        for payload, stamp, flags in messages:  # noqa: B007 — the last one's is the batch's latency sample
+        stamp, messages = now, iter(messages)
+        for message in messages:
+            if not self._unpacker.begin(message):
+                self._later.extend((message, *messages))
+                self.peer.budget.expansion.wait(self._go_on)
+                break
+            payload, stamp, flags = message  # the last one's stamp is the batch's latency sample
             self._received += 1
+            if not self.limit.admits(began):
+                self._leave_out()
+                continue
             try:
                 self._publish(payload, flags)
             except _NotPublishedError as error:
@@ -204,6 +229,15 @@ class IncomingRoute(Route):
                 self._show(payload, flags, now, latency)
             self.count(count, size)
 
+    def _go_on(self) -> None:
+        later, self._later = self._later, deque()
+        self.deliver(later)
+
+    def _leave_out(self) -> None:
+        self._dropped[THROTTLED] += 1
+        text = f"the other side sends more than the {self.limit.here:g} Hz that this side allows: the rest is left out"
+        self.notices.message_error(EventCode.ROUTE_TOO_FAST, text)
+
     def _publish(self, payload: bytes, flags: int) -> None:
         """Publish one message, or raise _NotPublishedError."""
         try:
@@ -214,13 +248,17 @@ class IncomingRoute(Route):
             header = _NO_HISTORY
             if flags & HISTORY:
                 header, payload = split_history(payload)
-            content = self._decompress(payload) if flags & ZSTD else payload
+            content = self._unpacker.unpack(payload) if flags & ZSTD else payload
             if not isinstance(output, LatchedTopic):
                 output.publish(content)
             elif not output.publish(header, content):
                 raise _NotPublishedError("already published", None, "")
+        except ExpandsTooMuchError as error:
+            raise _NotPublishedError("expands too much", EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error)) from None
         except LatchedFullError as error:
             raise _NotPublishedError("latched full", EventCode.ROUTE_LATCHED_FULL, str(error)) from None
+        except SlowSubscriberError as error:
+            raise _NotPublishedError("slow subscriber", EventCode.ROUTE_SLOW_SUBSCRIBER, str(error)) from None
         except (RosError, zstandard.ZstdError, ProtocolError) as error:
             raise _NotPublishedError("publish failed", EventCode.ROUTE_PUBLISH_FAILED, str(error)) from None
 
@@ -229,8 +267,8 @@ class IncomingRoute(Route):
         try:
             if flags & HISTORY:
                 _, payload = split_history(payload)
-            content = self._decompress(payload) if flags & ZSTD else payload
-        except (_NotPublishedError, zstandard.ZstdError, ProtocolError):
+            content = self._unpacker.unpack(payload) if flags & ZSTD else payload
+        except (ExpandsTooMuchError, zstandard.ZstdError, ProtocolError):
             return
         clock = (self.peer.clock_offset, self.peer.clock_uncertainty)
         self.peek_slot.put(peeked(self, content, now_ns, latency=latency, clock=clock), self.context.now())
@@ -250,19 +288,6 @@ class IncomingRoute(Route):
                 EventCode.ROUTE_INCOMPLETE,
                 "no message arrives complete, because fragments are lost: use protocol: tcp, or smaller messages",
             )
-
-    def _decompress(self, payload: bytes) -> bytes:
-        size = zstandard.frame_content_size(payload)
-        if not 0 <= size <= MESSAGE_LIMIT:
-            raise zstandard.ZstdError(f"a compressed message claims {size:,} bytes")
-        if not self.peer.expansion.take(size - len(payload), self.context.now()):
-            raise _NotPublishedError(
-                "expands too much",
-                EventCode.ROUTE_EXPANDS_TOO_MUCH,
-                f"this link's compressed messages grow by more than {EXPANSION_A_SECOND:,} bytes a second here: "
-                "send less, or without compression",
-            )
-        return self._decompressor.decompress(payload)
 
     # --- the ledger
 
@@ -298,7 +323,7 @@ class IncomingRoute(Route):
         if report == self._told_report and not (self._sender_ledger.in_flight and self.life.ready):
             return None
         self._told_report = report
-        verdict = lasting(report.verdict, self.own_verdict, self.context.now())
+        verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
 
     def _received_report(self) -> ReceivedReport:
@@ -318,7 +343,7 @@ class IncomingRoute(Route):
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
-            verdict=record_of(self.own_verdict),
+            verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
         )
 
@@ -331,10 +356,10 @@ class IncomingRoute(Route):
         peer = self.judged.peer
         return peer.text if peer.cause == Cause.SUBSCRIBE_FAILED else ""
 
-    def _end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         return self._report.nodes if self._report else (), node_names(self.endpoints)
 
-    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
+    def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._report.publisher_qos if self._report else None, self._subscriber_qos
 
     def _stages(self) -> tuple[Stage, ...]:
@@ -342,6 +367,7 @@ class IncomingRoute(Route):
         report = self._report
         known = bool(self.type_name)
         publishers = report.publishers if report else 0
+        clash = self._clash or (self.judged.peer.text if self.judged.peer.cause == Cause.QOS_INCOMPATIBLE else "")
         return (
             Stage(
                 "publisher seen",
@@ -349,14 +375,14 @@ class IncomingRoute(Route):
                 "" if publishers or not report else f"no publisher of {self.topic} on the other side",
             ),
             Stage("type known", known or None, self.type_name if known else self.judged.peer.text),
-            Stage("QoS compatible", not self._clash if known else None, self._clash),
+            Stage("QoS compatible", not clash if known else None, clash),
             Stage(
                 "subscribed",
                 False if self.notices.loop or self._failure else (report is not None and report.subscribed) or None,
                 self.notices.loop or self._failure,
             ),
-            self.link_stage(),
-            self.accepted_stage(),
+            link_stage(self),
+            accepted_stage(self),
             Stage("sent", (report is not None and report.offered > 0) or None),
             Stage("received", self._received > 0 or None, "" if self._received else self.notices.undelivered),
             Stage("published", self._delivered > 0 or None),
@@ -365,14 +391,6 @@ class IncomingRoute(Route):
                 self._subscribers > 0 or None,
                 ""
                 if self._subscribers
-                else f"nobody subscribes to {self.remote_topic} in domain {self.context.domain_id}",
+                else no_subscriber(self.remote_topic, f"in domain {self.context.domain_id}", self.endpoints),
             ),
         )
-
-
-def _bounded(qos: Qos) -> Qos:
-    """What a publisher here keeps for late joiners and slow readers, whatever the peer asks for."""
-    if not qos.latched:
-        return msgspec.structs.replace(qos, depth=min(qos.depth or _AUTO_DEPTH, KEPT_DEPTH))
-    depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
-    return msgspec.structs.replace(qos, history="keep_last", depth=depth)

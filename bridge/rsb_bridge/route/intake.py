@@ -46,6 +46,10 @@ class IntakeOwner(Protocol):
         """Take messages of a latched topic, of which `new` are new; of those that wait, some may come now."""
         ...
 
+    def too_late(self, messages: int) -> None:
+        """So many messages have come after the end of their opening."""
+        ...
+
     def log_intake(self, level: Level, code: EventCode, text: str) -> None:
         """Add an event about the subscription."""
         ...
@@ -109,6 +113,7 @@ class Intake:
             )
         self._depth = 0
         self._lost_before = self._lost_seen = 0
+        self._closed = False
 
     # --- the subscription
 
@@ -134,6 +139,7 @@ class Intake:
             How many waited.
         """
         self.unsubscribe()
+        self._closed = True
         return self._histories.close() if self._histories is not None else 0
 
     @property
@@ -181,7 +187,7 @@ class Intake:
             self._histories.resubscribed()
         return self._subscribe_for(self, on_failure)
 
-    def _subscribe_for(self, receiver: Receiver, on_failure: OnFailure | None) -> Subscription:
+    def _subscribe_for(self, receiver: Receiver[RawMessage], on_failure: OnFailure | None) -> Subscription:
         subject, qos = self._subject, self._qos()
         self._depth = qos.depth
         return self._context.ros.subscribe(
@@ -205,7 +211,10 @@ class Intake:
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
-        self.take(self._owner.admit(batch))
+        if self._closed:  # they were on their way here, and may be older than what arms the next opening
+            self._owner.too_late(len(batch))
+        else:
+            self.take(self._owner.admit(batch))
 
     def take(self, batch: Sequence[RawMessage]) -> None:
         """Take messages that have been admitted."""

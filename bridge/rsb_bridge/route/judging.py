@@ -1,46 +1,77 @@
-"""What both halves of a route know, each of its own side."""
+"""What every half of a route knows, each of its own side."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.route.arming import SAID
 from rsb_bridge.route.verdict import Facts
 
 if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
+    from rsb_bridge.route.topic_route import TopicRoute
 
 
-def facts_of(route: Route) -> Facts:
-    """What any half knows; each half adds its own."""
-    known = route.life.described
-    return Facts(
+class Standing(NamedTuple):
+    """How a route stands, whatever it carries: what `Facts` of topics and of calls have in common, named as there."""
+
+    sends: bool
+    topic: str
+    domain_id: int
+    link_down: str
+    refusal: str
+    loop: str
+    paused: bool
+    paused_by: str
+    disarmed: str
+    no_path: str
+    waits_for: str
+    limit: float
+    limited_by: str
+
+
+def standing_of(route: Route) -> Standing:
+    """What any half knows."""
+    now = route.context.now()
+    return Standing(
         sends=route.outgoing,
         topic=route.local_topic,
         domain_id=route.context.domain_id,
-        endpoints=route.endpoints,
         link_down="" if route.peer.linked else route.peer.down_reason or "the link is down",
         refusal=route.refusal,
         loop=route.notices.loop,
         paused=route.paused,
+        paused_by=route.pausing.who,
+        disarmed="" if route.arming.passes(now) else SAID[route.arming.overdue(now) or route.arming.why],
         no_path=route.trouble(),
         waits_for="" if route.flowing else _first_missing(route),
+        limit=route.limit.rate,
+        limited_by=route.limit.why,
+    )
+
+
+def facts_of(route: TopicRoute) -> Facts:
+    """What either half of a topic knows; each adds its own."""
+    known = route.life.described
+    return Facts(
+        **standing_of(route)._asdict(),
+        endpoints=route.endpoints,
         type_name=route.type_name if known else "",
         qos=route.qos if known else None,
         flowing=route.flowing,
         came=route.meter.last is not None and route.meter.last >= route.opened_at,
         stale_since=_stale_since(route),
-        limit=route.proposal.max_rate,
     )
 
 
 def _first_missing(route: Route) -> str:
-    """What has to come before messages can flow; a step that has failed before one that is open."""
+    """What has to come before anything can cross; a step that has failed before one that is open."""
     missing = [stage for stage in route.stages() if not stage.done]
     first = next((stage for stage in missing if stage.done is False), next(iter(missing), None))
     return (first.detail or first.name) if first else ""
 
 
-def _stale_since(route: Route) -> float | None:
-    if not route.flowing or route.is_latched or not route.stale.stale(route.context.now()):
+def _stale_since(route: TopicRoute) -> float | None:
+    if not route.flowing or route.is_latched:
         return None
-    return route.stale.quiet_since
+    return route.silence.stale_since(route.context.now())

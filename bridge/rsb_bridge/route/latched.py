@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.limits import LATCHED_DEPTH
 from rsb_bridge.ros.api import RosError
+from rsb_bridge.route.peer_budget import KEPT_LIMIT
 
 if TYPE_CHECKING:
     import asyncio
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.budget import Budget
     from rsb_bridge.wire.history import HistoryHeader
 
-LATCHED_LIMIT = 1 << 30
-"""Bytes that all latched topics of a link keep together."""
 PUBLISHER_COST = 1 << 20
 """Bytes that are counted with each publisher, which bounds their number. DDS needs about 170 kB."""
 _MESSAGE_COST = 256  # bytes
@@ -44,7 +43,7 @@ class LatchedFullError(Exception):
 
     def __init__(self) -> None:
         super().__init__(
-            f"this link's latched topics keep more than {LATCHED_LIMIT:,} bytes ({PUBLISHER_COST:,} are counted with "
+            f"this link's latched topics keep more than {KEPT_LIMIT:,} bytes ({PUBLISHER_COST:,} are counted with "
             "each publisher): give some a smaller depth"
         )
 
@@ -56,7 +55,7 @@ class _Output:
         publisher: it.
         depth: messages that it keeps.
         made_at: s.
-        kept: number and size of each message that it keeps, oldest first.
+        kept: number of each message that it keeps, and size of its memory, oldest first.
     """
 
     def __init__(self, publisher: Publisher, depth: int, now: float) -> None:
@@ -192,11 +191,12 @@ class LatchedTopic:
         depth = min(header.depth, LATCHED_DEPTH)
         output = self._output_for(history, number, depth)
         evicted = output.kept[0][1] if output.full else 0
-        if not self._budget.take(len(content) + _MESSAGE_COST - evicted):
+        memory = max(len(content) + _MESSAGE_COST, evicted)  # DDS uses it again, and never makes it smaller
+        if not self._budget.take(memory - evicted):
             raise LatchedFullError
         if output.full:
             output.kept.popleft()
-        output.kept.append((number, len(content) + _MESSAGE_COST))
+        output.kept.append((number, memory))
         history.newest = number
         if history.waiting or not self._matched(output, now):
             history.waiting.append((output, content))

@@ -19,6 +19,8 @@ _OVERDUE_AFTER = 2.0
 _MOST_CAUSES = 32
 """Of drops, each with a count of its own; a report has no room for more (PROTOCOL.md, 3)."""
 _OTHER = "other"
+THROTTLED = "throttled"
+"""The receiver left these out, for the rate that it allows."""
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""
 
@@ -87,6 +89,7 @@ class _Opening:
         sent: messages given to the channel.
         counted: what the receiver last reported.
         overdue: of those sent, how many had more than 2 s to arrive before that was counted.
+        lost_as: the cause of what never arrived.
         marks: when (s) how many were sent, the oldest first.
     """
 
@@ -95,6 +98,7 @@ class _Opening:
     sent: int = 0
     counted: _Counted | None = None
     overdue: int = 0
+    lost_as: str = "link lost"
     marks: deque[tuple[float, int]] = field(default_factory=deque)
 
 
@@ -162,6 +166,10 @@ class RouteLedger:
             self._unsettled = self._opening
         self._opening = _Opening()
 
+    def disarmed(self) -> None:
+        """What has not arrived in the present opening is not to be published any more."""
+        self._opening.lost_as = "disarmed"
+
     def reported(self, report: ReceivedReport, now: float) -> bool:
         """Take what the receiver counted in the present opening, at `now` (s).
 
@@ -199,7 +207,7 @@ class RouteLedger:
             self._expired += counted.expired
             self.dropped.update(counted.dropped)
             lost -= counted.settled
-        self.drop("link lost", lost)
+        self.drop(opening.lost_as, lost)
         self.dropped = _folded(self.dropped)
         return plausible
 
@@ -219,11 +227,12 @@ class RouteLedger:
                     dropped.update(opening.counted.dropped)
         if numbered and (lost := self._lost()):
             dropped["lost on the way"] += lost
-        accounted = delivered + expired + self.throttled + dropped.total()
+        throttled = self.throttled + dropped.pop(THROTTLED, 0)
+        accounted = delivered + expired + throttled + dropped.total()
         return Ledger(
             offered=self.offered,
             delivered=delivered,
-            throttled=self.throttled,
+            throttled=throttled,
             expired=expired,
             in_flight=self.offered - accounted,
             dropped=dict(_folded(dropped)),

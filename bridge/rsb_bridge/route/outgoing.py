@@ -1,17 +1,14 @@
-"""The sending half of a route: subscribe, throttle, compress, queue, send; and the ledger, which the sender keeps."""
+"""The sending half of a route: describe, subscribe, send; and the ledger, which the sender keeps."""
 
 from __future__ import annotations
 
-from itertools import groupby
 from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 
 from rsb_bridge.channel.datagram import DatagramSender
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.qos import Qos, match_publishers
 from rsb_bridge.model.snapshot import Ledger, Level, Stage
-from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.health import Flow, Health
@@ -19,16 +16,16 @@ from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.judging import facts_of
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
-from rsb_bridge.route.outbox import Outbox
-from rsb_bridge.route.peeking import peeked
-from rsb_bridge.route.resolving import MessageType, UnresolvedError, qos_clash, resolve
-from rsb_bridge.route.route import Owner, Route
+from rsb_bridge.route.publisher_qos import without_history
+from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
+from rsb_bridge.route.sending import Sending
 from rsb_bridge.route.sorter import Sorter
-from rsb_bridge.route.throttle import LatestLater, Throttle
-from rsb_bridge.route.verdict import Facts, no_publisher
+from rsb_bridge.route.stages import accepted_stage, link_stage
+from rsb_bridge.route.topic_route import TopicRoute
+from rsb_bridge.route.type_budget import TypeUse
+from rsb_bridge.route.verdict import no_subscriber
 from rsb_bridge.transport.transport import DatagramTransport
 from rsb_bridge.wire.fields import MOST_PUBLISHERS
-from rsb_bridge.wire.framing import HISTORY, Message
 from rsb_bridge.wire.history import publisher_id
 from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
@@ -38,13 +35,17 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.arming import Disarmed
     from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.route.verdict import Facts
 
 _LIMITED = "they are limited to what was sent"
 
 
-class OutgoingRoute(Route):
+class OutgoingRoute(TopicRoute):
     """Takes a topic's messages here and sends them to the peer."""
 
     outgoing: ClassVar[bool] = True
@@ -53,17 +54,15 @@ class OutgoingRoute(Route):
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
         self._intake: Intake | None = None
-        self._throttle = Throttle(proposal.max_rate)
-        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: self.paused)
+        self._type = TypeUse(context.ros, peer.budget.types)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._ledger = RouteLedger()
-        self._outbox = Outbox(self.transport, proposal, self._ledger, self.notices.message_error)
         self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
-        self._publisher_qos: Qos | None = None
-        self._unresolved: UnresolvedError | None = None
-        self._hint = MessageType()
+        self._sending = Sending(context, self, self._ledger, self._sorter)
+        self.limit.apply = self._sending.limit
+        self._resolver = Resolver(context, proposal)
         self._health = Health()
 
     # --- setting up
@@ -100,9 +99,9 @@ class OutgoingRoute(Route):
             self._unsubscribe()
             self._lose("paused", self._sorter.forget())  # nobody wants them when it is resumed
             return
-        self._latest_later.resume()
+        self._sending.resume()
         self.endpoints = self._sorter.look(self.topic, self.remote_topic)
-        self._publisher_qos = match_publishers([e.qos for e in self.endpoints]) if self.endpoints else None
+        self._resolver.look(self.endpoints)
         if self._described is not None and self._described.sources != self._sorter.table.sources:
             self._describe(msgspec.structs.replace(self._described, sources=self._sorter.table.sources))
         if self._described is not None and self._sorter.outdated(self.qos):
@@ -132,7 +131,9 @@ class OutgoingRoute(Route):
         self._look_who_is_present()
         if self.channel is None:
             self.peer.open_channel(self)
-        if self.channel is not None and self.channel.ready:
+        if not self.arming.passes(self.context.now()):
+            self._unsubscribe()
+        elif self.channel is not None and self.channel.ready:
             self._subscribe()
 
     def _describe(self, described: Describe) -> None:
@@ -143,53 +144,44 @@ class OutgoingRoute(Route):
         self.peer.send(described)
 
     def _resolve(self) -> Describe | None:
-        """What is sent; None: not known yet, and `_unresolved` says why."""
-        self._unresolved = None
-        used = MessageType(self.type_name, self.type_hash)
-        try:
-            name, type_hash, qos, warning = resolve(
-                self.proposal, self.endpoints, self._publisher_qos, used, self._hint, self.context.ros
-            )
-            sources = self._sorter.table.to_describe()
-            if not sources:
-                raise UnresolvedError("publisher seen", self._sorter.unexplained(), cause=Cause.NO_MESSAGE)
-        except UnresolvedError as error:
-            self._unresolved = error
-            self.notices.set_warning("")
-            if error.clash and self._described is not None:
+        """What is sent; None: not known yet."""
+        resolved = self._resolver.resolve(MessageType(self.type_name, self.type_hash), self._sorter)
+        self.notices.set_warning(resolved.warning if resolved else "")
+        if resolved is None:
+            unresolved = self._resolver.unresolved
+            if unresolved is not None and unresolved.clash and self._described is not None:
                 # Nothing that is published now could be sent. Once the publishers are right, it opens with their type.
-                self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(error))
+                self.request_reopen(EventCode.ROUTE_TYPE_CHANGED, str(unresolved))
             return None
-        self.notices.set_warning(warning)
-        return Describe(route=self.id, type=name, type_hash=type_hash, qos=qos, sources=sources)
-
-    def _why_unresolved(self) -> str:
-        return str(self._unresolved) or self._no_publisher() if self._unresolved else ""
-
-    def _no_publisher(self) -> str:
-        return no_publisher(self.topic, self.context.domain_id, self.context.similar_topics.of(self.topic))
+        sources, qos = self._sorter.table.sources, resolved.qos
+        if self.arming.required:
+            qos = without_history(qos)
+        return Describe(route=self.id, type=resolved.type, type_hash=resolved.type_hash, qos=qos, sources=sources)
 
     def _subscribe(self) -> None:
         if self._intake is None or self._intake.active:
             return
         try:
+            self._type.begin(self.type_name, self.type_hash)
             self._intake.subscribe()
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
-        self.stale.rearm(self.context.now())
+        self.silence.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
     def _unsubscribe(self) -> None:
         if self._intake is not None:
             self._intake.unsubscribe()
+            self._type.end()
 
     def _end_intake(self) -> None:
         self._present = None
         if self._intake is not None:
-            self._ledger.drop("link lost", self._intake.close() + self._latest_later.clear())
+            self._ledger.drop("link lost", self._intake.close() + self._sending.clear_later())
             self._ledger.lost_in_dds += self._intake.lost
             self._intake = None
+            self._type.end()
 
     def _look_who_is_present(self) -> None:
         """Have the histories of publishers that are gone dropped, here and by the peer."""
@@ -212,10 +204,13 @@ class OutgoingRoute(Route):
     def _failure(self) -> str:
         return self._intake.failure if self._intake is not None else ""
 
-    def amend(self, spec: Topic, proposal: Propose) -> None:
-        if proposal.max_rate != self.proposal.max_rate:
-            self._throttle.limit(proposal.max_rate)
-        super().amend(spec, proposal)
+    def disarm(self, why: Disarmed) -> None:
+        """Drop what waits, here and on the way."""
+        self._unsubscribe()
+        self._lose("disarmed", self._sorter.forget())
+        self._ledger.drop("disarmed", self._sending.clear())
+        self._ledger.disarmed()
+        super().disarm(why)
 
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
@@ -228,7 +223,7 @@ class OutgoingRoute(Route):
         self._end_intake()
         self._described = None
         self._lose("link lost", self._sorter.forget())
-        self._ledger.drop("link lost", self._outbox.clear())
+        self._ledger.drop("link lost", self._sending.clear())
         self._sorter.clear()
         self._ledger.closed()
         self._report = None
@@ -242,11 +237,11 @@ class OutgoingRoute(Route):
         self._health.tick(
             Flow(
                 self.flowing and self._subscribed,
-                self.stale.quiet_since,
+                self.silence.quiet_since,
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
                 None if latched else self.meter.usual_rate,
-                self.proposal.max_rate,
+                self.limit.rate,
                 frozenset([each.gid for each in self.endpoints]),
                 self.ledger(),
             ),
@@ -258,6 +253,9 @@ class OutgoingRoute(Route):
 
     def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         """The messages to take now; those that would loop are lost, those whose source is not known yet are held."""
+        if not self.arming.passes(self.context.now()):
+            self._lose("disarmed", len(batch))
+            return ()
         if self._sorter.carries(batch):
             return batch
         admitted, unseen = self._sorter.admit(batch)
@@ -270,60 +268,25 @@ class OutgoingRoute(Route):
         self._lose("queue full", self._sorter.give_up())
         return admitted
 
+    def too_late(self, messages: int) -> None:
+        """Messages have come after the end of their opening."""
+        self._lose("link lost", messages)
+
     def _lose(self, cause: str, messages: int) -> None:
         self._ledger.offered += messages
         self._ledger.drop(cause, messages)
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
-        if self.peek_slot.wanted:
-            self._show(batch[-1])
-        self._ledger.offered += len(batch)
-        passes, pack, flags = self._throttle.passes, self._outbox.pack, self._sorter.table.flags
-        messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
-        self._ledger.throttled += len(batch) - len(messages)
-        self._send(messages)
+        self._sending.offer(batch)
 
     def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic."""
-        if self.peek_slot.wanted and samples:
-            self._show(samples[-1].message)
-        self._ledger.offered += new
-        admitted, left_out = self._latest_later.admit(samples)
-        self._ledger.throttled += left_out
-        self._send_latched(admitted)
-
-    def _show(self, message: RawMessage) -> None:
-        self.peek_slot.put(peeked(self, message.payload, message.stamp), self.context.now())
-
-    def _send_latched(self, samples: Sequence[Sample]) -> None:
-        for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
-            messages, depth = [], 0
-            for header, (payload, stamp, gid, _), _ in group:
-                depth = header.depth
-                flags = self._sorter.table.flags.get(gid)
-                if flags is None:  # it has turned out, while the message waited, that it would go in a loop
-                    self._ledger.drop("would loop", 1)
-                    continue
-                content, _, flags = self._outbox.pack(payload, stamp, flags)
-                messages.append((header.pack() + content, stamp, flags | HISTORY))
-            self._send(messages, publisher, depth)
-
-    def _send(self, messages: Sequence[Message], publisher: bytes = b"", depth: int = 0) -> None:
-        """Send messages, or have them wait; of a latched topic, those of one publisher that keeps `depth` of them."""
-        if not self.connected:
-            self._ledger.drop("link lost", len(messages))
-            return
-        if messages:
-            self.count(len(messages), sum([len(message[0]) for message in messages]))
-            limits = self._outbox.limits(self.qos, depth, congested=self.channel is not None and self.channel.congested)
-            self._outbox.add(messages, self.context.now(), publisher, limits)
-            self.flush()
+        self._sending.offer_latched(new, samples)
 
     def flush(self) -> None:
         """Send what waits while the path takes it."""
-        if self.channel is not None:
-            self._outbox.flush(self.channel)
+        self._sending.flush()
 
     # --- the ledger
 
@@ -335,8 +298,8 @@ class OutgoingRoute(Route):
             self.notices.doubt(self.peer.instance, _LIMITED)
         if self._ledger.received_now:
             self.losses.arrived()
-        if (report.type, report.type_hash) != self._hint:
-            self._hint = MessageType(report.type, report.type_hash)
+        if (report.type, report.type_hash) != self._resolver.hint:
+            self._resolver.hint = MessageType(report.type, report.type_hash)
             self.advance()
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
@@ -351,7 +314,7 @@ class OutgoingRoute(Route):
         if report == self._told_report:
             return None
         self._told_report = report
-        verdict = lasting(report.verdict, self.own_verdict, self.context.now())
+        verdict = lasting(report.verdict, self.verdict(), self.context.now())
         return msgspec.structs.replace(report, verdict=verdict)
 
     def _sent_report(self) -> SentReport:
@@ -366,9 +329,9 @@ class OutgoingRoute(Route):
             dropped=ledger.dropped,
             lost_in_dds=ledger.lost_in_dds,
             publishers=len(self.endpoints),
-            publisher_qos=self._publisher_qos,
+            publisher_qos=self._resolver.publisher_qos,
             subscribed=self._subscribed,
-            verdict=record_of(self.own_verdict),
+            verdict=record_of(self.verdict()),
             nodes=node_names(self.endpoints),
         )
 
@@ -376,21 +339,19 @@ class OutgoingRoute(Route):
     def _subscribed(self) -> bool:
         return self._intake is not None and self._intake.active and not self._intake.failure
 
-    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
-        report = self._report
-        return self._publisher_qos, report.subscriber_qos if report else None
+    def end_qos(self) -> tuple[Qos | None, Qos | None]:
+        return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None
 
-    def _end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        report = self._report
-        return node_names(self.endpoints), report.nodes if report else ()
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        return node_names(self.endpoints), self._report.nodes if self._report else ()
 
     def facts(self) -> Facts:
-        unresolved = self._unresolved
+        unresolved = self._resolver.unresolved
         facts = facts_of(self)._replace(
-            similar="" if self.endpoints else self.context.similar_topics.of(self.topic),
+            similar=self._resolver.similar,
             breaking=self.losses.repeated,
             subscribe_failed=self._failure,
-            unresolved=(unresolved.cause, self._why_unresolved()) if unresolved and self.accepted else None,
+            unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
             left_out=self.notices.warning,
             rate=self.meter.rate,
             datagrams=self._datagrams(),
@@ -408,27 +369,31 @@ class OutgoingRoute(Route):
         report = self._report
         known = self.life.described
         publishers = len(self.endpoints)
-        failed = self._unresolved.stage if self._unresolved else ""
-        why = self._why_unresolved()
+        looks = self.accepted and not self.paused
+        failed = self._resolver.unresolved.stage if self._resolver.unresolved else ""
         clash = qos_clash(self.endpoints, self.type_name, self.qos)
         failure = self.notices.loop or self._failure
         return (
             Stage(
                 "publisher seen",
-                publishers > 0,
-                f"{publishers}{self._sorter.left_out()}" if publishers else self._no_publisher(),
+                publishers > 0 or (False if looks else None),
+                f"{publishers}{self._sorter.left_out()}" if publishers else self._resolver.no_publisher(),
             ),
-            Stage("type known", known or (False if failed == "type known" else None), self.type_name if known else why),
+            Stage(
+                "type known",
+                known or (False if failed == "type known" else None),
+                self.type_name if known else self._resolver.why(),
+            ),
             Stage("QoS compatible", not clash if known else None, clash),
             Stage("subscribed", False if failure else self._subscribed or None, failure),
-            self.link_stage(),
-            self.accepted_stage(),
+            link_stage(self),
+            accepted_stage(self),
             Stage("sent", self._ledger.sent_now > 0 or None),
             Stage("received", self._ledger.received_now > 0 or None),
             Stage("published", self._ledger.delivered_now > 0 or None),
             Stage(
                 "subscriber seen",
                 (report is not None and report.subscribers > 0) or None,
-                "" if report is None or report.subscribers else f"nobody subscribes to {self.remote_topic} there",
+                "" if report is None or report.subscribers else no_subscriber(self.remote_topic, "there", report.nodes),
             ),
         )

@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.ros.announcements import Origin
+from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.ros.api import Endpoint, RosError
+from rsb_bridge.ros.own_announcement import Origin
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
+from rsb_bridge.route.type_budget import TypeUse
+from rsb_bridge.route.volatile import VolatileTopic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -49,6 +52,10 @@ class _Announced:
     def subscriber_count(self) -> int:
         return self._publisher.subscriber_count
 
+    @property
+    def acknowledged(self) -> bool:
+        return self._publisher.acknowledged
+
     def close(self) -> None:
         self._closed(self.gid)
         self._publisher.close()
@@ -70,12 +77,13 @@ class _Output:
         self._origin = origin
         self._gids: set[bytes] = set()
         self.came_by = origin.via[:-1]  # without the sender, which may be another process by now
-        self.sink: Publisher | LatchedTopic
+        self.sink: VolatileTopic | LatchedTopic
         depth = subject.qos.depth
         if subject.qos.latched:
-            self.sink = LatchedTopic(context.loop, self._advertise, peer.latched, depth, failed)
+            self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed)
         else:
-            self.sink = self._advertise(depth)
+            kept = KEPT_DEPTH if subject.qos.history == "keep_all" else depth
+            self.sink = VolatileTopic(self._advertise(depth), kept, peer.budget.unacknowledged, context.now)
 
     def set_origin(self, origin: Origin) -> None:
         """Its messages come from elsewhere now, or none come any more; may raise RosError."""
@@ -126,8 +134,9 @@ class Outputs:
         self._context = context
         self._peer = peer
         self._failed = failed
+        self._type = TypeUse(context.ros, peer.budget.types)
         self._outputs: list[_Output] = []
-        self.sinks: list[Publisher | LatchedTopic] = []
+        self.sinks: list[VolatileTopic | LatchedTopic] = []
 
     def __len__(self) -> int:
         return len(self._outputs)
@@ -136,9 +145,11 @@ class Outputs:
         """Have an output for each source, or for the first so many; those that are there have this subject.
 
         Raises:
-            RosError: not even the first can be.
+            RosError: not even the first can be, or the link has too many types.
             LatchedFullError: likewise.
         """
+        if not self._outputs:
+            self._type.begin(subject.type_name, subject.type_hash)
         for number, source in enumerate(sources):
             origin = Origin(source.via, source.live)
             try:
@@ -167,13 +178,13 @@ class Outputs:
 
     def _add(self, subject: Subject, origin: Origin) -> None:
         further = len(self._outputs) > 0
-        if further and not self._peer.further_publishers.take(1):
+        if further and not self._peer.budget.further_publishers.take(1):
             raise RosError("this link has too many publishers")
         try:
             output = _Output(self._context, self._peer, subject, origin, self._failed)
         except (RosError, LatchedFullError):
             if further:
-                self._peer.further_publishers.give(1)
+                self._peer.budget.further_publishers.give(1)
             raise
         self._outputs.append(output)
         self.sinks.append(output.sink)
@@ -189,7 +200,9 @@ class Outputs:
             self.sinks.pop()
             self._outputs.pop().sink.close()
             if self._outputs:
-                self._peer.further_publishers.give(1)
+                self._peer.budget.further_publishers.give(1)
+        if not first:
+            self._type.end()
 
     # --- of latched topics
 

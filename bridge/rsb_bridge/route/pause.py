@@ -31,26 +31,33 @@ class PauseState:
     Attributes:
         paused: the state.
         revision: of the change that led to it.
+        who: made that change, in words; empty: it is not known.
     """
 
     def __init__(self, revisions: Revisions, *, paused: bool, is_client: bool) -> None:
         self.paused = paused
         self.revision = revisions.next()
+        self.who = ""
         self._revisions = revisions
         self._is_client = is_client
 
-    def change(self, *, paused: bool) -> None:
+    def change(self, *, paused: bool, who: str = "") -> None:
         """An operator of this side changes the state; the peer has to be told."""
-        self.paused = paused
+        self.paused, self.who = paused, who
         self.revision = self._revisions.next()
 
-    def adopt(self, *, paused: bool, revision: int) -> None:
+    def adopt(self, *, paused: bool, revision: int, who: str = "") -> None:
         """Take the peer's state, whatever this side's is."""
         self._revisions.saw(revision)
-        self.paused = paused
-        self.revision = revision
+        if (paused, revision) != (self.paused, self.revision):  # else it only tells what is known here
+            self.paused, self.revision, self.who = paused, revision, who
 
-    def merge(self, *, paused: bool, revision: int) -> None:
+    def merge(self, *, paused: bool, revision: int, who: str = "") -> None:
         """The peer tells its state: take it if it is the later one."""
         if revision > self.revision or (revision == self.revision and not self._is_client):
-            self.adopt(paused=paused, revision=revision)
+            self.adopt(paused=paused, revision=revision, who=who)
+
+
+def pause_word(*, paused: bool) -> str:
+    """The state as the value of an operator's action."""
+    return "paused" if paused else "not paused"

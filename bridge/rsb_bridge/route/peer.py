@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.token_bucket import TokenBucket
     from rsb_bridge.route.pause import Revisions
-    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.route.peer_budget import PeerBudget
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
 
@@ -16,9 +16,7 @@ class Peer(Protocol):
 
     name: str
     is_client: bool
-    latched: Budget
-    expansion: TokenBucket
-    further_publishers: Budget
+    budget: PeerBudget
     revisions: Revisions
 
     @property
@@ -39,6 +37,11 @@ class Peer(Protocol):
     @property
     def instance(self) -> str:
         """The peer's process, present or last: random, new with each start; empty: there has been none."""
+        ...
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """What the peer, present or last, can do beyond version 2 of the wire format."""
         ...
 
     @property
@@ -66,4 +69,12 @@ class Peer(Protocol):
 
     def closed(self, route_id: int) -> None:
         """A route's opening is over: messages about it that still come are late."""
+        ...
+
+
+class Owner(Peer, Protocol):
+    """The link that a route belongs to."""
+
+    def open_channel(self, route: Route) -> None:
+        """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
         ...

@@ -14,12 +14,15 @@ from rsb_bridge.model.qos import incompatible, match_publishers
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.type_names import expand_type_name
 from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.verdict import no_publisher
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    from rsb_bridge.context import Context
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint, RosInterface
+    from rsb_bridge.route.sorter import Sorter
     from rsb_bridge.wire.messages import Propose
 
 
@@ -72,6 +75,61 @@ class UnresolvedError(Exception):
     def clash(self) -> bool:
         """Whether the publishers have no type that can be sent, so that nothing may be sent until they have."""
         return self.cause is Cause.TYPE_CONFLICT
+
+
+class Resolver:
+    """Finds out what one route sends, anew whenever the graph may have changed.
+
+    Attributes:
+        hint: the type that the topic has on the receiving side.
+        publisher_qos: what the publishers offer together; None: there are none.
+        unresolved: why it is not known what is sent; None: it is.
+    """
+
+    def __init__(self, context: Context, proposal: Propose) -> None:
+        self.hint = MessageType()
+        self.publisher_qos: Qos | None = None
+        self.unresolved: UnresolvedError | None = None
+        self._context = context
+        self._proposal = proposal
+        self._publishers: Sequence[Endpoint] = ()
+        self._had_publishers = False
+
+    def look(self, publishers: Sequence[Endpoint]) -> None:
+        """Take who publishes the topic now."""
+        self._publishers = publishers
+        self._had_publishers |= bool(publishers)
+        self.publisher_qos = match_publishers([each.qos for each in publishers]) if publishers else None
+
+    def resolve(self, used: MessageType, sorter: Sorter) -> Resolved | None:
+        """What is sent; None: not known yet, and `unresolved` says why.
+
+        Args:
+            used: the type that the route has sent so far.
+            sorter: knows by which bridges the messages came.
+        """
+        self.unresolved = None
+        try:
+            resolved = resolve(self._proposal, self._publishers, self.publisher_qos, used, self.hint, self._context.ros)
+            if not sorter.table.to_describe():
+                raise UnresolvedError("publisher seen", sorter.unexplained(), cause=Cause.NO_MESSAGE)
+        except UnresolvedError as error:
+            self.unresolved = error
+            return None
+        return resolved
+
+    def why(self) -> str:
+        """Why it is not known what is sent; empty: it is."""
+        return str(self.unresolved) or self.no_publisher() if self.unresolved else ""
+
+    def no_publisher(self) -> str:
+        """Says that nobody publishes the topic."""
+        return no_publisher(self._proposal.topic, self._context.domain_id, self.similar)
+
+    @property
+    def similar(self) -> str:
+        """A topic that has publishers and a similar name, where this one never had any; or empty."""
+        return "" if self._had_publishers else self._context.similar_topics.of(self._proposal.topic)
 
 
 def resolve(
@@ -162,7 +220,8 @@ def left_out(publishers: Sequence[Endpoint], wanted: str, sent: str) -> str:
     if wanted or not others:
         return ""
     bridged = _named({sent: types.get(sent, [])})
-    return f"publishers disagree on the type: {_named(others)} is not bridged, only {bridged}: set the topic's type"
+    verb = "is" if len(others) == 1 else "are"
+    return f"publishers disagree on the type: {_named(others)} {verb} not bridged, only {bridged}: set the topic's type"
 
 
 def _clash(why: str) -> UnresolvedError:

@@ -1,31 +1,33 @@
-"""One topic in one direction over one link: what both halves of a route share.
+"""What one link carries of one name: what every half of every route shares, whatever crosses on it.
 
-The sending half is `rsb_bridge.route.outgoing`, the receiving half `rsb_bridge.route.incoming`. `advance` does whatever
-can be done next and may be called at any time, so nothing depends on the order in which ROS, the peer and the sockets
-become ready.
+A topic's two halves are `rsb_bridge.route.outgoing` and `rsb_bridge.route.incoming`, which share `TopicRoute`. The two
+halves of a service, an action or a node's parameters are in `rsb_bridge.route.calls`. `advance` does whatever can be
+done next and may be called at any time, so nothing depends on the order in which ROS, the peer and the sockets become
+ready.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Unpack
 
 import msgspec
 
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Ledger, Level, RouteSnapshot, Stage
+from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.verdict import FINE
+from rsb_bridge.route.arming import SAID, Arming, Disarmed
 from rsb_bridge.route.both_sides import BothSides
-from rsb_bridge.route.channel_losses import ChannelLosses
+from rsb_bridge.route.channel_losses import ChannelLosses, timed_out
+from rsb_bridge.route.keys import route_key
 from rsb_bridge.route.lifecycle import Event, Lifecycle
+from rsb_bridge.route.limits import limits_changed
 from rsb_bridge.route.notices import Notices
 from rsb_bridge.route.pause import PauseState
-from rsb_bridge.route.peeking import PeekSlot
-from rsb_bridge.route.peer import Peer
-from rsb_bridge.route.verdict import Facts, judge
-from rsb_bridge.telemetry.meters import LatencyMeter, RateMeter, StaleWatch
+from rsb_bridge.route.rate_limit import RateLimit
+from rsb_bridge.route.stages import LINK_STAGE
+from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.wire.messages import Close, Propose
 
 if TYPE_CHECKING:
@@ -33,24 +35,16 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import DataChannel
     from rsb_bridge.context import Context
-    from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.verdict import Verdict
     from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.route.announcing import Announcement
+    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.telemetry.event_log import About
     from rsb_bridge.wire.framing import Message
-    from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
-LINK_STAGE = "link up"
-
-
-class Owner(Peer, Protocol):
-    """The link that a route belongs to."""
-
-    def open_channel(self, route: Route) -> None:
-        """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
-        ...
 
 
 class Route:
@@ -59,23 +53,25 @@ class Route:
     Attributes:
         key: names it in commands.
         spec: what was asked for, as the client sees it.
-        topic: its name on the sending side.
+        topic: its name on the sending side; of calls, here and below, that is the callers' side.
         remote_topic: its name on the receiving side.
         from_client: whether the client sends.
         proposed_here: whether this side opens it anew after a reconnect.
         id: route id on the present connection; 0: not open.
         instance: of the peer's process that its present or last opening is with.
         life: what the two sides have agreed on so far.
+        arming: whether it is armed, where it has to be.
         closed_ids: of its last incarnations on the present connection, the oldest first.
         closed_at: s, when its last opening ended; 0: it had none.
-        peek_slot: takes the next message for whoever looks at the topic.
-        endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side.
+        endpoints: others' publishers of the topic on the sending side, their subscriptions on the receiving side; of
+            calls, the clients and the servers.
         losses: of the channels that carried it.
-        own_verdict: what this side made of it at the last tick.
         judged: what both sides make of it.
+        limit: how many messages cross at most.
     """
 
     outgoing: ClassVar[bool]
+    duplex: ClassVar[bool] = False
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         self.context = context
@@ -97,43 +93,52 @@ class Route:
         self.retry_at = 0.0
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log)
+        self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
         self.pausing = PauseState(peer.revisions, paused=proposal.paused, is_client=peer.is_client)
+        self.arming = Arming()
         self.channel: DataChannel | None = None
         self.type_name = ""
         self.type_hash = ""
-        self.qos: Qos | None = None
         self.endpoints: Sequence[Endpoint] = ()
         self.losses = ChannelLosses()
-        self.own_verdict = FINE
+        self._verdict: Verdict | None = None  # None: it has to be judged
         self.judged = BothSides(sends=self.outgoing, peer_name="server" if peer.is_client else peer.name)
         self.meter = RateMeter(context.now())
-        self.latency = LatencyMeter()
-        self.stale = StaleWatch(0.0, 0, context.now())
-        self.set_stale_after()
-        self.peek_slot = PeekSlot()
         self.release_port: Callable[[], None] | None = None
-        self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently
-
-    def on_accepted(self) -> None:
-        """Both sides want the route."""
-        if self.life.take(Event.ACCEPT):
-            self.advance()
 
     def advance(self) -> None:
         """Do what can be done next."""
         raise NotImplementedError
 
     def flush(self) -> None:
-        """The path takes more again. A receiving half sends nothing."""
+        """The path takes more again. A half that sends nothing has nothing to do."""
 
     def deliver(self, messages: Iterable[Message]) -> None:
-        """Messages came, whole and authentic. A sending half gets none: the peer does not even have its key."""
+        """Messages came, whole and authentic. A half that only sends gets none: the peer does not even have its key."""
 
-    def ledger(self) -> Ledger:
-        """Where the messages went."""
+    def _may_flow(self) -> None:
+        """From now on something may cross: what is watched over time begins anew."""
+
+    def _stages(self) -> tuple[Stage, ...]:
+        """The steps of a message's, or a call's, way."""
         raise NotImplementedError
+
+    def _judge(self) -> Verdict:
+        """What this half makes of it."""
+        raise NotImplementedError
+
+    def snapshot(self) -> RouteSnapshot:
+        """The route as it is now."""
+        raise NotImplementedError
+
+    # --- what is the same for all
+
+    def on_accepted(self) -> None:
+        """Both sides want the route."""
+        if self.life.take(Event.ACCEPT):
+            self.advance()
 
     def stages(self) -> tuple[Stage, ...]:
         """The steps of a message's way; without a link, nothing is known of the others."""
@@ -141,17 +146,6 @@ class Route:
         if self.peer.linked:
             return steps
         return tuple(step if step.name == LINK_STAGE else Stage(step.name, None) for step in steps)
-
-    def _stages(self) -> tuple[Stage, ...]:
-        raise NotImplementedError
-
-    def _end_qos(self) -> tuple[Qos | None, Qos | None]:
-        """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
-        raise NotImplementedError
-
-    def _end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
-        raise NotImplementedError
 
     def set_peer_topic(self, topic: str) -> None:
         """The peer says what the topic is called on its side."""
@@ -182,13 +176,16 @@ class Route:
         self.id = route_id
         self.instance = self.peer.instance
         self.opened_at = self.context.now()
-        self._told_report = None
+        self.limit.opened()
+        self._verdict = None
         self.life.take(Event.OPEN)
         self.judged.take(None, self.context.now())
-        self.stale.rearm(self.context.now())
+        self._may_flow()
 
     def close(self, reason: str) -> None:
         """End the present opening; what it keeps across openings stays."""
+        if self.arming.held:
+            self.disarm(Disarmed.REOPENED if self.peer.linked else Disarmed.LINK_LOST)
         if self.channel is not None:
             path, self.channel = self.channel, None
             path.close(reason)
@@ -199,6 +196,7 @@ class Route:
         self.id = 0
         self.notices.closed()
         self.judged.take(None, self.context.now())
+        self._verdict = None
         self.life.take(Event.CLOSE)
         self.closed_at = self.context.now()
 
@@ -215,6 +213,7 @@ class Route:
     def _end(self, reason: str) -> None:
         """End the present opening for a reason that is shown; it is opened again later if it was proposed here."""
         self.close(reason)
+        self._verdict = None
         self.life.take(Event.REFUSE, reason)
         self.retry_at = self.context.now() + self._backoff.next()
 
@@ -228,7 +227,13 @@ class Route:
         """What carried the route broke: open it again. It is reported as an error once the link has outlived it."""
         if self.id:
             text, connection = f"data connection: {reason}", self.peer.connections
+            # Whoever disarms ends the channel, which may be seen before it is said.
+            ends_with_arming = self.arming.required and not timed_out(reason)
+            if self.arming.held:
+                self.disarm(Disarmed.CHANNEL_LOST)
             self._end_on_both_sides(text)
+            if ends_with_arming:
+                return
 
             def report() -> None:
                 if self.peer.linked and self.peer.connections == connection:
@@ -252,101 +257,84 @@ class Route:
         """Whether it carries no messages, as an operator of either side wants."""
         return self.pausing.paused
 
-    def pause(self, paused: bool) -> None:
-        """An operator of this side stops or resumes carrying messages; the route stays set up."""
+    def pause(self, paused: bool, who: str = "") -> None:
+        """An operator of this side, `who`, stops or resumes carrying messages; the route stays set up."""
         was = self.paused
-        self.pausing.change(paused=paused)
+        self.pausing.change(paused=paused, who=who)
         self._paused(was)
 
-    def pause_from_peer(self, paused: bool, revision: int, *, known: bool = True) -> None:
+    def pause_from_peer(self, paused: bool, revision: int, who: str = "", *, known: bool = True) -> None:
         """The peer tells its state of the pause.
 
         Args:
             paused: its state.
             revision: of its state.
+            who: an operator there, as it says.
             known: whether this side's revisions are about the peer's present process; else its state counts as it is.
         """
         was = self.paused
         if known:
-            self.pausing.merge(paused=paused, revision=revision)
+            self.pausing.merge(paused=paused, revision=revision, who=who)
         else:
-            self.pausing.adopt(paused=paused, revision=revision)
+            self.pausing.adopt(paused=paused, revision=revision, who=who)
         self._paused(was)
 
     def _paused(self, was: bool) -> None:
         paused = self.paused
         if paused != was:
             self.spec = msgspec.structs.replace(self.spec, paused=paused)
-            self.stale.rearm(self.context.now())
+            self._verdict = None
+            self._may_flow()
             code = EventCode.ROUTE_PAUSED if paused else EventCode.ROUTE_RESUMED
             self.log(Level.INFO, code, "paused" if paused else "resumed")
         self.advance()
+
+    def armed(self) -> None:
+        """Both sides hold it for armed: messages may cross, from now on."""
+        self._verdict = None
+        self._may_flow()
+        self.advance()
+
+    def disarm(self, why: Disarmed) -> None:
+        """Nothing more may cross in this opening."""
+        if why is not Disarmed.OPERATOR:
+            text = f"disarmed: {SAID[why]} ({self.arming.by} armed it)"
+            self.log(Level.WARNING, EventCode.ROUTE_DISARMED, text, cause=why)
+        self.arming.end(why)
+        self._verdict = None
 
     def amend(self, spec: Topic, proposal: Propose) -> None:
         """Go on with other limits; counts, endpoints and what is under way stay."""
         changes = limits_changed(self.proposal, proposal)
         self.spec, self.proposal = spec, proposal
-        self.set_stale_after()
+        self.limit.set_max_rate(proposal.max_rate)
+        self._verdict = None
         if changes:
             self.log(Level.INFO, EventCode.ROUTE_AMENDED, changes)
-
-    def set_stale_after(self) -> None:
-        """Watch for silence as the topic's entry and the session say now."""
-        session, own = self.context.session, self.spec.stale_after
-        self.stale.after = session.stale_after if own is None else own
-        self.stale.times = session.stale_warnings
-        self.never_stale = own is None
 
     # --- time
 
     def tick(self) -> None:
-        """Once a second: histories, stale warnings, and what has turned for the worse."""
+        """Once a second: histories, and what has turned for the worse."""
         now = self.context.now()
         self.meter.tick(now)
-        self.latency.tick()
-        flowing = self.flowing
-        if flowing:  # that both sides accept it says little: what it is refused for may be found out later
+        if self.flowing:  # that both sides accept it says little: what it is refused for may be found out later
             self._backoff.reset()
-        if flowing and not self.is_latched:
-            if number := self.stale.check(now):
-                text = f"nothing for {self.stale.after * number:g} s (warning {number} of {self.stale.times})"
-                if number == self.stale.times:
-                    text += "; no more will be said until data returns"
-                self.log(Level.WARNING, EventCode.ROUTE_STALE, text)
-        else:
-            self.stale.rearm(now)
-        self.own_verdict = self.verdict()
-        if said := self.judged.announce(self.own_verdict, now):
-            self.log(said.level, said.code, said.text, cause=said.cause)
+        self._verdict = None
+        verdict = self.verdict()
+        if said := self.judged.announce(verdict, now):
+            self.log(said.level, said.code, said.text, **self._about(said, now))
 
     def count(self, messages: int, size: int) -> None:
-        """Note that messages passed."""
+        """Note that messages, or calls, passed."""
         self.notices.flowing()
-        now = self.context.now()
-        self.meter.add(messages, size, now)
-        quiet = self.stale.seen(now)
-        if quiet is not None:
-            self.log(Level.INFO, EventCode.ROUTE_DATA_AGAIN, f"reinitialized: data again after {quiet:.0f} s")
+        self.meter.add(messages, size, self.context.now())
 
     # --- how it is
-
-    def link_stage(self) -> Stage:
-        """Whether the peer is there, and what carries this route gets through."""
-        trouble = self.trouble()
-        return Stage(LINK_STAGE, self.peer.linked and not trouble, trouble or self.peer.down_reason)
-
-    def accepted_stage(self) -> Stage:
-        """Whether both sides want the route."""
-        return Stage("peer accepted", False if self.refusal else self.accepted or None, self.refusal)
 
     def trouble(self) -> str:
         """Why what carries it does not get through; empty: it does."""
         return self.channel.trouble() if self.channel is not None else ""
-
-    @property
-    def is_latched(self) -> bool:
-        """A latched topic is not stale when silent, unless its session entry says after how long it is."""
-        return self.never_stale and self.qos is not None and self.qos.latched
 
     @property
     def connected(self) -> bool:
@@ -356,87 +344,23 @@ class Route:
     @property
     def flowing(self) -> bool:
         """Whether messages could cross now."""
-        return self.connected and not self.paused and not self.notices.loop
+        return self.connected and not self.paused and not self.notices.loop and self.arming.passes(self.context.now())
 
     # --- what is made of it
 
-    def facts(self) -> Facts:
-        """What this half knows."""
-        raise NotImplementedError
-
     def verdict(self) -> Verdict:
-        """What this side makes of the route."""
-        return judge(self.facts())
+        """What this side made of the route at the last tick, or when an operator or the peer has changed it since."""
+        if self._verdict is None or self.arming.overdue(self.context.now()):
+            self._verdict = self._judge()
+        return self._verdict
 
-    def snapshot(self) -> RouteSnapshot:
-        """The route as it is now."""
-        now = self.context.now()
+    def _about(self, said: Announcement, now: float) -> About:
+        """What an event says of the verdict that is shown."""
         verdict, from_peer = self.judged.shown(self.verdict())
-        publisher_qos, subscriber_qos = self._end_qos()
-        publishers, subscribers = self._end_nodes()
-        return RouteSnapshot(
-            key=self.key,
-            link=self.peer.name,
-            topic=self.local_topic,
-            remote_topic=self.remote_topic if self.outgoing else self.topic,
-            outgoing=self.outgoing,
-            spec=self.spec,
-            state=verdict.state,
-            reason=verdict.said(now),
-            type_name=self.type_name,
-            type_hash=self.type_hash,
-            qos=self.qos,
-            publisher_qos=publisher_qos,
-            subscriber_qos=subscriber_qos,
-            transport=self.transport.name,
-            port=self.proposal.port or self.peer.shared_port(),
-            stages=self.stages(),
-            ledger=self.ledger(),
-            rate=self.meter.rate,
-            expected_rate=self._expected_rate(),
-            bytes_per_second=self.meter.bytes_per_second,
-            bytes_total=self.meter.bytes,
-            latency_p50=self.latency.p50,
-            latency_p99=self.latency.p99,
-            latency_uncertainty=self.peer.clock_uncertainty,
-            jitter=self.latency.jitter,
-            age=None if self.meter.last is None else now - self.meter.last,
-            history=tuple(self.meter.history),
-            last_error=self.notices.last_error,
-            cause=verdict.cause,
-            from_peer=from_peer,
-            publishers=publishers,
-            subscribers=subscribers,
-        )
+        since = self.context.wall() - (now - self.judged.since(verdict, now))
+        return {"cause": said.cause, "state": verdict.state, "since": since, "from_peer": from_peer}
 
-    def _expected_rate(self) -> float | None:
-        rate, limit = self.spec.expected_rate or self.meter.usual_rate, self.proposal.max_rate
-        return min(rate, limit) if rate and limit else rate
-
-    def log(self, level: Level, code: EventCode, text: str, *, cause: str = "") -> None:
+    def log(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Add an event about this route."""
-        topic = self.local_topic
-        self.context.log(level, code, f"{topic}: {text}", link=self.peer.name, topic=topic, cause=cause)
-
-
-def limits_changed(old: Propose, new: Propose) -> str:
-    """What differs between the limits of two proposals, for an operator."""
-    limits = (
-        ("max_rate", old.max_rate or None, new.max_rate or None, " Hz"),
-        ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
-        ("stale_after", old.stale_after, new.stale_after, " s"),
-    )
-    return ", ".join(
-        f"{name} {_figure(before, unit)} → {_figure(after, unit)}"
-        for name, before, after, unit in limits
-        if before != after
-    )
-
-
-def _figure(value: float | None, unit: str) -> str:
-    return "none" if value is None else f"{value:g}{unit}"
-
-
-def route_key(link: str, proposal: Propose) -> str:
-    """What identifies a route on both sides: the link, the direction and the topic's name on the sending side."""
-    return f"{link} {'→' if proposal.from_client else '←'} {proposal.topic}"
+        about["link"], about["topic"] = self.peer.name, self.local_topic
+        self.context.log(level, code, f"{self.local_topic}: {text}", **about)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.qos import clashes
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
+from rsb_bridge.route.gates import gated, no_path, rank, throttled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
@@ -34,11 +36,13 @@ class Facts(NamedTuple):
         domain_id: of this side.
         endpoints: the topic's publishers on the sending side, its subscriptions on the receiving side.
         matched: subscriptions on the receiving side that DDS has matched, which may be known before their nodes are.
-        similar: a topic of the sending side that has publishers and a similar name; or empty.
+        similar: a topic of the sending side with publishers and a similar name, where this one never had any; or empty.
         link_down: why the link is down; empty: it is up.
         refusal: why the route is refused; empty: it is not.
         loop: why its messages would loop; empty: they would not.
         paused: an operator has paused it.
+        paused_by: who, in words; empty: it is not known.
+        disarmed: why it is not armed, though it has to be; empty: it is, or need not be.
         no_path: why its transport does not get through; empty: it does.
         breaking: why what carries it breaks before a message arrives; empty: it does not.
         subscribe_failed: why its subscription failed; empty: it did not.
@@ -58,6 +62,7 @@ class Facts(NamedTuple):
         loss: between the two sides; None: none to speak of.
         datagrams: that a message takes, about; 0: its transport has none.
         limit: Hz that an operator allows it; 0: all.
+        limited_by: who says so.
     """
 
     sends: bool
@@ -70,6 +75,8 @@ class Facts(NamedTuple):
     refusal: str = ""
     loop: str = ""
     paused: bool = False
+    disarmed: str = ""
+    paused_by: str = ""
     no_path: str = ""
     breaking: str = ""
     subscribe_failed: str = ""
@@ -89,23 +96,19 @@ class Facts(NamedTuple):
     loss: Loss | None = None
     datagrams: int = 0
     limit: float = 0.0
+    limited_by: str = "set on purpose (max_rate)"
 
 
 def judge(facts: Facts) -> Verdict:
-    """What counts: the first of `_GATES` that applies, else the worst of `_RULES`, of equally bad ones the first."""
-    for gate in _GATES:
-        if (verdict := gate(facts)) is not None:
-            return verdict
+    """What counts: what keeps everything else from being known, else the worst of `_RULES`, of equals the first."""
+    if (verdict := gated(facts)) is not None:
+        return verdict
     found = [verdict for rule in _RULES if (verdict := rule(facts)) is not None]
-    worst = min(found, key=_rank, default=FINE)
+    worst = min(found, key=rank, default=FINE)
     if worst.cause in _SILENCE:
         explained = next((each for each in found if each.cause in _EXPLAINS_SILENCE), None)
         return worst if explained is None else replace(explained, state=worst.state)
     return worst
-
-
-def _rank(verdict: Verdict) -> int:
-    return verdict.state.rank
 
 
 def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
@@ -114,61 +117,25 @@ def no_publisher(topic: str, domain_id: int, similar: str = "") -> str:
     return f"no publisher of {topic} in domain {domain_id}{hint}"
 
 
+def no_subscriber(topic: str, where: str, present: Collection[object] = ()) -> str:
+    """Says that nobody hears a topic, whether somebody subscribes to it or not."""
+    return f"the subscribers of {topic} {where} receive nothing" if present else f"nobody subscribes to {topic} {where}"
+
+
 def named(nodes: Iterable[str]) -> str:
     """``/a``, ``/a and /b``, ``/a, /b, /c and 2 more``."""
-    names = sorted({node or "a node that is not known yet" for node in nodes})
-    if len(names) < 2:
-        return names[0] if names else "nobody"
-    shown, more = names[:_NAMED], len(names) - _NAMED
-    last = f"{more} more" if more > 0 else shown.pop()
-    return f"{', '.join(shown)} and {last}"
+    return join_first(sorted({node or "a node that is not known yet" for node in nodes}), _NAMED) or "nobody"
 
 
 def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
-    """``/a has pkg/msg/A, /b has pkg/msg/B``."""
+    """``/a has pkg/msg/A and /b has pkg/msg/B``."""
     nodes: dict[str, list[str]] = {}
     for endpoint in endpoints:
         nodes.setdefault(endpoint.type_name, []).append(endpoint.node)
-    return ", ".join(f"{named(who)} has {type_name}" for type_name, who in sorted(nodes.items())[:_NAMED])
-
-
-# --- what keeps everything else from being known
-
-
-def _link(facts: Facts) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.LINK_DOWN, facts.link_down) if facts.link_down else None
-
-
-def _breaking(facts: Facts) -> Verdict | None:
-    if not facts.breaking:
-        return None
-    text = (
-        f"its data connection ends before a message arrives ({facts.breaking}), though the link is up: large packets "
-        "may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
-    )
-    return Verdict(State.DOWN, Cause.NO_PATH, text)
-
-
-def _refused(facts: Facts) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.REFUSED, facts.refusal) if facts.refusal else None
-
-
-def _loop(facts: Facts) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.LOOP, facts.loop) if facts.loop else None
-
-
-def _paused(facts: Facts) -> Verdict | None:
-    return Verdict(State.PAUSED, Cause.PAUSED, "paused by an operator") if facts.paused else None
-
-
-_GATES: tuple[Callable[[Facts], Verdict | None], ...] = (_link, _breaking, _refused, _loop, _paused)
+    return join_first([f"{named(who)} has {type_name}" for type_name, who in sorted(nodes.items())], _NAMED)
 
 
 # --- either side
-
-
-def _path(facts: Facts) -> Verdict | None:
-    return Verdict(State.DOWN, Cause.NO_PATH, facts.no_path) if facts.no_path else None
 
 
 def _stale(facts: Facts) -> Verdict | None:
@@ -178,11 +145,15 @@ def _stale(facts: Facts) -> Verdict | None:
     if not facts.sends:
         return Verdict(State.STALE, Cause.SILENT, text, since)
     if facts.endpoints:
-        silent = _plural(facts.endpoints, "is there, and publishes nothing", "are there, and publish nothing")
+        silent = _plural(facts.endpoints, "is running, but publishes nothing", "are running, but publish nothing")
         return Verdict(State.STALE, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
-    cause = Cause.PUBLISHER_GONE if facts.came else Cause.NO_PUBLISHER
+    cause = Cause.PUBLISHER_GONE if facts.came else _nobody(facts)
     nobody = no_publisher(facts.topic, facts.domain_id, facts.similar)
     return Verdict(State.STALE, cause, f"{text}: {nobody}", since)
+
+
+def _nobody(facts: Facts) -> Cause:
+    return Cause.SIMILAR_NAME if facts.similar else Cause.NO_PUBLISHER
 
 
 def _waiting(facts: Facts) -> Verdict | None:
@@ -190,18 +161,12 @@ def _waiting(facts: Facts) -> Verdict | None:
         return None
     if facts.sends and facts.flowing and not facts.endpoints:
         text = no_publisher(facts.topic, facts.domain_id, facts.similar)
-        return Verdict(State.WAITING, Cause.NO_PUBLISHER, text)
+        return Verdict(State.WAITING, _nobody(facts), text)
     if facts.sends and facts.flowing:
         text = _plural(facts.endpoints, "has published nothing yet", "have published nothing yet")
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
-
-
-def _throttled(facts: Facts) -> Verdict | None:
-    if not facts.limit:
-        return None
-    return Verdict(State.OK, Cause.THROTTLED, f"limit {facts.limit:g} Hz, set on purpose (max_rate)")
 
 
 # --- the sending side
@@ -222,8 +187,8 @@ def _publishers_qos(facts: Facts) -> Verdict | None:
         return None
     offer, asked = zip(*clashes(others[0].qos, facts.qos), strict=True)
     text = (
-        f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, and this topic asks for {', '.join(asked)}: "
-        "nothing of that is taken; set qos: auto for this topic"
+        f"{_plural(others, 'offers', 'offer')} {', '.join(offer)}, but this topic asks for {', '.join(asked)}: "
+        f"{'its' if len(others) == 1 else 'their'} messages are not received; set qos: auto for this topic"
     )
     all_of_them = len(others) == len(ours)
     return Verdict(State.DOWN if all_of_them else State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
@@ -237,6 +202,8 @@ def _unresolved(facts: Facts) -> Verdict | None:
     if facts.unresolved is None or facts.flowing:
         return None
     cause, text = facts.unresolved
+    if cause is Cause.NO_PUBLISHER:
+        cause = _nobody(facts)
     return Verdict(State.DOWN if cause is Cause.TYPE_CONFLICT else State.WAITING, cause, text)
 
 
@@ -271,6 +238,7 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
     "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
     "latched full": (Cause.NOT_PUBLISHED, "the receiving side keeps no more latched messages for this link"),
+    "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
     "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
 }
 
@@ -282,8 +250,8 @@ def _lossy(facts: Facts) -> Verdict | None:
     remedy = "use protocol: tcp"
     if facts.datagrams > 1:
         remedy = (
-            f"each takes {facts.datagrams} datagrams, and one lost loses it: use protocol: tcp, smaller messages, or "
-            "on both sides a lower MTU if none arrives"
+            f"each takes {facts.datagrams} datagrams, and is lost if one of them is: use protocol: tcp or smaller "
+            "messages; if none arrives, lower the MTU on both sides"
         )
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way; {remedy}"))
     if loss.lost >= loss.of:
@@ -300,20 +268,19 @@ def _subscribers(facts: Facts) -> Verdict | None:
     if facts.sends or facts.qos is None or not facts.type_name:
         return None
     if others := [each for each in facts.endpoints if each.type_name != facts.type_name]:
-        text = f"{types_and_nodes(others)}, and {facts.topic} carries {facts.type_name}: correct the subscription"
-        return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, f"unheard: {text}")
+        text = f"{types_and_nodes(others)}, but {facts.topic} carries {facts.type_name}: correct the subscription"
+        return Verdict(State.UNHEARD, Cause.TYPE_CONFLICT, text)
     for each in facts.endpoints:
         if found := clashes(facts.qos, each.qos):
             alike = [other for other in facts.endpoints if clashes(facts.qos, other.qos) == found]
             offer, asked = zip(*found, strict=True)
             text = (
-                f"{_plural(alike, 'asks', 'ask')} for {', '.join(asked)}, and {facts.topic} is published "
-                f"{', '.join(offer)}, as its publishers offer: change the subscription, or the publishers and qos"
+                f"{_plural(alike, 'asks', 'ask')} for {', '.join(asked)}, but {facts.topic} is published with "
+                f"{', '.join(offer)}: change the QoS of the subscription, or of the publishers and this topic"
             )
-            return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, f"unheard: {text}")
+            return Verdict(State.UNHEARD, Cause.QOS_INCOMPATIBLE, text)
     if not facts.endpoints and not facts.matched and facts.came:
-        text = f"nobody subscribes to {facts.topic} in domain {facts.domain_id}"
-        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, text)
+        return Verdict(State.UNHEARD, Cause.NO_SUBSCRIBER, no_subscriber(facts.topic, f"in domain {facts.domain_id}"))
     return None
 
 
@@ -322,7 +289,7 @@ def _plural(endpoints: Collection[Endpoint], one: str, several: str) -> str:
 
 
 _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
-    _path,
+    no_path,
     _subscription,
     _publishers_qos,
     _publishers_types,
@@ -333,5 +300,5 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _slow,
     _subscribers,
     _waiting,
-    _throttled,
+    throttled,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Unpack
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -12,7 +12,7 @@ from rsb_bridge.model.token_bucket import TokenBucket
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_bridge.telemetry.event_log import About, EventLog
 
 AT_ONCE = 1000
 """Lines: more than a robot with five hundred topics makes when it links."""
@@ -37,38 +37,27 @@ class RateLimitedEventLog:
         self._now = now
         self._quotas: dict[tuple[str, bool], _Quota] = {}
 
-    def add(
-        self,
-        level: Level,
-        code: EventCode,
-        text: str,
-        *,
-        link: str,
-        topic: str,
-        link_status: bool,
-        cause: str = "",
-    ) -> None:
+    def add(self, level: Level, code: EventCode, text: str, *, link_status: bool, **about: Unpack[About]) -> None:
         """Add an event of a link, if its quota has room.
 
         Args:
             level: how grave it is.
             code: what happened.
             text: in one line.
-            link: by the client's name.
-            topic: which it is about, or empty.
             link_status: it is about the link itself.
-            cause: of a fault, or empty.
+            about: `link`, by the client's name, and whatever else an event says.
         """
+        link = about["link"]
         now = self._now()
         quota = self._quotas.get((link, link_status))
         if quota is None:
             quota = self._quotas[link, link_status] = _Quota(now)
-        if not quota.passes(_Line(level, code, text, topic, cause), now):
+        if not quota.passes(_Line(level, code, text, about), now):
             return
         if link_status:  # keep the order: first report what was left out before it
             self._report(link, link_status=False)
             self._report(link, link_status=True)
-        self._events.add(level, code, text, link=link, topic=topic, cause=cause)
+        self._events.add(level, code, text, **about)
 
     def tick(self) -> None:
         """Once a second: report how many events were left out, once the flood is over or has lasted 10 s."""
@@ -88,15 +77,14 @@ class RateLimitedEventLog:
             text = f"{left_out:,} more {plural(left_out, 'line')} left out"
             self._events.add(Level.WARNING, EventCode.LINK_EVENTS_LEFT_OUT, text, link=link)
         if newest is not None:
-            self._events.add(newest.level, newest.code, newest.text, link=link, topic=newest.topic, cause=newest.cause)
+            self._events.add(newest.level, newest.code, newest.text, **newest.about)
 
 
 class _Line(NamedTuple):
     level: Level
     code: EventCode
     text: str
-    topic: str
-    cause: str
+    about: About
 
 
 class _Quota:

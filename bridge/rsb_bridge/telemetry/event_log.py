@@ -6,16 +6,37 @@ import itertools
 import threading
 from collections import deque
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
-from rsb_bridge.model.snapshot import Event, Level
-from rsb_bridge.model.text import encodable
+from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.snapshot import Event
+from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.snapshot import Level
 
 KEPT = 5000
+EVENT_LENGTH = 2000
+"""Characters of an event's text."""
+_LENGTHS = {"text": EVENT_LENGTH} | dict.fromkeys(
+    ("link", "topic", "who", "old", "new", "cause", "state"), REASON_LENGTH
+)
+
+
+class About(TypedDict, total=False):
+    """What an event may say beside its text, as in `rsb_bridge.model.snapshot.Event`."""
+
+    link: str
+    topic: str
+    who: str
+    old: str
+    new: str
+    cause: str
+    state: str
+    since: float | None
+    from_peer: bool
 
 
 class EventLog:
@@ -28,25 +49,16 @@ class EventLog:
         self._news = threading.Condition()
         self.last = 0
 
-    def add(
-        self,
-        level: Level,
-        code: EventCode,
-        text: str,
-        *,
-        link: str = "",
-        topic: str = "",
-        who: str = "",
-        old: str = "",
-        new: str = "",
-        cause: str = "",
-    ) -> None:
+    def add(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Append an event; `rsb_bridge.model.snapshot.Event` says what each value is."""
-        texts = (encodable(each) for each in (text, link, topic, who, old, new, cause))
-        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, *texts))
+        self.append(Event(0, self._clock.time_ns() / 1e9, level, code, text, **about))
 
     def append(self, event: Event) -> None:
-        """Append an event of any engine's; it gets the next number of this log."""
+        """Append an event of any engine's; it gets the next number of this log.
+
+        It goes to terminals and files from here, and may quote a peer: each text becomes one line of a limited length.
+        """
+        event = replace(event, **_cleaned(event))
         with self._news:
             self.last = next(self._numbers)
             self._events.append(replace(event, number=self.last))
@@ -65,3 +77,13 @@ class EventLog:
         with self._news:
             self._news.wait_for(lambda: self.last > number, timeout)
         return self.after(number)
+
+
+def _cleaned(event: Event) -> dict[str, Any]:
+    return {name: _one_line(getattr(event, name), length) for name, length in _LENGTHS.items()}
+
+
+def _one_line(text: str, limit: int) -> str:
+    return (
+        text if text.isascii() and text.isprintable() and len(text) <= limit else sanitize_text(encodable(text), limit)
+    )

@@ -111,7 +111,7 @@ class RateMeter:
             return
         self._ticked = now
         messages, self._at_tick = self.count - self._at_tick, self.count
-        self._usual.add(messages, elapsed)
+        self._usual.add(messages, self.last, now)
         if not messages and self._quiet >= HISTORY == len(self.history):
             self._smoothed.add(0.0, now)
             return  # one quiet second more makes no difference

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
-_AT_ONCE = 128
-"""Routes renewed in one refresh; the others follow in the next ones."""
+_AT_ONCE, _REFRESHES = 128, 4
+"""Routes renewed in one refresh, at the least; the others follow in the next ones. Refreshes until each had its turn,
+while somebody looks at more than so many: then no route's is older than a second."""
 _LOOKED_AT_FOR = 2.0
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
 """s from one renewal to the next."""
@@ -87,10 +88,11 @@ class SnapshotPublisher:
             await asyncio.sleep(_EVERY_LOOKED_AT if self.looked_at(now()) else _EVERY)
 
     async def refresh(self, bridge: ShownBridge) -> None:
-        """Renew the links, and up to 128 routes, in turn."""
+        """Renew the links, and a part of the routes, in turn."""
         routes = _routes_of(bridge)
+        at_once = max(_AT_ONCE, -(-len(routes) // _REFRESHES))
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
-        turn = [routes[(self._turn + i) % len(routes)] for i in range(min(_AT_ONCE, len(routes)))]
+        turn = [routes[(self._turn + i) % len(routes)] for i in range(min(at_once, len(routes)))]
         self._turn += len(turn)
         await in_slices(turn, self._renew)
         self._publish(bridge, running=True)

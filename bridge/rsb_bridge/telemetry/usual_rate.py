@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from statistics import median
+from math import sqrt
 
-_MESSAGES = 3
-"""In one sample at the least: fewer say nothing about a rate."""
-_SAMPLES = 9
-_ENOUGH = 5
-_SPREAD = 0.35
-"""How far a sample may be from the usual one, as a share of it. One of few messages may be off by a message more."""
-_REGULAR = 0.7
-"""Share of the samples that must be near their median."""
-_LONGEST_SAMPLE = 60.0
-"""s; a topic that takes longer for three messages has no usual rate."""
+_SAMPLES, _ENOUGH = 20, 15
+"""Samples that are judged: at the most, and at the least."""
+_JUDGED_OVER = 3.0
+"""Messages, and s: a rate is judged over the longer of both (`rsb_bridge.telemetry.meters`, `watches`)."""
+_STEADY = 0.15
+"""Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
+_LONGEST_GAP = 60.0
+"""s; a topic with longer ones has no usual rate."""
 _QUIET_PERIODS, _QUIET = 5.0, 3.0
 """Periods and s without a message after which an outage has begun."""
 _CHANGED = 0.15
@@ -24,7 +22,11 @@ _LOWER_FOR = 600.0
 
 
 class UsualRate:
-    """Learns a rate from what comes each second. An outage teaches nothing.
+    """Learns a rate from messages that come regularly. An outage teaches nothing.
+
+    A sample is what came in one tick: how many messages, and how long they and the gaps before them took. From their
+    spread follows the coefficient of variation of a single gap, and from that how steady the rate is over the time that
+    it is judged by. Messages that come at random or in bursts have no usual rate: their silence means nothing.
 
     A higher rate is learned within seconds. A lower one counts as slow first, and is learned after ten minutes.
 
@@ -32,42 +34,49 @@ class UsualRate:
         rate: Hz; None: it is not known yet, or there is none.
     """
 
-    __slots__ = ("_lower_for", "_messages", "_out", "_quiet", "_samples", "_seconds", "rate")
+    __slots__ = ("_irregular", "_last", "_lower_for", "_samples", "_ticked", "rate")
 
     def __init__(self) -> None:
         self.rate: float | None = None
-        self._samples: deque[tuple[int, float]] = deque(maxlen=_SAMPLES)  # messages, and the s they took
-        self._messages = 0
-        self._seconds = 0.0
-        self._quiet = 0.0
-        self._out = True
+        self._samples: deque[tuple[int, float]] = deque(maxlen=_SAMPLES)  # gaps, and the s they took together
+        self._last: float | None = None
+        self._ticked = 0.0
+        self._irregular = 0
         self._lower_for = 0.0
 
-    def add(self, messages: int, seconds: float) -> None:
-        """Take how many messages came in the last `seconds`."""
-        self._quiet = 0.0 if messages else self._quiet + seconds
-        if self._quiet > self._longest_quiet():
-            self._out = True
-            self._messages, self._seconds = 0, 0.0
-        elif self._out:  # the first messages after an outage, which came in a part of that time only
-            self._out = not messages
-        else:
-            self._messages += messages
-            self._seconds += seconds
-            if self._messages >= _MESSAGES:
-                self._samples.append((self._messages, self._seconds))
-                self._learn(self._seconds)
-                self._messages, self._seconds = 0, 0.0
+    def add(self, messages: int, last: float | None, now: float) -> None:
+        """Take how many messages came since the last call.
 
-    def _longest_quiet(self) -> float:
-        if self.rate is None:
-            return _LONGEST_SAMPLE
-        return max(_QUIET, _QUIET_PERIODS / self.rate)
+        Args:
+            messages: how many.
+            last: s, when the last one came; None: none ever did.
+            now: s.
+        """
+        began, self._ticked = self._ticked, now
+        if not messages or last is None:
+            return
+        previous, self._last = self._last, last
+        if previous is None or began - previous > self._longest_gap():
+            return  # the first messages, or the first after an outage
+        gaps, seconds = messages, last - previous
+        quiet = began - previous
+        if gaps > 1 and quiet > 1.0:  # a long gap, and short ones after it
+            self._samples.append((1, quiet))
+            gaps, seconds = gaps - 1, seconds - quiet
+        self._samples.append((gaps, seconds))
+        self._learn(last - previous)
+
+    def _longest_gap(self) -> float:
+        return _LONGEST_GAP if self.rate is None else max(_QUIET, _QUIET_PERIODS / self.rate)
 
     def _learn(self, seconds: float) -> None:
         rate = self._regular_rate()
         if rate is None:
+            self._irregular += 1
+            if self._irregular > _SAMPLES:  # and not for one outlier among the samples
+                self.rate = None
             return
+        self._irregular = 0
         if self.rate is None or rate > self.rate * (1 + _CHANGED):
             self.rate = rate
         elif rate >= self.rate * (1 - _CHANGED):
@@ -81,15 +90,14 @@ class UsualRate:
         self._lower_for = 0.0
 
     def _regular_rate(self) -> float | None:
-        """The rate of the last samples, if most of them agree."""
+        """The rate of the last samples, if it is steady."""
         if len(self._samples) < _ENOUGH:
             return None
-        middle = median(messages / seconds for messages, seconds in self._samples)
-        near = [
-            (messages, seconds)
-            for messages, seconds in self._samples
-            if abs(messages / seconds - middle) <= middle * max(_SPREAD, 1.5 / messages)
-        ]
-        if len(near) < _REGULAR * len(self._samples):
+        gaps = sum([gaps for gaps, _ in self._samples])
+        period = sum([seconds for _, seconds in self._samples]) / gaps
+        if period <= 0.0:
             return None
-        return sum(messages for messages, _ in near) / sum(seconds for _, seconds in near)
+        variance = sum([(seconds - gaps * period) ** 2 / gaps for gaps, seconds in self._samples])
+        variation = sqrt(variance / (len(self._samples) - 1)) / period  # of a single gap
+        spread = variation / sqrt(max(_JUDGED_OVER, _JUDGED_OVER / period))
+        return 1 / period if spread <= _STEADY else None

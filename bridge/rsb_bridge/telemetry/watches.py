@@ -17,8 +17,8 @@ _SLOWEST = 0.3
 """Hz; the rate of a topic that should have less than that is too uncertain to call it slow."""
 _STOPPED_PERIODS, _STOPPED_AFTER = 5.0, 2.0
 """Periods and s without a message: the longer of both."""
-_PAUSES = 3
-"""Times that a topic may pause by itself until its pauses are known to be usual."""
+_PAUSES = 2.0
+"""A topic may pause for so many times as long as it has paused before."""
 _WINDOW = 10.0
 """s over which losses are counted."""
 _LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
@@ -59,25 +59,24 @@ class SlowWatch:
 
 
 class StopWatch:
-    """Whether a topic's publishers have stopped. Those that often pause and go on are not expected to go on at once.
+    """Whether a topic's publishers have stopped.
+
+    Publishers that have paused by themselves and gone on are expected to do so again, for up to twice as long.
 
     Attributes:
         since: s, when the last message came before they stopped; None: they have not.
-        intermittent: the topic pauses by itself now and then.
+        quiet: nothing has come for longer than the rate explains, be it a usual pause.
     """
 
-    __slots__ = ("_pauses", "_publishers", "since")
+    __slots__ = ("_longest_pause", "_publishers", "quiet", "since")
 
     def __init__(self) -> None:
         self.since: float | None = None
+        self.quiet = False
         self._publishers: Hashable = None
-        self._pauses = 0
+        self._longest_pause = 0.0
 
-    @property
-    def intermittent(self) -> bool:
-        return self._pauses >= _PAUSES
-
-    def tick(self, last: float, expected: float, now: float, publishers: Hashable) -> None:
+    def tick(self, last: float, expected: float, now: float, publishers: Hashable, *, promised: bool = False) -> None:
         """Look at the time.
 
         Args:
@@ -85,17 +84,21 @@ class StopWatch:
             expected: Hz.
             now: s.
             publishers: which there are.
+            promised: an operator expects that rate, so that pauses are faults.
         """
-        stopped = now - last > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
-        if stopped and self.since is None:
-            self.since, self._publishers = last, publishers
-        elif not stopped and self.since is not None:
+        if self.since is not None and last > self.since:
+            if publishers == self._publishers:  # else the publisher died, and was started again
+                self._longest_pause = max(self._longest_pause, last - self.since)
             self.since = None
-            self._pauses += publishers == self._publishers  # else the publisher died, and was started again
+        if self.since is None and publishers != self._publishers:
+            self._publishers, self._longest_pause = publishers, 0.0
+        self.quiet = now - last > max(_STOPPED_AFTER, _STOPPED_PERIODS / expected)
+        if self.quiet and self.since is None and (promised or now - last > _PAUSES * self._longest_pause):
+            self.since = last
 
     def reset(self) -> None:
         """Begin anew: messages cannot flow now, whoever publishes."""
-        self.since = None
+        self.since, self.quiet = None, False
 
 
 @dataclass(frozen=True, slots=True)

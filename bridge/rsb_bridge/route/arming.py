@@ -1,0 +1,226 @@
+"""Whether a topic that has to be armed is armed. Any doubt means that it is not.
+
+Both sides keep this state for themselves: neither sends nor publishes a message because the other one says so. An
+opening of a route is armed once at most. To be armed again it has to be opened anew, under another route id and other
+keys, so that no message of an earlier arming can be published, wherever it waits (PROTOCOL.md, 7).
+"""
+
+from __future__ import annotations
+
+from enum import Enum, StrEnum, auto
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.snapshot import ArmingSnapshot
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+
+ANSWERED_WITHIN = 5.0
+"""s in which the other side has to agree."""
+CONSOLE_SILENT_AFTER = 5.0
+"""s without a sign of life after which the console that armed a topic counts as gone."""
+PEER_GRACE = 2.0
+"""s that a side waits beyond the deadman for the other one, whose operator's keys it is told of once a second."""
+
+
+class Disarmed(StrEnum):
+    """Why a topic is not armed. Programs and tests may rely on it; `EventCode.ROUTE_DISARMED` has it as its cause."""
+
+    NOT_YET = "not_yet"
+    """Nobody has armed it since it was opened."""
+    OPERATOR = "operator"
+    DEADMAN = "deadman"
+    """No key was pressed in time on the console that armed it."""
+    CONSOLE_GONE = "console_gone"
+    """The console that armed it was closed or killed, or has given no sign of life."""
+    LINK_LOST = "link_lost"
+    PAUSED = "paused"
+    RELOADED = "reloaded"
+    NO_ANSWER = "no_answer"
+    """The other side has not agreed in time."""
+    TOO_OFTEN = "too_often"
+    """The other side's operators arm topics more often than people do."""
+    REMOVED = "removed"
+    CHANNEL_LOST = "channel_lost"
+    """Its data connection ended, as it does with the process at its other end, which may be seen first."""
+    REOPENED = "reopened"
+    """The topic was set up anew: its type, its limits or its connection changed."""
+
+
+SAID = {
+    Disarmed.NOT_YET: "nobody has armed it",
+    Disarmed.OPERATOR: "disarmed by an operator",
+    Disarmed.DEADMAN: "no key was pressed in time",
+    Disarmed.CONSOLE_GONE: "the console that armed it is gone",
+    Disarmed.LINK_LOST: "the link was lost",
+    Disarmed.PAUSED: "it was paused",
+    Disarmed.RELOADED: "the session file was read again",
+    Disarmed.NO_ANSWER: "the other side has not agreed in time",
+    Disarmed.TOO_OFTEN: "it was armed too often",
+    Disarmed.REMOVED: "the topic is not bridged any more",
+    Disarmed.CHANNEL_LOST: "its data connection ended",
+    Disarmed.REOPENED: "the topic was set up anew",
+}
+
+
+class _Phase(Enum):
+    FREE = auto()
+    """It may be armed."""
+    ASKED = auto()
+    """An operator of this side has armed it; the other side has not agreed yet."""
+    ARMED = auto()
+    SPENT = auto()
+    """It was armed in this opening, and needs a new one."""
+
+
+class Arming:
+    """One side's half of it.
+
+    Attributes:
+        required: it has to be armed before anything crosses, as either side's session says.
+        deadman: s without a key after which it disarms; 0: none.
+        by: the operator who armed it, in words; empty: it is not armed.
+        console: that operator's console, on this side; None: it was armed on the other side, or is not.
+        why: it is not armed.
+    """
+
+    __slots__ = (
+        "_answered", "_deadline", "_key_pressed", "_phase", "_seen_at", "by", "console", "deadman", "required", "why",
+    )  # fmt: skip
+
+    def __init__(self, *, required: bool = False, deadman: float = 0.0) -> None:
+        self.required = required
+        self.deadman = deadman
+        self.why = Disarmed.NOT_YET
+        self._answered: Callable[[], None] | None = None
+        self._clear(_Phase.FREE)
+
+    def _clear(self, phase: _Phase) -> None:
+        self._answer()
+        self._phase = phase
+        self.by = ""
+        self.console: Hashable | None = None
+        self._deadline = float("inf")
+        self._seen_at = 0.0
+        self._key_pressed = False
+
+    # --- what has to be armed
+
+    def demand(self, *, required: bool, deadman: float) -> None:
+        """One side's session says whether it has to be armed, and within how many s a key has to be pressed."""
+        if not required:
+            return
+        if not self.required:
+            self.required, self.deadman = True, deadman
+        else:
+            self.deadman = min(filter(None, (self.deadman, deadman)), default=0.0)
+
+    def opened(self, *, required: bool, deadman: float) -> None:
+        """A new opening begins, disarmed."""
+        self.required = False
+        self.demand(required=required, deadman=deadman)
+        self._clear(_Phase.FREE)
+
+    # --- how it is
+
+    @property
+    def held(self) -> bool:
+        """Whether somebody has armed it, be it that the other side has still to agree."""
+        return self._phase in (_Phase.ASKED, _Phase.ARMED)
+
+    @property
+    def armed(self) -> bool:
+        """Whether both sides hold it for armed, as far as this one knows."""
+        return self._phase is _Phase.ARMED
+
+    @property
+    def asked(self) -> bool:
+        """Whether this side waits for the other to agree."""
+        return self._phase is _Phase.ASKED
+
+    @property
+    def spent(self) -> bool:
+        """Whether it can be armed only in a new opening."""
+        return self._phase is _Phase.SPENT
+
+    def passes(self, now: float) -> bool:
+        """Whether messages may cross at `now` (s)."""
+        return not self.required or (self._phase is _Phase.ARMED and now < self._deadline)
+
+    def snapshot(self, now: float) -> ArmingSnapshot | None:
+        """As user interfaces show it at `now` (s); None: it need not be armed."""
+        if not self.required:
+            return None
+        armed = self.passes(now)
+        grace = PEER_GRACE if self.console is None else 0.0  # the operator has no more time for it
+        left = max(0.0, self._deadline - grace - now) if armed and self.deadman else None
+        return ArmingSnapshot(armed, self.by if armed else "", self.console is not None, left, self.deadman)
+
+    # --- arming
+
+    def ask(self, by: str, console: Hashable, now: float, answered: Callable[[], None]) -> None:
+        """An operator of this side arms it; nothing crosses before the other side agrees.
+
+        Args:
+            by: the operator, in words.
+            console: on which.
+            now: s.
+            answered: called once the other side has answered, or it is clear that it will not.
+        """
+        self._phase, self.by, self.console, self._answered = _Phase.ASKED, by, console, answered
+        self._seen_at, self._deadline = now, now + ANSWERED_WITHIN
+
+    def agreed(self, now: float) -> bool:
+        """The other side agrees, at `now` (s). Returns whether this side had asked."""
+        if self._phase is not _Phase.ASKED or now >= self._deadline:
+            return False
+        self._phase = _Phase.ARMED
+        self._answer()
+        self._begin_deadman(now, 0.0)
+        return True
+
+    def take(self, by: str, now: float) -> None:
+        """An operator of the other side arms it, or has pressed a key, at `now` (s)."""
+        self._phase, self.by, self.console = _Phase.ARMED, by, None
+        self._answer()
+        self._begin_deadman(now, PEER_GRACE)
+
+    def end(self, why: Disarmed) -> None:
+        """Disarm it; in this opening it cannot be armed again."""
+        self.why = why
+        self._clear(_Phase.SPENT)
+
+    def _answer(self) -> None:
+        answered, self._answered = self._answered, None
+        if answered is not None:
+            answered()
+
+    def _begin_deadman(self, now: float, grace: float) -> None:
+        self._deadline = now + self.deadman + grace if self.deadman else float("inf")
+
+    # --- the console
+
+    def seen(self, console: Hashable, now: float, *, pressed: bool) -> None:
+        """A console gives a sign of life at `now` (s); `pressed`: its operator has pressed a key."""
+        if self.console is None or console != self.console:
+            return
+        self._seen_at = now
+        if pressed and self._phase is _Phase.ARMED and now < self._deadline:
+            self._begin_deadman(now, 0.0)
+            self._key_pressed = True
+
+    def take_press(self) -> bool:
+        """Whether a key was pressed here since the last call, which the other side has to be told."""
+        pressed, self._key_pressed = self._key_pressed, False
+        return pressed
+
+    def overdue(self, now: float) -> Disarmed | None:
+        """Why it has to be disarmed at `now` (s); None: it need not."""
+        if not self.held:
+            return None
+        if now >= self._deadline:
+            return Disarmed.NO_ANSWER if self._phase is _Phase.ASKED else Disarmed.DEADMAN
+        if self.console is not None and now - self._seen_at > CONSOLE_SILENT_AFTER:
+            return Disarmed.CONSOLE_GONE
+        return None

@@ -1,0 +1,1 @@
+"""Routes of calls: services, actions and nodes' parameters over one link."""

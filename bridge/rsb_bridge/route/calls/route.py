@@ -1,0 +1,394 @@
+"""What both halves of a route of calls share.
+
+Such a route consists of *lanes* (`rsb_bridge.model.lanes`): services, and topics that go from the providing side to the
+callers'. All that crosses is a frame of a lane (`rsb_bridge.wire.calls`), on one channel, which sends both ways.
+
+Where a lane's frames pass, for kinds that do more than carry them:
+
+- a request, on the callers' side: `CallingRoute._asked` (from ROS) → `_begin` → `_leaves` → the channel
+- a request, on the providing side: the channel → `ProvidingRoute._take_call` → ROS
+- a response, on the providing side: `ProvidingRoute._responded` (from ROS) → `_leaves` → the channel
+- a response, on the callers' side: the channel → `CallingRoute._take_answer` → ROS
+- a message: `ProvidingRoute._published` (from ROS) → the channel → `CallingRoute._take_message` → ROS
+- a call that will have no answer: `_give_up`, on either side; `_give_up_all`, when the opening or the offer ends
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, ClassVar, NoReturn
+
+import msgspec
+import zstandard
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.session import CALL_TIMEOUT
+from rsb_bridge.model.snapshot import Ledger, Level
+from rsb_bridge.route.both_sides import lasting, node_names, record_of
+from rsb_bridge.route.calls.failures import Failures
+from rsb_bridge.route.calls.ledger import CallsLedger
+from rsb_bridge.route.calls.names import name_of, route_type_of
+from rsb_bridge.route.calls.outbox import CallsOutbox
+from rsb_bridge.route.calls.refusals import REMEDIES, Refused
+from rsb_bridge.route.calls.verdict import CallsFacts, Trouble, judge_calls
+from rsb_bridge.route.judging import standing_of
+from rsb_bridge.route.route import Route
+from rsb_bridge.route.snapshots import snapshot_of
+from rsb_bridge.route.unpacking import ExpandsTooMuchError, Unpacker
+from rsb_bridge.wire.calls import CALL_HEADER_LENGTH, CallFrame, What, unpack_call
+from rsb_bridge.wire.framing import ZSTD, Message, ProtocolError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from rsb_bridge.channel.channel import DuplexChannel
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.route.arming import Disarmed
+    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.wire.messages import Propose
+    from rsb_bridge.wire.records import CallsReport, LaneEntry
+
+_NO_LEDGER = Ledger()
+_SAID_AGAIN_AFTER = 60.0
+"""s."""
+_MOST_SAID = 32
+
+
+class CallsRoute(Route):
+    """A half of a service's, an action's or a node's parameters' route.
+
+    Attributes:
+        lanes: what it consists of.
+        calls: what became of its calls, as this side counts them.
+    """
+
+    duplex: ClassVar[bool] = True
+    channel: DuplexChannel | None
+
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.lanes = LANES[spec.kind]
+        self.calls = CallsLedger()
+        self._outbox = CallsOutbox(self.transport, proposal, self.lanes, self._leaves, context.wall_ns)
+        self._unpacker = Unpacker(peer.budget.expansion, context)
+        self._later: deque[Message] = deque()
+        self._report: CallsReport | None = None  # the peer's, of the present opening
+        self._told_report: CallsReport | None = None
+        self._came = False  # a call, in the present opening
+        self._failing_since: float | None = None
+        self._unavailable: Trouble | None = None
+        self._warning: Trouble | None = None
+        self._failures = Failures(context, self._again_if_open)
+        self._said: dict[str, float] = {}
+
+    # --- what the halves do differently
+
+    def _leaves(self, frame: CallFrame) -> bool:
+        """A call or an answer is about to be sent: whether it still should be."""
+        raise NotImplementedError
+
+    def _take(self, frame: CallFrame) -> None:
+        """A frame came that has one of the route's lanes.
+
+        Raises:
+            ProtocolError: the peer must not send it.
+        """
+        raise NotImplementedError
+
+    def _take_unreadable(self, frame: CallFrame) -> None:
+        """As `_take`, of a frame whose content grows too much when it is unpacked."""
+        raise NotImplementedError
+
+    def _give_up_all(self, why: str) -> None:
+        """The calls that are under way will have no answer any more: they are lost, for a reason in words."""
+        raise NotImplementedError
+
+    def _withdraw(self) -> None:
+        """Have no endpoints in ROS any more."""
+        raise NotImplementedError
+
+    @property
+    def offered(self) -> bool:
+        """Whether callers can call it, as far as this half knows."""
+        raise NotImplementedError
+
+    @property
+    def provider_nodes(self) -> tuple[str, ...]:
+        """The nodes that answer."""
+        raise NotImplementedError
+
+    @property
+    def caller_nodes(self) -> tuple[str, ...]:
+        """The nodes that call."""
+        raise NotImplementedError
+
+    async def call_by_hand(self, lane: int, request: bytes) -> bytes:
+        """Have an operator's call answered: over the link on the callers' side, by the node itself on the other one.
+
+        Args:
+            lane: its place among the route's lanes.
+            request: serialized.
+
+        Returns:
+            The serialized response.
+
+        Raises:
+            CallError: there is none.
+        """
+        raise NotImplementedError
+
+    def entry(self, lane: int) -> LaneEntry:
+        """The type of what there is to call.
+
+        Raises:
+            CallError: there is nothing to call now.
+        """
+        raise NotImplementedError
+
+    @property
+    def call_timeout(self) -> float:
+        """S after which a call is given up, as a rule."""
+        return self.proposal.timeout or CALL_TIMEOUT
+
+    def timeout_of(self, lane: int) -> float | None:
+        """S after which a call of a lane is given up; None: never."""
+        return None if self.lanes[lane].patient else self.call_timeout
+
+    # --- opening and closing
+
+    @property
+    def local_names(self) -> list[str]:
+        """What the lanes' services and topics are called on this side."""
+        return [name_of(lane, self.local_topic) for lane in self.lanes]
+
+    def _know_type(self, entries: Sequence[LaneEntry]) -> None:
+        """Take the route's type from those of its lanes. Of an action and of parameters, there is no hash of it all."""
+        types = [route_type_of(lane, entry.type) for lane, entry in zip(self.lanes, entries, strict=True)]
+        self.type_name = next(filter(None, types), "")
+        self.type_hash = entries[0].type_hash if len(entries) == 1 else ""
+
+    def held(self, lane: int) -> Refused | None:
+        """Why a lane carries nothing, as operators want; None: it may. A cancel, above all, is never held up."""
+        if not self.lanes[lane].limited:
+            return None
+        if self.paused:
+            return Refused.PAUSED
+        return None if self.arming.passes(self.context.now()) else Refused.DISARMED
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening."""
+        super().open(route_id)
+        self._report = self._told_report = None
+        self._came = False
+
+    def close(self, reason: str) -> None:
+        """End the opening; the calls that are under way are lost."""
+        self._withdraw()
+        self._give_up_all(reason)
+        self._outbox.clear()
+        self._later.clear()
+        self._unavailable = self._warning = None
+        self._failures.clear()
+        super().close(reason)
+
+    def disarm(self, why: Disarmed) -> None:
+        """Nothing more may cross in this opening, be it under way."""
+        self._withdraw()
+        self._give_up_all("it was disarmed")
+        self._outbox.clear()
+        super().disarm(why)
+
+    def _may_flow(self) -> None:
+        self.calls.forget_lately()
+        self._failing_since = None
+
+    def _again_if_open(self) -> None:
+        if self.id:
+            self.advance()
+
+    def _ros_failed(self, text: str) -> None:
+        """ROS refuses what this half needs: say so, and try again later, or once that changes."""
+        self._failures.failed(text, self._made_of())
+        self.notices.error(EventCode.ROUTE_OFFER_FAILED, text)
+        self._verdict = None
+
+    def _made_of(self) -> object:
+        """What this half's endpoints in ROS depend on."""
+        raise NotImplementedError
+
+    # --- frames
+
+    def deliver(self, messages: Iterable[Message]) -> None:
+        """Take frames that arrived whole and authentic, or have them wait for later turns of the I/O loop."""
+        if self._later:
+            self._later.extend(messages)
+            return
+        self.losses.arrived()
+        messages, opening = iter(messages), self.id
+        try:
+            for message in messages:
+                if self.id != opening:
+                    return  # what came before has ended the opening
+                payload, stamp, flags = message
+                frame = self._of_a_lane(unpack_call(payload))
+                if not flags & ZSTD:
+                    self._take(frame)
+                elif self._unpacker.begin((frame.content, stamp, flags)):
+                    self._take_packed(frame)
+                else:
+                    self._later.extend((message, *messages))
+                    self.peer.budget.expansion.wait(self._go_on)
+        except (ProtocolError, zstandard.ZstdError) as error:
+            self.request_reopen(EventCode.ROUTE_CALLS_BROKEN, f"the peer broke the format: {error}", Level.ERROR)
+        self.flush()
+
+    def _go_on(self) -> None:
+        later, self._later = self._later, deque()
+        self.deliver(later)
+
+    def _of_a_lane(self, frame: CallFrame) -> CallFrame:
+        if frame.lane >= len(self.lanes) or self.lanes[frame.lane].is_topic != (frame.what is What.MESSAGE):
+            raise ProtocolError(f"a frame of kind {frame.what.name} on lane {frame.lane}")
+        return frame
+
+    def _take_packed(self, frame: CallFrame) -> None:
+        try:
+            content = self._unpacker.unpack(frame.content)
+        except ExpandsTooMuchError as error:
+            self.notices.message_error(EventCode.ROUTE_EXPANDS_TOO_MUCH, str(error))
+            self._take_unreadable(frame)
+        else:
+            self._take(frame._replace(content=content))
+
+    def unexpected(self, frame: CallFrame) -> NoReturn:
+        """A frame came that only the other side may send.
+
+        Raises:
+            ProtocolError: always.
+        """
+        raise ProtocolError(f"a frame of kind {frame.what.name} from the wrong side")
+
+    def _send(self, frame: CallFrame) -> None:
+        """Send a frame, or have it wait until the channel takes it; see `flush`."""
+        self._outbox.put(frame)
+
+    def flush(self) -> None:
+        """Send what waits while the path takes it."""
+        if self.channel is not None and self.channel.ready:
+            self._outbox.flush(self.channel)
+
+    # --- what becomes of calls
+
+    def _refuse(self, why: Refused) -> None:
+        """Count a call that has no answer because either side will not carry it, and say so once."""
+        if why is Refused.LOST:
+            self.calls.lost += 1
+        else:
+            self.calls.refused[why] += 1
+        self._failed(f"a call was refused: {REMEDIES[why]}" if why is not Refused.LOST else REMEDIES[why])
+
+    def _lose(self, calls: int, why: str) -> None:
+        """Count calls whose answers will not come, as what carried them is gone. The log has that already."""
+        if calls:
+            self.calls.lost += calls
+            self.calls.last_failure = f"given up while it was under way: {why}"
+
+    def _failed(self, text: str) -> None:
+        """Note why a call had no answer. The log says the same of a route once a minute at most."""
+        self.calls.last_failure = self.notices.last_error = text
+        now = self.context.now()
+        if now - self._said.get(text, float("-inf")) < _SAID_AGAIN_AFTER:
+            return
+        if len(self._said) >= _MOST_SAID:
+            self._said.clear()
+        self._said[text] = now
+        self.log(Level.WARNING, EventCode.ROUTE_CALL_FAILED, text)
+
+    def _asked_for(self, size: int) -> None:
+        """Count a call, with a request of `size` bytes."""
+        self.calls.asked += 1
+        self._came = True
+        self.meter.add(1, size, self.context.now())
+
+    def _answered(self, size: int) -> None:
+        """Count an answer of `size` bytes."""
+        self.calls.answered += 1
+        self.meter.add(0, size, self.context.now())
+        self.notices.flowing()
+
+    # --- time
+
+    def tick(self) -> None:
+        """Once a second."""
+        if not self.offered:
+            self.calls.forget_lately()
+        self.calls.tick()
+        fails = bool(self.calls.unanswered or self.calls.expired_lately() or self.calls.refused_lately())
+        if not fails:
+            self._failing_since = None
+        elif self._failing_since is None:
+            self._failing_since = self.context.now()
+        super().tick()
+
+    # --- what is made of it
+
+    def reported(self, report: CallsReport) -> None:
+        """The peer said what it counts, and what it makes of the route."""
+        self._report = report
+        self.judged.take(report.verdict, self.context.now())
+
+    def news(self) -> CallsReport | None:
+        """The report that the peer has not been sent yet; None: it knows everything."""
+        verdict = self.verdict()
+        report = self.calls.report(self.id, record_of(verdict), node_names(self.endpoints))
+        report = msgspec.structs.replace(report, offered=self.offered)
+        if report == self._told_report:
+            return None
+        self._told_report = report
+        return msgspec.structs.replace(report, verdict=lasting(report.verdict, verdict, self.context.now()))
+
+    def facts(self) -> CallsFacts:
+        """What this half knows."""
+        return CallsFacts(
+            **standing_of(self)._asdict(),
+            breaking=self.losses.repeated,
+            unavailable=self._unavailable or self._failures.trouble,
+            warning=self._warning,
+            offered=self.offered,
+            came=self._came,
+            came_before=self.calls.asked > 0 and not self._came,
+            expired=self.calls.expired_lately(),
+            unanswered=self.calls.unanswered,
+            refused=self.calls.refused_lately(),
+            failing_since=self._failing_since,
+            timeout=self.call_timeout,
+            providers=" and ".join(self.provider_nodes),
+        )
+
+    def _judge(self) -> Verdict:
+        return judge_calls(self.facts())
+
+    def snapshot(self) -> RouteSnapshot:
+        """The route as it is now."""
+        return snapshot_of(self)(
+            qos=None,
+            publisher_qos=None,
+            subscriber_qos=None,
+            ledger=_NO_LEDGER,
+            latency_p50=None,
+            latency_p99=None,
+            jitter=None,
+            publishers=self.caller_nodes,
+            subscribers=self.provider_nodes,
+            calls=self.calls.snapshot(),
+            lanes=tuple(lane.name for lane in self.lanes if not lane.is_topic),
+        )
+
+
+def frame_size(content: bytes) -> int:
+    """Bytes that a call holds of the budget for its request or its response."""
+    return CALL_HEADER_LENGTH + len(content)

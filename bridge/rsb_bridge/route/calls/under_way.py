@@ -1,0 +1,123 @@
+"""The calls of one route that wait for their answers, each with the moment at which it is given up."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable
+
+    from rsb_bridge.route.calls.budget import CallBudget
+
+_ROOM = 64
+
+
+@dataclass(slots=True)
+class Call:
+    """A call.
+
+    Attributes:
+        lane: its place among the route's lanes.
+        size: bytes that it holds of the link's budget.
+        asked_at: s, when it came.
+    """
+
+    lane: int
+    size: int
+    asked_at: float
+
+
+C = TypeVar("C", bound=Call)
+
+
+class UnderWay(Generic[C]):
+    """Holds calls by number, and gives back to the budget what ended calls held.
+
+    Args:
+        loop: sets the timer; its time is the clock.
+        budget: of the link; whoever adds a call has taken its place there.
+        on_expired: called with a call's number and the call, once it has been taken out after its timeout.
+        on_end: called with the number of every call that is over, for whatever else is kept of it.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        budget: CallBudget,
+        on_expired: Callable[[int, C], None],
+        on_end: Callable[[int], None],
+    ) -> None:
+        self._loop = loop
+        self._budget = budget
+        self._on_expired = on_expired
+        self._on_end = on_end
+        self._calls: dict[int, C] = {}
+        self._deadlines: list[tuple[float, int]] = []  # a heap; those of ended calls stay for a while
+        self._timer: asyncio.TimerHandle | None = None
+
+    def __len__(self) -> int:
+        return len(self._calls)
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._calls
+
+    def get(self, number: int) -> C | None:
+        """The call of that number; None: it is over, or never was."""
+        return self._calls.get(number)
+
+    def numbers(self) -> tuple[int, ...]:
+        """Of all of them, in the order in which they were added."""
+        return tuple(self._calls)
+
+    def add(self, number: int, call: C, timeout: float | None) -> None:
+        """A call is under way; it is given up after `timeout` s; None: never."""
+        self._calls[number] = call
+        if timeout is not None:
+            if len(self._deadlines) > 2 * len(self._calls) + _ROOM:
+                self._deadlines = [each for each in self._deadlines if each[1] in self._calls]
+                heapq.heapify(self._deadlines)
+            heapq.heappush(self._deadlines, (self._loop.time() + timeout, number))
+            self._set_timer()
+
+    def end(self, number: int) -> C | None:
+        """A call is over; None: it was already, or never was."""
+        call = self._calls.pop(number, None)
+        if call is not None:
+            self._budget.give(call.size)
+            self._on_end(number)
+            if not self._calls:
+                self._deadlines.clear()
+                self._set_timer()
+        return call
+
+    def resize(self, call: C, size: int) -> bool:
+        """Let a call hold other bytes; False: the budget has no room for them."""
+        if not self._budget.change(call.size, size):
+            return False
+        call.size = size
+        return True
+
+    def _set_timer(self) -> None:
+        due = self._deadlines[0][0] if self._deadlines else None
+        if self._timer is not None:
+            if due is not None and self._timer.when() <= due:
+                return
+            self._timer.cancel()
+            self._timer = None
+        if due is not None:
+            self._timer = self._loop.call_at(due, self._expire)
+
+    def _expire(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        expired = []
+        while self._deadlines and self._deadlines[0][0] <= now:
+            _, number = heapq.heappop(self._deadlines)
+            if (call := self.end(number)) is not None:
+                expired.append((number, call))
+        self._set_timer()
+        for number, call in expired:
+            self._on_expired(number, call)

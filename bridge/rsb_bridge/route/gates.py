@@ -1,0 +1,99 @@
+"""What decides about any route, whatever it carries: rules over what a half knows (`rsb_bridge.route.verdict`)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Standing(Protocol):
+    """What a half knows of its route, whatever that carries: as in `rsb_bridge.route.verdict.Facts`."""
+
+    @property
+    def topic(self) -> str: ...
+    @property
+    def link_down(self) -> str: ...
+    @property
+    def breaking(self) -> str: ...
+    @property
+    def refusal(self) -> str: ...
+    @property
+    def loop(self) -> str: ...
+    @property
+    def paused(self) -> bool: ...
+    @property
+    def paused_by(self) -> str: ...
+    @property
+    def disarmed(self) -> str: ...
+    @property
+    def no_path(self) -> str: ...
+    @property
+    def limit(self) -> float: ...
+    @property
+    def limited_by(self) -> str: ...
+
+
+def gated(facts: Standing) -> Verdict | None:
+    """What keeps everything else from being known; None: nothing does."""
+    return next((verdict for gate in _GATES if (verdict := gate(facts)) is not None), None)
+
+
+def rank(verdict: Verdict) -> int:
+    """0 for the worst."""
+    return verdict.state.rank
+
+
+def no_path(facts: Standing) -> Verdict | None:
+    """A rule: its transport does not get through."""
+    return Verdict(State.DOWN, Cause.NO_PATH, facts.no_path) if facts.no_path else None
+
+
+def throttled(facts: Standing) -> Verdict | None:
+    """A rule: an operator limits it."""
+    if not facts.limit:
+        return None
+    return Verdict(State.OK, Cause.THROTTLED, f"limit {facts.limit:g} Hz, {facts.limited_by}")
+
+
+def _link(facts: Standing) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.LINK_DOWN, facts.link_down) if facts.link_down else None
+
+
+def _breaking(facts: Standing) -> Verdict | None:
+    if not facts.breaking:
+        return None
+    text = (
+        f"its data connection ends before a message arrives ({facts.breaking}), though the link is up: large packets "
+        "may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
+    )
+    return Verdict(State.DOWN, Cause.NO_PATH, text)
+
+
+def _refused(facts: Standing) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.REFUSED, facts.refusal) if facts.refusal else None
+
+
+def _loop(facts: Standing) -> Verdict | None:
+    return Verdict(State.DOWN, Cause.LOOP, facts.loop) if facts.loop else None
+
+
+def _paused(facts: Standing) -> Verdict | None:
+    if not facts.paused:
+        return None
+    text = f"paused ({facts.paused_by})" if facts.paused_by else "paused by an operator"
+    return Verdict(State.PAUSED, Cause.PAUSED, text)
+
+
+def _disarmed(facts: Standing) -> Verdict | None:
+    if not facts.disarmed:
+        return None
+    text = f"{facts.disarmed}: arm it on a console of either side (key A), or with rsb-console arm {facts.topic}"
+    return Verdict(State.DISARMED, Cause.DISARMED, text)
+
+
+_GATES: tuple[Callable[[Standing], Verdict | None], ...] = (_link, _breaking, _refused, _loop, _paused, _disarmed)

@@ -1,0 +1,138 @@
+"""How many messages a second of a topic cross at most, and who says so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import ROUTES_PER_LINK
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.token_bucket import TokenBucket
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_AT_ONCE = 1.0
+"""s of the rate that may come at once, after a link has stalled."""
+_FEWEST_AT_ONCE = 2.0
+_TOPICS = 2 * ROUTES_PER_LINK
+"""That have lately had messages, of routes that are there or were."""
+_CLOCKS_DIFFER = 1.01
+"""The sender keeps to the rate by its own clock."""
+
+
+class AllowedRates:
+    """What one link's peer may publish on each topic here, by however many routes and openings it comes."""
+
+    def __init__(self) -> None:
+        self._buckets: dict[tuple[str, float], TokenBucket] = {}
+        self._swept_at = float("-inf")
+
+    def admits(self, topic: str, rate: float, now: float) -> bool:
+        """Whether one more message comes at no more than `rate` Hz, at `now` (s)."""
+        bucket = self._buckets.get((topic, rate))
+        if bucket is None:
+            if len(self._buckets) >= _TOPICS:
+                self._sweep(now)
+            if len(self._buckets) >= _TOPICS:
+                return False
+            bucket = TokenBucket(_at_once(rate), rate * _CLOCKS_DIFFER, now)
+            self._buckets[topic, rate] = bucket
+        return bucket.take(1.0, now)
+
+    def _sweep(self, now: float) -> None:
+        """Forget the topics that have been quiet for so long that they may begin anew."""
+        if now < self._swept_at + 1.0:
+            return
+        self._swept_at = now
+        self._buckets = {key: each for key, each in self._buckets.items() if each.left(now) < _at_once(key[1])}
+
+
+class RateLimit:
+    """One route's. The lowest figure counts; the sending side keeps to it, and the receiving side enforces its own.
+
+    Args:
+        max_rate: Hz, of the topic's entry; 0: any.
+        topic: its name on this side.
+        rates: of its link.
+        log: adds an event.
+
+    Attributes:
+        allowed: Hz that the rights of the two sides allow, the lower of the two; 0: any.
+        apply: is told the rate to keep to, in Hz, whenever it may have changed.
+    """
+
+    def __init__(
+        self, max_rate: float, topic: str, rates: AllowedRates, log: Callable[[Level, EventCode, str], None]
+    ) -> None:
+        self.apply: Callable[[float], None] = lambda rate: None
+        self._max_rate = max_rate
+        self._here = self._there = self._there_before = 0.0
+        self._topic = topic
+        self._rates = rates
+        self._log = log
+
+    @property
+    def rate(self) -> float:
+        """Hz; 0: all messages cross."""
+        return _lowest(self._max_rate, self.allowed)
+
+    @property
+    def allowed(self) -> float:
+        return _lowest(self._here, self._there)
+
+    @property
+    def here(self) -> float:
+        """Hz that this side allows; 0: any."""
+        return self._here
+
+    @property
+    def why(self) -> str:
+        """Who limits it, for an operator."""
+        if self.rate == self._max_rate:
+            return "set on purpose (max_rate)"
+        return "this side allows no more (allow)" if self.rate == self._here else "the other side allows no more"
+
+    def opened(self) -> None:
+        """A new opening begins: what the other side allows, it says again."""
+        self._there = 0.0
+        self.apply(self.rate)
+
+    def set_max_rate(self, rate: float) -> None:
+        """Take the limit of the topic's entry."""
+        if rate != self._max_rate:
+            self._max_rate = rate
+            self.apply(self.rate)
+
+    def allow_here(self, rate: float) -> bool:
+        """Take what this side's rights allow; whether that is news."""
+        if rate == self._here:
+            return False
+        self._here = rate
+        self.apply(self.rate)
+        self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"this side allows {_figure(rate)} (allow)")
+        return True
+
+    def allow_there(self, rate: float) -> None:
+        """Take what the other side says that it allows."""
+        self._there = rate
+        self.apply(self.rate)
+        if rate != self._there_before:
+            self._there_before = rate
+            self._log(Level.INFO, EventCode.ROUTE_AMENDED, f"the other side allows {_figure(rate)}")
+
+    def admits(self, now: float) -> bool:
+        """Whether this side takes one more message of the peer's, at `now` (s)."""
+        return not self._here or self._rates.admits(self._topic, self._here, now)
+
+
+def _at_once(rate: float) -> float:
+    return max(_FEWEST_AT_ONCE, rate * _AT_ONCE)
+
+
+def _lowest(*rates: float) -> float:
+    return min(filter(None, rates), default=0.0)
+
+
+def _figure(rate: float) -> str:
+    return f"at most {rate:g} Hz" if rate else "any rate"

@@ -1,0 +1,151 @@
+"""What becomes of a sending half's messages from ROS until its channel takes them: throttled, packed and queued."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.route.outbox import Outbox
+from rsb_bridge.route.peeking import Peekable, peeked
+from rsb_bridge.route.throttle import LatestLater, Throttle
+from rsb_bridge.wire.framing import HISTORY, Message
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.ros.api import RawMessage
+    from rsb_bridge.route.histories import Sample
+    from rsb_bridge.route.ledger import RouteLedger
+    from rsb_bridge.route.notices import Notices
+    from rsb_bridge.route.peeking import PeekSlot
+    from rsb_bridge.route.sorter import Sorter
+    from rsb_bridge.transport.transport import Transport
+    from rsb_bridge.wire.messages import Propose
+
+
+class SendingRoute(Peekable, Protocol):
+    """Whose messages they are.
+
+    Attributes:
+        transport: what carries them.
+        proposal: what the two sides have agreed on.
+        channel: the way to the peer; None: there is none now.
+        qos: of the topic; None: not known yet.
+        notices: what an operator is told.
+        peek_slot: takes the next message for whoever looks at the topic.
+    """
+
+    transport: Transport
+    proposal: Propose
+    channel: SendingChannel | None
+    qos: Qos | None
+    notices: Notices
+    peek_slot: PeekSlot
+
+    @property
+    def paused(self) -> bool:
+        """Whether it carries no messages, as an operator wants."""
+        ...
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a way for messages."""
+        ...
+
+    def count(self, messages: int, size: int) -> None:
+        """Note that messages pass."""
+        ...
+
+
+class Sending:
+    """Counts in the ledger what it leaves out and what it drops.
+
+    Args:
+        context: what every part of the engine shares.
+        route: whose messages they are.
+        ledger: the route's.
+        sorter: the route's; gives each publisher's messages the number of their source.
+    """
+
+    def __init__(self, context: Context, route: SendingRoute, ledger: RouteLedger, sorter: Sorter) -> None:
+        self._context = context
+        self._route = route
+        self._ledger = ledger
+        self._sorter = sorter
+        self._max_rate = route.proposal.max_rate
+        self._throttle = Throttle(self._max_rate)
+        self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
+        self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
+
+    def limit(self, max_rate: float) -> None:
+        """Let so many Hz pass from now on; 0: all."""
+        if max_rate != self._max_rate:
+            self._max_rate = max_rate
+            self._throttle.limit(max_rate)
+
+    def resume(self) -> None:
+        """Let pass what has become due while the route was paused."""
+        self._latest_later.resume()
+
+    def clear_later(self) -> int:
+        """Let none of the latched messages pass that wait for the limit; how many they were."""
+        return self._latest_later.clear()
+
+    def clear(self) -> int:
+        """Remove what is queued; how many messages that was."""
+        return self._outbox.clear()
+
+    def offer(self, batch: Sequence[RawMessage]) -> None:
+        """Take messages from ROS, oldest first."""
+        if self._route.peek_slot.wanted:
+            self._show(batch[-1])
+        self._ledger.offered += len(batch)
+        passes, pack, flags = self._throttle.passes, self._outbox.pack, self._sorter.table.flags
+        messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
+        self._ledger.throttled += len(batch) - len(messages)
+        self._send(messages)
+
+    def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
+        """Take messages of a latched topic."""
+        if self._route.peek_slot.wanted and samples:
+            self._show(samples[-1].message)
+        self._ledger.offered += new
+        admitted, left_out = self._latest_later.admit(samples)
+        self._ledger.throttled += left_out
+        self._send_latched(admitted)
+
+    def _show(self, message: RawMessage) -> None:
+        self._route.peek_slot.put(peeked(self._route, message.payload, message.stamp), self._context.now())
+
+    def _send_latched(self, samples: Sequence[Sample]) -> None:
+        for publisher, group in groupby(samples, key=lambda sample: sample.header.publisher):
+            messages, depth = [], 0
+            for header, (payload, stamp, gid, _), _ in group:
+                depth = header.depth
+                flags = self._sorter.table.flags.get(gid)
+                if flags is None:  # it has turned out, while the message waited, that it would go in a loop
+                    self._ledger.drop("would loop", 1)
+                    continue
+                content, _, flags = self._outbox.pack(payload, stamp, flags)
+                messages.append((header.pack() + content, stamp, flags | HISTORY))
+            self._send(messages, publisher, depth)
+
+    def _send(self, messages: Sequence[Message], publisher: bytes = b"", depth: int = 0) -> None:
+        """Send messages, or have them wait; of a latched topic, those of one publisher that keeps `depth` of them."""
+        if not self._route.connected:
+            self._ledger.drop("link lost", len(messages))
+            return
+        if messages:
+            self._route.count(len(messages), sum([len(message[0]) for message in messages]))
+            channel = self._route.channel
+            limits = self._outbox.limits(self._route.qos, depth, congested=channel is not None and channel.congested)
+            self._outbox.add(messages, self._context.now(), publisher, limits)
+            self.flush()
+
+    def flush(self) -> None:
+        """Send what waits while the path takes it."""
+        if self._route.channel is not None:
+            self._outbox.flush(self._route.channel)

@@ -1,0 +1,103 @@
+"""One topic in one direction over one link: what its sending and its receiving half share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.route.peeking import PeekSlot
+from rsb_bridge.route.route import Route
+from rsb_bridge.route.silence import Silence
+from rsb_bridge.route.snapshots import snapshot_of_topic
+from rsb_bridge.route.verdict import Facts, judge
+from rsb_bridge.telemetry.meters import LatencyMeter
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
+    from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.route.peer import Owner
+    from rsb_bridge.wire.messages import Propose
+    from rsb_bridge.wire.records import ReceivedReport, SentReport
+
+
+class TopicRoute(Route):
+    """A topic's half on this side.
+
+    Attributes:
+        qos: of the bridge's endpoints on both sides; None: not known yet.
+        latency: of its messages, one way.
+        silence: watches for it.
+        peek_slot: takes the next message for whoever looks at the topic.
+    """
+
+    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
+        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
+        self.qos: Qos | None = None
+        self.latency = LatencyMeter()
+        self.silence = Silence(self.log, context.now())
+        self.set_stale_after()
+        self.peek_slot = PeekSlot()
+        self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
+
+    # --- what the halves do differently
+
+    def ledger(self) -> Ledger:
+        """Where the messages went."""
+        raise NotImplementedError
+
+    def end_qos(self) -> tuple[Qos | None, Qos | None]:
+        """What the publishers at the beginning offer, and what the subscriptions at the end ask for."""
+        raise NotImplementedError
+
+    def end_nodes(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The nodes that publish the topic at the beginning, and those that subscribe to it at the end."""
+        raise NotImplementedError
+
+    def facts(self) -> Facts:
+        """What this half knows."""
+        raise NotImplementedError
+
+    # --- what is the same for both
+
+    def open(self, route_id: int) -> None:
+        """Begin a new opening on the present connection."""
+        super().open(route_id)
+        self._told_report = None
+
+    def amend(self, spec: Topic, proposal: Propose) -> None:
+        """Go on with other limits; counts, endpoints and what is under way stay."""
+        super().amend(spec, proposal)
+        self.set_stale_after()
+
+    def set_stale_after(self) -> None:
+        """Watch for silence as the topic's entry and the session say now."""
+        self.silence.configure(self.spec, self.context.session)
+
+    def _may_flow(self) -> None:
+        self.silence.rearm(self.context.now())
+
+    def tick(self) -> None:
+        """Once a second: histories, stale warnings, and what has turned for the worse."""
+        super().tick()
+        self.latency.tick()
+        cause = self.judged.shown(self.verdict()).verdict.cause
+        self.silence.tick(self.context.now(), due=self.flowing and not self.is_latched, cause=cause)
+
+    def count(self, messages: int, size: int) -> None:
+        """Note that messages passed."""
+        super().count(messages, size)
+        self.silence.seen(self.context.now())
+
+    @property
+    def is_latched(self) -> bool:
+        """A latched topic is not stale when silent, unless its session entry says after how long it is."""
+        return not self.silence.own and self.qos is not None and self.qos.latched
+
+    def _judge(self) -> Verdict:
+        return judge(self.facts())
+
+    def snapshot(self) -> RouteSnapshot:
+        """The route as it is now."""
+        return snapshot_of_topic(self)

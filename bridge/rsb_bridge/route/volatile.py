@@ -1,0 +1,119 @@
+"""A volatile topic on the receiving side: what DDS holds for slow subscribers is bounded over the whole link.
+
+DDS keeps each message until every reliable subscription has acknowledged it, up to the publisher's depth. A program
+that is stopped acknowledges nothing until DDS gives it up, 20 s later. The memory of a message is used again for others
+of the same publisher, and never shrinks; it is freed with the publisher.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.ros.api import Publisher
+    from rsb_bridge.wire.budget import Budget
+
+FREE = 1 << 16
+"""Bytes that each publisher may hold uncounted, so that topics of small messages go on whatever the others hold."""
+_MESSAGE_COST = 256  # bytes
+_ASKS_AGAIN_AFTER = 0.01
+"""s, while subscribers take nothing: to ask DDS takes 100 µs then."""
+
+
+class SlowSubscriberError(Exception):
+    """DDS would hold too much for subscribers that do not take their messages."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(
+            "a subscriber does not take its messages, and this topic would hold more memory for it than is left for "
+            f"the link's others, of {limit:,} bytes: restart the subscriber, or have it ask for best_effort or a "
+            "smaller depth"
+        )
+
+
+class VolatileTopic:
+    """A publisher whose memory counts against its link's budget. It belongs to the I/O loop.
+
+    Args:
+        publisher: of a volatile topic.
+        depth: messages that it keeps at most.
+        budget: of the publisher's link; one topic takes no more of it than it leaves to the others.
+        now: the clock that all timers use, in s.
+    """
+
+    def __init__(self, publisher: Publisher, depth: int, budget: Budget, now: Callable[[], float]) -> None:
+        self._publisher = publisher
+        self._depth = depth
+        self._budget = budget
+        self._now = now
+        self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
+        self._free: list[int] = []  # of memory that DDS uses next
+        self._held = self._charged = self._held_when_asked = 0
+        self._asks_at = float("-inf")
+
+    @property
+    def subscriber_count(self) -> int:
+        """Subscriptions of other nodes that match now."""
+        return self._publisher.subscriber_count
+
+    def publish(self, content: bytes) -> None:
+        """Publish a message.
+
+        Raises:
+            RosError: the middleware refused it.
+            SlowSubscriberError: it would take too much memory.
+        """
+        size = len(content) + _MESSAGE_COST
+        if self._held + size - self._memory > self._held_when_asked + FREE:
+            self._recycle()
+        self._take(size)
+        self._publisher.publish(content)
+
+    def close(self) -> None:
+        """Close the publisher, which frees its memory. May be called twice."""
+        self._publisher.close()
+        self._budget.give(self._charged)
+        self._held = self._charged = self._held_when_asked = 0
+        self._waiting.clear()
+        self._free.clear()
+
+    @property
+    def _memory(self) -> int:
+        """Size of the memory that DDS uses for the next message, as far as it is large enough."""
+        if len(self._waiting) >= self._depth:
+            return self._waiting[0]
+        return self._free[-1] if self._free else 0
+
+    def _recycle(self) -> None:
+        """Take note of it where everything has been acknowledged."""
+        now = self._now()
+        if now < self._asks_at:
+            return
+        if self._publisher.acknowledged:
+            self._free.extend(self._waiting)
+            self._waiting.clear()
+            self._held_when_asked = self._held
+        else:
+            self._asks_at = now + _ASKS_AGAIN_AFTER
+
+    def _take(self, size: int) -> None:
+        growth = max(0, size - self._memory)
+        charge = max(0, self._held + growth - FREE) - self._charged
+        if charge > 0 and not self._charge(charge):
+            raise SlowSubscriberError(self._budget.limit)
+        self._waiting.append(self._memory + growth)
+        if len(self._waiting) > self._depth:
+            self._waiting.popleft()
+        elif self._free:
+            self._free.pop()
+        self._held += growth
+
+    def _charge(self, size: int) -> bool:
+        """Count more memory; False: the link's others would not be left as much as this topic has."""
+        if self._charged + size > self._budget.limit - self._budget.held - size:
+            return False
+        self._charged += size
+        return self._budget.take(size)

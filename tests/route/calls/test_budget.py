@@ -1,0 +1,63 @@
+"""What one link's calls may hold, and how often they may come."""
+
+from __future__ import annotations
+
+import pytest
+
+from rsb_bridge.route.calls import budget as module
+from rsb_bridge.route.calls.budget import CallBudget
+from rsb_bridge.route.calls.refusals import Refused
+
+
+@pytest.fixture
+def budget(monkeypatch: pytest.MonkeyPatch) -> CallBudget:
+    monkeypatch.setattr(module, "CALLS_UNDER_WAY", 3)
+    monkeypatch.setattr(module, "BYTES_UNDER_WAY", 1000)
+    monkeypatch.setattr(module, "CALLS_A_SECOND", 10.0)
+    return CallBudget(0.0)
+
+
+def test_calls_under_way(budget: CallBudget) -> None:
+    assert [budget.take(1, 0.0) for _ in range(4)] == [None, None, None, Refused.CALLS_UNDER_WAY]
+    budget.give(1)
+    assert budget.take(1, 0.0) is None
+    assert budget.held == (3, 3)
+
+
+def test_bytes_under_way_of_requests_and_then_of_answers(budget: CallBudget) -> None:
+    assert budget.take(600, 0.0) is None
+    assert budget.take(401, 0.0) is Refused.BYTES_UNDER_WAY
+    assert budget.held == (1, 600)
+    assert budget.change(600, 1000)
+    assert not budget.change(1000, 1001)
+    budget.give(1000)
+    assert budget.held == (0, 0)
+
+
+def test_calls_a_second(budget: CallBudget) -> None:
+    taken = 0
+    for _ in range(15):
+        if budget.take(1, 0.0) is None:
+            taken += 1
+            budget.give(1)
+    assert taken == 10
+    assert budget.take(1, 0.05) is Refused.CALLS_A_SECOND
+    assert budget.take(1, 0.1) is None
+
+
+def test_what_expired_counts_on_for_as_long_as_dds_may_hold_it(budget: CallBudget) -> None:
+    """A server that is stopped takes nothing; else a short timeout would let a peer fill this side's memory."""
+    assert budget.take(700, 0.0) is None
+    budget.give(700)
+    budget.linger(700, 0.5)
+    budget.linger(100, 1.0)
+    assert budget.held == (0, 0)
+    assert budget.take(201, 2.0) is Refused.BYTES_UNDER_WAY
+    assert budget.take(200, 2.0) is None
+    budget.give(200)
+    assert budget.take(1000, 23.0) is None
+
+
+def test_the_peer_may_have_a_little_more() -> None:
+    ours, theirs = CallBudget(0.0), CallBudget(0.0, module.PEERS_SHARE)
+    assert theirs._bytes.limit > ours._bytes.limit

@@ -1,0 +1,31 @@
+"""What one side counts of its calls."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.route.calls.ledger import CallsLedger
+from rsb_bridge.wire.calls import MOST_TOOK
+
+CALLS = st.tuples(st.integers(0, MOST_TOOK) | st.integers(0, 10**10), st.floats(0.0, 3600.0))
+
+
+@given(st.lists(CALLS, min_size=1, max_size=50))
+def test_a_peer_cannot_say_that_its_node_took_longer_than_the_whole_call(calls: list[tuple[int, float]]) -> None:
+    """It says how long in ns; how long the whole call was is known here, in s."""
+    ledger = CallsLedger()
+    for took, total in calls:
+        ledger.timed(took / 1e9, total)
+    ledger.tick()
+    shown, longest = ledger.snapshot(), max(total for _, total in calls)
+    for figure in (shown.node_p50, shown.node_p99, shown.way_p50, shown.way_p99):
+        assert figure is not None
+        assert 0.0 <= figure <= longest * 1.05
+
+
+def test_what_the_node_took_and_what_the_way_took_are_the_whole() -> None:
+    ledger = CallsLedger()
+    ledger.timed(0.25, 1.0)
+    ledger.tick()
+    assert (ledger.node.p50, ledger.way.p50) == (0.25, 0.75)

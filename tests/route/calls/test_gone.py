@@ -1,0 +1,51 @@
+"""A service whose server has gone, and one whose next server is not known well enough yet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.support.offline import FakePeer, NoRos
+
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.route.calls.providing import ProvidingRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+
+LAMP = Endpoint("/lamp", "std_srvs/srv/SetBool", "RIHS01_0", Qos(), b"lamp")
+
+
+class _Graph(NoRos):
+    """One with a service.
+
+    Attributes:
+        found: its servers.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[Endpoint] = []
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return self.found
+
+
+def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[..., Context]) -> None:
+    """DDS may tell of its node a moment after its endpoints."""
+    ros = _Graph()
+    context = make_context(ros)
+    spec = Topic("/set", "transmit", kind="service")
+    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+    causes = []
+    for found in ([], [LAMP], [], [LAMP._replace(node="")], []):
+        ros.found = found
+        route._look()
+        causes.append(route._unavailable.cause if route._unavailable is not None else None)
+    assert causes == [Cause.NO_SERVER, None, Cause.SERVER_GONE, Cause.NO_SERVER, Cause.SERVER_GONE]
+    route._withdraw()

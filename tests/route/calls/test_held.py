@@ -1,0 +1,122 @@
+"""What is held up of an action by a pause, by arming and by limits, whatever the other side sends."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.goals import cancel_request, goal, goal_request
+from tests.support.offline import FakePeer
+
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.calls.by_hand import CallError
+from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.goal_messages import accepted_by
+from rsb_bridge.route.calls.kept_calls import KeptCall
+from rsb_bridge.route.calls.providing_action import ProvidingAction
+from rsb_bridge.route.calls.refusals import Refused
+from rsb_bridge.wire.calls import CallFrame, What
+from rsb_bridge.wire.messages import Provide
+from rsb_bridge.wire.records import LaneEntry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+GOAL = goal_request(goal(1))
+UNREADABLE = b"\0\x0b" + GOAL[2:]
+"""In an encoding that no goal's id is read of."""
+
+
+@pytest.mark.parametrize(("how", "why"), [("paused", Refused.PAUSED), ("arm", Refused.DISARMED)])
+@pytest.mark.parametrize(
+    ("what", "lane", "content", "held"),
+    [
+        (What.CALL, SEND_GOAL, GOAL, True),
+        (What.AGAIN, SEND_GOAL, UNREADABLE, True),
+        (What.AGAIN, SEND_GOAL, GOAL, False),
+        (What.CALL, CANCEL_GOAL, cancel_request(goal(1)), False),
+        (What.CALL, CANCEL_GOAL, UNREADABLE, False),
+        (What.CALL, GET_RESULT, GOAL, False),
+    ],
+)
+def test_only_what_could_begin_a_goal_is_held_up(
+    what: What, lane: int, content: bytes, held: bool, how: str, why: Refused, make_context: Callable[..., Context]
+) -> None:
+    route = providing(make_context(), **{how: True})
+    refusal = route._refusal(CallFrame(what, lane, 1, 0, content))
+    assert refusal is (why if held else Refused.PROVIDER_GONE)
+
+
+@pytest.mark.parametrize(("what", "limited"), [(What.CALL, True), (What.AGAIN, False)])
+def test_a_goal_that_is_only_asked_about_is_within_no_limit(
+    what: What, limited: bool, make_context: Callable[..., Context]
+) -> None:
+    route = providing(make_context())
+    route.limit.allow_here(1.0)
+    route._told = Provide(route=1, lanes=(LaneEntry("a/action/B_SendGoal", "h", 1),))
+    refusals = {route._refusal(CallFrame(what, SEND_GOAL, n, 0, goal_request(goal(n)))) for n in range(1, 50)}
+    assert refusals == ({None, Refused.CALLS_A_SECOND} if limited else {None})
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_nobody_sends_a_goal_by_hand_that_has_to_be_armed_be_it_paused_or_not(
+    paused: bool, make_context: Callable[..., Context], loop: VirtualLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    route = providing(make_context(), paused=paused, arm=True)
+    monkeypatch.setattr(route, "entry", lambda lane: pytest.fail("it is about to be called"))
+    with pytest.raises(CallError):
+        loop.run_until_complete(route.call_by_hand(SEND_GOAL, GOAL))
+
+
+@pytest.mark.parametrize(
+    ("why", "again", "rejected"),
+    [
+        (Refused.CALLS_A_SECOND, False, True),
+        (Refused.CALLS_A_SECOND, True, False),
+        (Refused.NOT_ARRIVED, True, True),
+        (Refused.LOST, False, False),
+        (Refused.LOST, True, False),
+    ],
+)
+def test_a_goal_that_may_have_begun_is_not_said_to_be_rejected(
+    why: Refused, again: bool, rejected: bool, make_context: Callable[..., Context]
+) -> None:
+    context = make_context()
+    spec = Topic("/dock", "receive", kind="action")
+    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
+    route, server = CallingAction(context, FakePeer(), spec, proposal, proposed_here=False), Answers()
+    route._offers.servers[SEND_GOAL] = server
+    route.goals.asked(goal(1))
+    route._ask(KeptCall(SEND_GOAL, b"caller", GOAL, 0.0, again=again))
+    route._take_refusal(CallFrame(What.REFUSED, SEND_GOAL, 1, 0, why.encode()), why)
+    assert server.answered == ([b"caller"] if rejected else [])
+    assert [each.state for each in route.goals.snapshot(set())] == ["rejected" if rejected else "unknown"]
+
+
+class Answers:
+    """A server of send_goal, for what it answers."""
+
+    def __init__(self) -> None:
+        self.answered: list[bytes] = []
+
+    def answer(self, caller: bytes, payload: bytes) -> None:
+        assert accepted_by(payload) is False
+        self.answered.append(caller)
+
+    def close(self) -> None:
+        pass
+
+
+def providing(context: Context, **fields: Any) -> ProvidingAction:
+    """An action's half where its server is, in an opening of its own."""
+    spec = Topic("/dock", "transmit", kind="action", **fields)
+    proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = ProvidingAction(context, FakePeer(), spec, proposal, proposed_here=False)
+    route.arming.opened(required=spec.arm, deadman=0.0)
+    return route

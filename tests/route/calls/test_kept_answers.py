@@ -1,0 +1,198 @@
+"""Answers of an action's server that may be asked for again."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.goals import cancel_request, cancel_response, goal, goal_request, goal_response, result_response
+
+from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, SEND_GOAL
+from rsb_bridge.route.calls import kept_answers
+from rsb_bridge.route.calls.kept_answers import SENT_KEPT, Do, KeptAnswers, Question, question_of, result_request
+from rsb_bridge.route.calls.kept_calls import INTERRUPTION
+
+SERVERS = frozenset([b"server"])
+NEW_SERVERS = frozenset([b"new server"])
+RESULT = result_response("succeeded", b"a result")
+
+
+def asks(lane: int, number: int = 1) -> Question:
+    payload = cancel_request(goal(number)) if lane == CANCEL_GOAL else goal_request(goal(number))
+    question = question_of(lane, payload)
+    assert question is not None
+    return question
+
+
+def interrupted_after_asking(question: Question) -> KeptAnswers:
+    """Call 1 made this side ask, under number 7; the link went at 100 s."""
+    answers = KeptAnswers()
+    assert answers.take(question, 1, again=False) is Do.ASK
+    answers.asked(question, 7, SERVERS, 1)
+    answers.is_over(1)
+    answers.interrupted(100.0)
+    return answers
+
+
+def test_what_questions_are_about() -> None:
+    assert question_of(GET_RESULT, result_request(goal(1))) == asks(GET_RESULT)
+    assert asks(CANCEL_GOAL) != question_of(CANCEL_GOAL, cancel_request(goal(1), seconds=5))
+    assert asks(CANCEL_GOAL) != asks(CANCEL_GOAL, 2)
+    for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT):
+        assert question_of(lane, b"malformed") is None
+    assert question_of(FEEDBACK, goal_request(goal(1))) is None
+
+
+@pytest.mark.parametrize(
+    ("lane", "answer"),
+    [
+        (SEND_GOAL, goal_response(True)),
+        (CANCEL_GOAL, cancel_response(goal(1))),
+        (GET_RESULT, RESULT),
+    ],
+)
+def test_an_answer_that_came_while_the_link_was_down_is_there_when_it_is_asked_for(lane: int, answer: bytes) -> None:
+    answers = interrupted_after_asking(asks(lane))
+    assert answers.under_way
+    assert answers.answered(lane, 7, answer, 110.0, linked=False) == (asks(lane), [])
+    answers.expire(110.0 + INTERRUPTION - 1)
+    assert answers.take(asks(lane), 1, again=True) is Do.ANSWER
+    assert answers.answer(asks(lane)) == answer
+    assert not answers.under_way
+
+
+@pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL, GET_RESULT])
+def test_a_question_that_is_still_open_is_not_asked_twice(lane: int) -> None:
+    answers = interrupted_after_asking(asks(lane))
+    assert answers.take(asks(lane), 1, again=True) is Do.WAIT
+    assert answers.take(asks(lane), 2, again=True) is Do.WAIT
+    answers.expire(100.0 + 2 * INTERRUPTION)  # a goal may take days
+    assert answers.answered(lane, 7, RESULT, 120.0, linked=True) == (asks(lane), [1, 2])
+
+
+def test_an_answer_that_was_sent_is_kept_until_the_link_would_have_noticed_that_it_did_not_arrive() -> None:
+    answers = KeptAnswers()
+    answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
+    assert answers.answered(GET_RESULT, 7, RESULT, 10.0, linked=True) == (asks(GET_RESULT), [1])
+    answers.expire(10.0 + SENT_KEPT - 1)
+    answers.interrupted(10.0 + SENT_KEPT - 1)
+    answers.expire(10.0 + INTERRUPTION)
+    assert answers.take(asks(GET_RESULT), 1, again=True) is Do.ANSWER
+    answers.expire(10.0 + INTERRUPTION + 2 * SENT_KEPT)
+    assert answers.take(asks(GET_RESULT), 2, again=True) is Do.ASK
+
+
+def test_a_result_is_the_same_for_everybody() -> None:
+    answers = KeptAnswers()
+    answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
+    assert answers.take(asks(GET_RESULT), 2, again=False) is Do.WAIT
+    assert answers.answered(GET_RESULT, 7, RESULT, 0.0, linked=True) == (asks(GET_RESULT), [1, 2])
+    assert answers.take(asks(GET_RESULT), 3, again=False) is Do.ANSWER
+
+
+@pytest.mark.parametrize("lane", [SEND_GOAL, CANCEL_GOAL])
+def test_a_new_call_goes_to_the_server_whatever_it_answered_before(lane: int) -> None:
+    answers = interrupted_after_asking(asks(lane))
+    answers.answered(lane, 7, goal_response(False), 101.0, linked=False)
+    assert answers.take(asks(lane), 1, again=False) is Do.ASK
+
+
+def test_a_goal_that_never_arrived_does_not_begin_late() -> None:
+    answers = KeptAnswers()
+    assert answers.take(asks(SEND_GOAL), 1, again=True) is Do.REFUSE
+    assert answers.take(asks(CANCEL_GOAL), 2, again=True) is Do.ASK
+    assert answers.take(asks(GET_RESULT), 3, again=True) is Do.ASK
+
+
+def test_the_second_goal_of_an_id_does_not_hide_what_became_of_the_first() -> None:
+    answers = KeptAnswers()
+    answers.asked(asks(SEND_GOAL), 7, SERVERS)
+    answers.answered(SEND_GOAL, 7, goal_response(True), 0.0, linked=True)
+    answers.asked(asks(SEND_GOAL), 8, SERVERS)
+    assert answers.answered(SEND_GOAL, 8, goal_response(False), 0.0, linked=True) is None
+    answers.interrupted(0.0)
+    assert answers.take(asks(SEND_GOAL), 1, again=True) is Do.ANSWER
+    assert answers.answer(asks(SEND_GOAL)) == goal_response(True)
+
+
+def test_that_a_server_does_not_know_a_goal_is_told_and_not_kept() -> None:
+    answers = KeptAnswers()
+    answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
+    assert answers.answered(GET_RESULT, 7, result_response("unknown"), 0.0, linked=True) == (asks(GET_RESULT), [1])
+    assert answers.take(asks(GET_RESULT), 2, again=True) is Do.ASK
+
+
+def test_a_new_server_is_asked_once_none_of_those_that_were_asked_is_left() -> None:
+    answers = KeptAnswers()
+    answers.asked(asks(GET_RESULT), 7, SERVERS, 1)
+    assert answers.to_ask(SERVERS | NEW_SERVERS) == []
+    assert answers.to_ask(NEW_SERVERS) == [asks(GET_RESULT)]
+    answers.asked(asks(GET_RESULT), 8, NEW_SERVERS)
+    assert answers.to_ask(NEW_SERVERS) == []
+    assert answers.answered(GET_RESULT, 7, RESULT, 0.0, linked=True) is None
+    assert answers.answered(GET_RESULT, 8, RESULT, 0.0, linked=True) == (asks(GET_RESULT), [1])
+
+
+def test_a_client_that_was_closed_has_no_answers() -> None:
+    """Results are asked for again. Nobody knows what became of goals, and cancels are the other side's to repeat."""
+    answers = KeptAnswers()
+    for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT):
+        answers.asked(asks(lane), 7, SERVERS)
+    answers.answered(SEND_GOAL, 7, goal_response(True), 0.0, linked=True)
+    answers.asked(asks(SEND_GOAL, 2), 8, SERVERS)
+    answers.clients_closed()
+    assert answers.to_ask(SERVERS) == [asks(GET_RESULT)]
+    assert answers.take(asks(SEND_GOAL), 1, again=True) is Do.ANSWER
+    assert answers.take(asks(SEND_GOAL, 2), 1, again=True) is Do.LOSE, "it may have come to the server"
+    assert asks(CANCEL_GOAL) not in answers
+
+
+def test_nothing_is_kept_of_calls_that_are_over() -> None:
+    """One that waited, and one that asked: no answer comes to it in time."""
+    answers = interrupted_after_asking(asks(SEND_GOAL))
+    assert answers.take(asks(SEND_GOAL), 2, again=True) is Do.WAIT
+    answers.is_over(2)
+    assert answers.answered(SEND_GOAL, 7, goal_response(True), 110.0, linked=True) == (asks(SEND_GOAL), [])
+    answers = KeptAnswers()
+    for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT):
+        answers.asked(asks(lane), 7, SERVERS)
+        answers.gave_up(lane, 7, 100.0)
+    answers.expire(100.0 + SENT_KEPT)
+    assert [asks(lane) in answers for lane in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)] == [False, False, True]
+    assert not answers._by_number.keys() - {(GET_RESULT, 7)}
+
+
+def test_those_with_answers_are_forgotten_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept_answers, "MOST_KEPT", 3)
+    answers = KeptAnswers()
+    for number in range(1, 4):
+        answers.asked(asks(GET_RESULT, number), number, SERVERS)
+    answers.answered(GET_RESULT, 2, RESULT, 0.0, linked=True)
+    answers.asked(asks(GET_RESULT, 4), 4, SERVERS)
+    assert [asks(GET_RESULT, number) in answers for number in range(1, 5)] == [True, False, True, True]
+    answers.asked(asks(GET_RESULT, 5), 5, SERVERS)
+    assert [asks(GET_RESULT, number) in answers for number in range(1, 6)] == [False, False, True, True, True]
+    assert answers.take(asks(SEND_GOAL), 1, again=True) is Do.LOSE, "it may have been one of those forgotten"
+
+
+def test_what_calls_wait_for_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a result would not reach who waits for it, though nothing was interrupted."""
+    monkeypatch.setattr(kept_answers, "MOST_KEPT", 3)
+    answers = KeptAnswers()
+    for number in range(1, 11):
+        answers.asked(asks(GET_RESULT, number), number, SERVERS, number)
+    for number in range(1, 11):
+        assert answers.answered(GET_RESULT, number, RESULT, 0.0, linked=True) == (asks(GET_RESULT, number), [number])
+        answers.asked(asks(SEND_GOAL, number), number, SERVERS)
+    assert sum(asks(GET_RESULT, number) in answers for number in range(1, 11)) < 3
+
+
+def test_their_bytes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept_answers, "MOST_BYTES", 2 * len(RESULT))
+    answers = KeptAnswers()
+    for number in range(1, 4):
+        answers.asked(asks(GET_RESULT, number), number, SERVERS)
+        answers.answered(GET_RESULT, number, RESULT, 0.0, linked=True)
+    assert [asks(GET_RESULT, number) in answers for number in range(1, 4)] == [False, True, True]
+    answers.asked(asks(GET_RESULT, 4), 4, SERVERS, 1)
+    assert answers.answered(GET_RESULT, 4, 3 * RESULT, 0.0, linked=True) == (asks(GET_RESULT, 4), [1])
+    assert asks(GET_RESULT, 4) not in answers
+    assert asks(GET_RESULT, 3) in answers

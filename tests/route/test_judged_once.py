@@ -1,0 +1,52 @@
+"""A route is judged once a second, and when somebody changes it; whoever looks reads what was made of it then."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.support.offline import FakePeer
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.route import topic_route as module
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.verdict import judge
+from rsb_bridge.wire.messages import Propose
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pytest
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.verdict import Verdict
+    from rsb_bridge.route.verdict import Facts
+
+
+def test_snapshots_take_the_last_tick_s_verdict_until_somebody_changes_the_route(
+    make_context: Callable[..., Context], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[Facts] = []
+
+    def counted(facts: Facts) -> Verdict:
+        judged.append(facts)
+        return judge(facts)
+
+    monkeypatch.setattr(module, "judge", counted)
+    proposal = Propose(route=1, topic="/scan", remote_topic="/scan", from_client=True)
+    route = OutgoingRoute(make_context(), FakePeer(), Topic("/scan", "transmit"), proposal, proposed_here=True)
+    route.open(1)
+    route.on_accepted()
+    route.tick()
+    shown = [route.snapshot() for _ in range(8)]
+    assert len(judged) == 1
+    assert {each.state for each in shown} == {State.WAITING}
+    route.pause(paused=True)
+    assert route.snapshot().state is State.PAUSED
+    route.pause(paused=False)
+    assert route.snapshot().state is State.WAITING
+    route.close("gone")
+    assert route.snapshot().state is State.WAITING
+    assert len(judged) == 4
+    route.tick()
+    assert len(judged) == 5

@@ -1,0 +1,106 @@
+"""The rates that the two sides allow, and what a receiving side does where the other one keeps to none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.route.test_unpacking import OnePublisher, opened
+from tests.support.offline import FakePeer
+
+from rsb_bridge.route.ledger import THROTTLED, RouteLedger
+from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
+from rsb_bridge.wire.records import ReceivedReport
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.snapshot import Level
+
+
+def limit(max_rate: float = 0.0) -> RateLimit:
+    return RateLimit(max_rate, "/chat", AllowedRates(), ignore)
+
+
+def ignore(level: Level, code: EventCode, text: str) -> None:
+    pass
+
+
+def test_the_lowest_rate_counts_and_the_sender_is_told() -> None:
+    told: list[float] = []
+    route = limit(20.0)
+    route.apply = told.append
+    route.allow_here(10.0)
+    route.allow_there(5.0)
+    assert (told, route.rate, route.allowed) == ([10.0, 5.0], 5.0, 5.0)
+    route.set_max_rate(2.0)
+    assert route.rate == 2.0
+    route.opened()  # the other side says again what it allows
+    route.set_max_rate(0.0)
+    assert route.rate == 10.0
+    assert not route.allow_here(10.0)
+    assert route.allow_here(0.0)
+    assert (route.rate, told[-1]) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("rate", [0.01, 1.0, 10.0, 1000.0])
+def test_a_peer_that_keeps_to_its_rate_loses_nothing(rate: float) -> None:
+    """Also where its clock goes fast, its messages come unevenly, and the link stalls for a while."""
+    route = limit()
+    route.allow_here(rate)
+    times = [(number + (number % 2) * 0.9) / (rate * 1.0005) for number in range(2000)]
+    assert all(route.admits(at) for at in times)
+    stalled = times[-1] + 1 / rate + 1.0
+    assert all(route.admits(stalled) for _ in range(int(rate)))
+
+
+def test_a_peer_that_keeps_to_none_gets_no_more_than_its_rate() -> None:
+    route = limit()
+    route.allow_here(10.0)
+    assert sum(route.admits(number / 1000) for number in range(100_000)) <= 10 + 1.01 * 10 * 100
+    route.allow_here(0.0)
+    assert all(route.admits(100.0) for _ in range(100))
+
+
+def test_a_rate_is_a_topics_however_many_routes_bring_it_and_however_often_they_are_made_anew(
+    make_context: Callable[..., Context],
+) -> None:
+    """A peer can propose the same topic under many names of its own, and remove and propose it again at once."""
+    ros, peer = OnePublisher(), FakePeer()
+    context = make_context(ros=ros)
+    for number in range(100):
+        route = opened(context, peer, "/cmd_vel")
+        route.limit.allow_here(1.0)
+        route.deliver([(b"forward", 0, 0)] * 10)
+        if number % 2:
+            route.destroy()
+    assert len(ros.published.sizes) == 2
+    other = opened(context, peer, "/other")
+    other.limit.allow_here(1.0)
+    other.deliver([(b"hello", 0, 0)])
+    assert len(ros.published.sizes) == 3
+
+
+def test_the_topics_whose_rates_are_known_are_bounded_and_forgotten_when_quiet() -> None:
+    rates = AllowedRates()
+    for number in range(10_000):
+        rates.admits(f"/made_up{number}", 1.0, 0.0)
+    assert len(rates._buckets) == 2000
+    assert not rates.admits("/honest", 1.0, 0.5), "what cannot be counted is left out"
+    assert rates.admits("/honest", 1.0, 5.0)
+    assert len(rates._buckets) == 1
+
+
+def test_what_the_receiver_leaves_out_is_throttled_in_the_senders_ledger() -> None:
+    ledger = RouteLedger()
+    ledger.opened(1, "there")
+    ledger.offered = 10
+    ledger.sent(10)
+    report = ReceivedReport(
+        route=1, received=10, delivered=3, expired=0, incomplete=0, newest=10, dropped={THROTTLED: 7}
+    )
+    assert ledger.reported(report, 0.0)
+    balance = ledger.ledger(0, numbered=False)
+    assert (balance.delivered, balance.throttled, balance.dropped, balance.in_flight) == (3, 7, {}, 0)

@@ -1,0 +1,114 @@
+"""Compressed messages that grow: none is lost, the order stays, and others have their turn between them."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from typing import TYPE_CHECKING
+
+import zstandard
+from tests.support.offline import FakePeer, NoRos
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.unpacking import EXPANSION_A_TURN, EXPANSION_AT_ONCE
+from rsb_bridge.wire.framing import ZSTD
+from rsb_bridge.wire.messages import Describe, Propose
+from rsb_bridge.wire.records import Source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.wire.framing import Message
+
+LARGE = EXPANSION_A_TURN * 3 // 4
+
+
+class Published:
+    """A publisher that notes the sizes of its messages."""
+
+    gid = b""
+    subscriber_count = 0
+    acknowledged = True
+
+    def __init__(self) -> None:
+        self.sizes: list[int] = []
+
+    def publish(self, content: bytes) -> None:
+        self.sizes.append(len(content))
+
+    def close(self) -> None:
+        pass
+
+
+class OnePublisher(NoRos):
+    def __init__(self) -> None:
+        self.published = Published()
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Published:
+        return self.published
+
+
+def opened(context: Context, peer: FakePeer, topic: str) -> IncomingRoute:
+    proposal = Propose(route=2, topic=topic, remote_topic=topic, from_client=False)
+    route = IncomingRoute(context, peer, Topic(topic, "receive"), proposal, proposed_here=False)
+    route.open(2)
+    route.on_accepted()
+    route.described(Describe(2, "std_msgs/msg/String", "RIHS01_" + "0" * 64, Qos(), (Source(("there",)),)))
+    return route
+
+
+def grown(size: int) -> Message:
+    return zstandard.ZstdCompressor(1).compress(bytes(size)), 0, ZSTD
+
+
+def turns(loop: VirtualLoop, published: Published) -> list[int]:
+    """How many messages there were after each turn of the loop, until there are no more."""
+    counts = [len(published.sizes)]
+
+    async def watch() -> None:
+        for _ in range(20):
+            counts.append(len(published.sizes))
+            await asyncio.sleep(0)
+
+    loop.run_until_complete(watch())
+    return counts
+
+
+def test_each_turn_has_one_that_grows_much(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """Over all routes of a link; what comes behind it on its route waits, too."""
+    ros, peer = OnePublisher(), FakePeer()
+    context = make_context(ros=ros)
+    one, other = opened(context, peer, "/one"), opened(context, peer, "/other")
+    one.deliver([grown(LARGE), grown(LARGE + 1), (b"small", 0, 0)])
+    other.deliver([grown(LARGE + 2), grown(LARGE + 3)])
+    one.deliver([(b"last", 0, 0)])
+    counts = turns(loop, ros.published)
+    assert counts[0] == 1
+    assert max(after - before for before, after in itertools.pairwise(counts)) <= 3
+    assert sorted(ros.published.sizes) == [4, 5, LARGE, LARGE + 1, LARGE + 2, LARGE + 3]
+    assert [size for size in ros.published.sizes if size not in (LARGE + 2, LARGE + 3)] == [LARGE, LARGE + 1, 5, 4]
+    assert not loop.errors
+
+
+def test_what_is_refused_waits_for_nothing(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """So what waits is bounded by what a link's messages may grow at once."""
+    ros, peer = OnePublisher(), FakePeer()
+    route = opened(make_context(ros=ros), peer, "/one")
+    peer.budget.expansion.over_time.take(EXPANSION_AT_ONCE - LARGE, 0.0)
+    route.deliver([grown(LARGE)] * 100 + [(b"damaged", 0, ZSTD), (b"last", 0, 0)])
+    assert ros.published.sizes == [LARGE, 4]
+
+
+def test_an_opening_that_is_over_publishes_nothing_more(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    ros, peer = OnePublisher(), FakePeer()
+    route = opened(make_context(ros=ros), peer, "/one")
+    route.deliver([grown(LARGE), grown(LARGE)])
+    route.close("over")
+    assert turns(loop, ros.published)[-1] == 1

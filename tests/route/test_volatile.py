@@ -1,0 +1,125 @@
+"""What DDS holds for slow subscribers of volatile topics is counted, whatever they do, on a made-up DDS."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from random import Random
+
+import pytest
+
+from rsb_bridge.route.volatile import FREE, SlowSubscriberError, VolatileTopic
+from rsb_bridge.wire.budget import Budget
+
+LIMIT = 40_000_000
+
+
+class Pool:
+    """A publisher's memory as Fast DDS has it: what was freed last is used first, grows as it must, and stays.
+
+    Attributes:
+        stopped: whether the subscriber acknowledges nothing.
+        held: bytes.
+    """
+
+    gid = b"pool"
+    subscriber_count = 1
+
+    def __init__(self, depth: int) -> None:
+        self.depth = depth
+        self.stopped = False
+        self.held = 0
+        self.asked = 0
+        self._history: deque[int] = deque()
+        self._free: list[int] = []
+
+    @property
+    def acknowledged(self) -> bool:
+        self.asked += 1
+        if not self.stopped:
+            self._free.extend(self._history)
+            self._history.clear()
+        return not self._history
+
+    def publish(self, payload: bytes) -> None:
+        if len(self._history) >= self.depth:
+            self._free.append(self._history.popleft())
+        memory = self._free.pop() if self._free else 0
+        self.held += max(0, len(payload) - memory)
+        self._history.append(max(memory, len(payload)))
+
+    def close(self) -> None:
+        self.held = 0
+
+
+class Time:
+    def __init__(self) -> None:
+        self.s = 0.0
+
+    def __call__(self) -> float:
+        return self.s
+
+
+def fill(topic: VolatileTopic) -> None:
+    """Publish until it is refused."""
+    with contextlib.suppress(SlowSubscriberError):
+        for _ in range(1000):
+            topic.publish(bytes(1_000_000))
+        pytest.fail("it takes everything")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_it_never_holds_more_than_is_counted(seed: int) -> None:
+    """Large and small messages, subscribers that stop and go on, in any order."""
+    random, now, budget = Random(seed), Time(), Budget(LIMIT)
+    pools = [Pool(random.choice((1, 10, 100, 10_000))) for _ in range(4)]
+    topics = [VolatileTopic(pool, pool.depth, budget, now) for pool in pools]
+    refused = 0
+    for _ in range(3000):
+        now.s += random.choice((0.0, 0.001, 0.1))
+        pool, topic = random.choice(list(zip(pools, topics, strict=True)))
+        if random.random() < 0.01:
+            pool.stopped = not pool.stopped
+        try:
+            topic.publish(bytes(random.choice((100, 1_000, 1_000, 500_000, 3_000_000))))
+        except SlowSubscriberError:
+            refused += 1
+        assert sum(each.held for each in pools) <= budget.held + len(pools) * FREE
+        assert budget.held < LIMIT
+    assert refused
+    for topic in topics:
+        topic.close()
+    assert budget.held == 0
+
+
+def test_small_messages_go_on_beside_topics_that_hold_all_they_can() -> None:
+    now, budget = Time(), Budget(LIMIT)
+    hogs = [Pool(1000) for _ in range(8)]
+    for hog in hogs:
+        hog.stopped = True
+        topic = VolatileTopic(hog, hog.depth, budget, now)
+        fill(topic)
+    commands = Pool(10)
+    topic = VolatileTopic(commands, commands.depth, budget, now)
+    for _ in range(1000):
+        topic.publish(bytes(1_000))
+
+
+def test_it_goes_on_once_the_subscriber_does() -> None:
+    now, budget = Time(), Budget(LIMIT)
+    pool = Pool(1000)
+    topic = VolatileTopic(pool, pool.depth, budget, now)
+    pool.stopped = True
+    fill(topic)
+    assert LIMIT / 4 < pool.held <= LIMIT / 2
+    asked = pool.asked
+    for _ in range(1000):
+        with pytest.raises(SlowSubscriberError):
+            topic.publish(bytes(1_000_000))
+    assert pool.asked == asked, "asking costs something, so it is not done for each message"
+    pool.stopped = False
+    now.s += 1.0
+    for _ in range(1000):
+        topic.publish(bytes(1_000_000))
+        now.s += 0.01
+    assert pool.held <= LIMIT / 2

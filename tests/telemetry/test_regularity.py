@@ -1,0 +1,169 @@
+"""Publishers that are simulated on a clock of their own: who is called stopped or slow, and after how long."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+from rsb_bridge.model.snapshot import Ledger
+from rsb_bridge.route.health import Flow, Health
+from rsb_bridge.route.verdict import Facts
+from rsb_bridge.telemetry.meters import RateMeter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    Gaps = Callable[[Random], Iterator[float]]
+
+SEEDS = range(8)
+
+
+class Watched(NamedTuple):
+    """What was said of a publisher: when it was called stopped (s), and how often slow."""
+
+    stopped: list[float]
+    slow: int
+
+
+def watched(
+    gaps: Gaps, seconds: float, seed: int, *, outages: Sequence[tuple[float, float]] = (), given: float = 0.0
+) -> Watched:
+    """Have a publisher publish, and look at it once a second.
+
+    Args:
+        gaps: gives the time (s) from each message to the next.
+        seconds: for how long.
+        seed: of all chance.
+        outages: from when until when (s) it is dead; then another one takes its place.
+        given: Hz that an operator expects; 0: none.
+    """
+    random = Random(seed)
+    times, due = [], random.random()
+    for gap in gaps(random):
+        if due > seconds:
+            break
+        if not any(begin <= due < end for begin, end in outages):
+            times.append(due)
+        due += gap
+    meter, health = RateMeter(0.0), Health()
+    said: list[Facts] = [Facts(sends=True, topic="/chat")]
+    stopped, sent, second = [], 0, 0
+    while (second := second + 1) < seconds:
+        now = second + random.uniform(0.0, 0.02)
+        while sent < len(times) and times[sent] <= now:
+            meter.add(1, 100, times[sent])
+            sent += 1
+        meter.tick(now)
+        publisher = b"%d" % sum(end <= now for _, end in outages)
+        flow = Flow(True, meter.last or 0.0, meter.rate, given, meter.usual_rate, 0.0, frozenset([publisher]), Ledger())
+        health.tick(flow, now)
+        said.append(health.added_to(said[0]))
+        if said[-1].stopped_since is not None and said[-2].stopped_since is None:
+            stopped.append(now)
+    slow = sum(after.slow_since is not None and before.slow_since is None for before, after in pairwise(said))
+    return Watched(stopped, slow)
+
+
+def endless(gap: Callable[[Random], float]) -> Gaps:
+    def gaps(random: Random) -> Iterator[float]:
+        while True:
+            yield gap(random)
+
+    return gaps
+
+
+def jittered(period: float, share: float) -> Gaps:
+    return endless(lambda random: period * random.uniform(1 - share, 1 + share))
+
+
+def poisson(rate: float) -> Gaps:
+    return endless(lambda random: random.expovariate(rate))
+
+
+def bursts(most: int, period: float, shortest: float, longest: float) -> Gaps:
+    def gaps(random: Random) -> Iterator[float]:
+        while True:
+            yield from [period] * random.randint(1, most)
+            yield random.uniform(shortest, longest)
+
+    return gaps
+
+
+def changing(first: float, last: float, seconds: float) -> Gaps:
+    """The period changes slowly from the one to the other."""
+
+    def gaps(random: Random) -> Iterator[float]:
+        now = 0.0
+        while True:
+            period = first + (last - first) * min(1.0, now / seconds)
+            now += period
+            yield period
+
+    return gaps
+
+
+@pytest.mark.parametrize(
+    "gaps",
+    [
+        endless(lambda random: random.uniform(0.2, 5.0)),
+        poisson(0.3),
+        poisson(1.0),
+        poisson(3.0),
+        poisson(10.0),
+        bursts(20, 0.05, 2.0, 30.0),
+        bursts(20, 0.05, 30.0, 30.0),
+        bursts(200, 0.05, 1.0, 10.0),
+        endless(lambda random: random.lognormvariate(math.log(0.5), 1.0)),
+        endless(lambda random: random.lognormvariate(math.log(0.3), 1.5)),
+    ],
+    ids=["gaps of 0.2-5 s", "0.3 Hz", "1 Hz", "3 Hz", "10 Hz", "bursts", "rare", "long", "skewed", "very skewed"],
+)
+def test_messages_at_random_or_in_bursts_are_not_said_to_have_stopped_or_to_be_slow(gaps: Gaps) -> None:
+    all_of_them = [watched(gaps, 900.0, seed) for seed in SEEDS]
+    assert sum(len(each.stopped) for each in all_of_them) <= 2  # in two hours, where long bursts are regular themselves
+    assert sum(each.slow for each in all_of_them) <= 2
+
+
+@pytest.mark.parametrize(
+    "gaps", [changing(0.1, 1.0, 600.0), changing(1.0, 0.1, 600.0), changing(0.5, 5.0, 1800.0)], ids=str
+)
+def test_a_rate_that_changes_slowly_is_not_said_to_have_stopped(gaps: Gaps) -> None:
+    assert [watched(gaps, 1800.0, seed).stopped for seed in SEEDS] == [[]] * len(SEEDS)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+@pytest.mark.parametrize("period", [0.01, 0.1, 1.0, 5.0])
+def test_a_regular_publisher_that_dies_is_noticed_each_time_and_after_a_few_periods(
+    period: float, share: float
+) -> None:
+    """A node that is started again is another publisher, so that it may die again."""
+    begin = 100.0 + 30 * period
+    outages = [(begin, begin + 60.0), (2 * begin + 60.0, 2 * begin + 120.0)]
+    for seed in SEEDS:
+        said = watched(jittered(period, share), outages[-1][1], seed, outages=outages)
+        assert len(said.stopped) == len(outages)
+        for (died, _), noticed in zip(outages, said.stopped, strict=True):
+            assert died < noticed <= died + max(2.0, 5 * period * (1 + share)) + 1.1
+        assert not said.slow
+
+
+def test_a_publisher_that_pauses_by_itself_is_called_stopped_only_for_ever_longer_pauses() -> None:
+    """A joystick is let go of again and again, for up to a minute."""
+
+    def joystick(random: Random) -> Iterator[float]:
+        while True:
+            yield from [0.05] * int(20 * random.expovariate(1 / 40))
+            yield random.uniform(1.0, 60.0)
+
+    assert max(len(watched(joystick, 3600.0, seed).stopped) for seed in SEEDS) <= 4
+
+
+def test_a_rate_that_an_operator_gives_counts_from_the_first_gap_and_for_every_pause() -> None:
+    outages = [(100.0 * number, 100.0 * number + 8.0) for number in range(1, 6)]
+    gaps = [jittered(1.0, 0.0), poisson(5.0)]
+    for each in gaps:
+        assert len(watched(each, 600.0, 1, outages=outages, given=1.0).stopped) == len(outages)
