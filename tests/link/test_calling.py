@@ -10,6 +10,7 @@ import pytest
 from rsb_bridge.link.roles import ClientRole
 from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.tcp import Tcp
+from rsb_bridge.wire.messages import Shutdown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.transport.streams import Stream
 
 HALF_A_DAY = 12 * 3600.0
@@ -47,7 +49,7 @@ def calls(loop: VirtualLoop) -> NoServer:
 
 
 def client(make_context: Callable[..., Context], tcp: NoServer) -> ClientRole:
-    return ClientRole(make_context(transports=Transports(tcp)), {"robot1": None})
+    return ClientRole(make_context(transports=Transports(tcp)), {"robot1": ()})
 
 
 async def run_for(role: ClientRole, seconds: float) -> None:
@@ -99,7 +101,7 @@ def test_nothing_runs_on_after_a_client_was_stopped(
 def test_a_task_of_a_link_that_fails_ends_the_connection(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
-    role = ClientRole(make_context(), {"robot1": None})
+    role = ClientRole(make_context(), {"robot1": ()})
     link: Link = role.links()[0]
     aborted: list[str] = []
 
@@ -118,9 +120,57 @@ def test_a_task_of_a_link_that_fails_ends_the_connection(
     assert isinstance(loop.errors[0]["exception"], KeyError)
 
 
-def test_a_server_cannot_keep_a_client_away_for_years(make_context: Callable[..., Context]) -> None:
-    from rsb_bridge.wire.messages import Shutdown
+class SaysGoodbye(Tcp):
+    """A network with a server that lets everybody in, and ends the link at once.
 
-    link = ClientRole(make_context(), {"robot1": None}).links()[0]
-    link.on_shutdown(Shutdown(reason="come back in 30 years", retry_after=1e9))
-    assert link._retry_after == 60.0  # type: ignore[attr-defined]
+    Attributes:
+        role: the client.
+        retry_after: s, that the server tells; None: an operator has shut the link down.
+        times: s, when it was called.
+    """
+
+    def __init__(self, loop: VirtualLoop, retry_after: float | None) -> None:
+        self.role: ClientRole
+        self.retry_after = retry_after
+        self.times: list[float] = []
+        self._loop = loop
+
+    async def connect(self, host: str, port: int, handler: Any) -> Stream:
+        self.times.append(self._loop.time())
+        (link,) = self.role.links()
+        link.control = Control(link)  # type: ignore[assignment]
+        handler.outcome.set_result(None)
+        self._loop.call_soon(link.on_shutdown, Shutdown(reason="for years", retry_after=self.retry_after))
+        return None  # type: ignore[return-value]
+
+
+class Control:
+    """A control connection of which only the end matters."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def abort(self, reason: str, code: EventCode) -> None:
+        self._link.lost(reason, code)
+
+
+@pytest.mark.parametrize(
+    ("retry_after", "soonest", "latest"), [(0.0, 0.3, 0.7), (40.0, 40.0, 40.0), (1e9, 60.0, 60.0), (None, 24.0, 36.0)]
+)
+def test_a_server_cannot_keep_a_client_away_for_years(
+    loop: VirtualLoop,
+    make_context: Callable[..., Context],
+    retry_after: float | None,
+    soonest: float,
+    latest: float,
+) -> None:
+    """Whatever it says when it ends a link, and also if it says that an operator has shut the link down."""
+    network = SaysGoodbye(loop, retry_after)
+    network.role = ClientRole(make_context(transports=Transports(network)), {"robot1": ()})
+    lasting = min(HALF_A_DAY, 1000 * latest)
+    loop.run_until_complete(run_for(network.role, lasting))
+    gaps = [later - earlier for earlier, later in zip(network.times, network.times[1:], strict=False)]
+    assert len(gaps) >= lasting / latest - 1
+    assert soonest - 0.01 < min(gaps) <= max(gaps) < latest + 0.01
+    assert (max(gaps) - min(gaps) > 5.0) == (retry_after is None)  # many robots do not ask at the same moment
+    assert not network.role.links()[0].shut_down

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.bridge import linked, route
+from tests.support.bridge import happened, linked, route
 from tests.support.waiting import eventually, holds
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -67,11 +68,15 @@ def test_presses_that_cross(
 @pytest.mark.parametrize("operator", ["client", "server"])
 def test_a_press_while_the_link_is_down(operator: str, bridge: Bridge, relay: Relay, robot: Domain) -> None:
     server, client = both(bridge, robot)
-    relay.stall()
+    relay.stall(new=True)
     eventually(lambda: not linked(client) and not linked(server))
     press(client if operator == "client" else server, True)
     relay.stall(False)
     eventually(lambda: route(client, "/chat").state == route(server, "/chat").state == "paused")
+    other, whose = (server, "robot1") if operator == "client" else (client, "server")
+    event = eventually(lambda: happened(other, EventCode.OPERATOR_PAUSED), what="it is among the other side's actions")
+    assert event.who.startswith(f"{whose} says: ")
+    assert event.from_peer
 
 
 def test_a_client_that_starts_again_begins_as_its_session_says(bridge: Bridge, robot: Domain) -> None:

@@ -15,6 +15,10 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Level, State
 from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.wire.connection import ClientConnection
+from rsb_bridge.wire.events import Refused
+from rsb_bridge.wire.messages import Hello
+from rsb_bridge.wire.sealing import Suite
 from rsb_console.command.reports import json_status
 
 if TYPE_CHECKING:
@@ -31,7 +35,7 @@ def as_json(engine: Engine, name: str = "robot1") -> tuple[str, str, str]:
 
 def test_a_wrong_key_is_a_fault_of_the_link_on_both_sides(bridge: Bridge) -> None:
     theirs = bridge.make_key("other")
-    server = bridge.server(name="pc", clients=(Client("robot1"), Client("robot2")))
+    server = bridge.server(name="pc", clients=(Client("robot1"), Client("robot2")), shared_keys=True)
     client = bridge.client(key_file=theirs)
     eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
     marks = [fingerprint(read_key(bridge.folder / name)) for name in (theirs, bridge.key_file)]
@@ -65,16 +69,17 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
     host = socket.gethostname()
     assert link(second).state is State.DOWN
     assert "'robot1' is linked already, since 2" in link(second).reason
-    assert f"UTC, from {link(server).peer} (host {host}): stop one of the two" in link(second).reason
+    assert f"UTC, at {link(server).peer} (host {host}): stop one of the two" in link(second).reason
     assert as_json(second) == ("down", "name_taken", link(second).reason)
-    eventually(lambda: link(server).warning)
-    assert link(server).cause == LinkCause.NAME_TAKEN
-    assert f"a second client, from 127.0.0.1 (host {host}), calls itself 'robot1' too" in link(server).warning
-    assert as_json(server)[:2] == ("ok", "name_taken")
-    assert as_json(server)[2].startswith("a second client, from 127.0.0.1")
-    event = happened(server, EventCode.LINK_NAME_TAKEN)
-    assert event is not None
-    assert (event.link, event.level) == ("robot1", Level.WARNING)
+    for engine in (server, first):
+        eventually(lambda engine=engine: link(engine).warning)
+        assert link(engine).cause == LinkCause.NAME_TAKEN
+        assert f"a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too" in link(engine).warning
+        assert as_json(engine)[:2] == ("ok", "name_taken")
+        assert as_json(engine)[2].startswith("a second client at 127.0.0.1")
+        event = happened(engine, EventCode.LINK_NAME_TAKEN)
+        assert event is not None
+        assert (event.link, event.level) == ("robot1", Level.WARNING)
     second.retry().result(5)
     holds(lambda: linked(first) and linked(server) and not linked(second), 2.0)
     assert link(server).since == up_since
@@ -82,6 +87,62 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
     second.retry().result(5)
     eventually(lambda: linked(second) and linked(server))
     assert link(server).warning == ""
+
+
+def test_the_warning_of_a_second_client_ends_soon_after_it(bridge: Bridge) -> None:
+    server, first = bridge.both()
+    second = bridge.client()
+    eventually(lambda: link(server).warning and link(first).warning)
+    second.stop()
+    eventually(lambda: not link(server).warning and not link(first).warning, 10.0)
+    assert as_json(first)[:2] == as_json(server)[:2] == ("ok", "")
+    told = [event for event in first.events() if event.code == EventCode.LINK_NAME_TAKEN]
+    assert len(told) == 1, "however often it tried"
+    for engine in (server, first):
+        ends = [event for event in engine.events() if event.code == EventCode.LINK_NAME_FREE]
+        assert [(event.link, event.level) for event in ends] == [("robot1", Level.INFO)]
+
+
+def try_as(bridge: Bridge, host: str) -> None:
+    """A client with the name and the key calls, and is refused."""
+    hello = Hello("0.1.0", "robot1", "feedbeef", 0, host=host)
+    client = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, Suite.CHACHAPOLY)
+    with socket.create_connection(("127.0.0.1", bridge.port), 10.0) as stream:
+        stream.sendall(client.start())
+        (refused,) = client.receive_data(stream.recv(1 << 16))
+        assert isinstance(refused, Refused)
+        stream.sendall(client.data_to_send())
+        assert not stream.recv(1 << 16), "the server has read the confirmation, and closes"
+
+
+def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
+    """Robots that were copied from one image."""
+    server, first = bridge.both()
+    for host in ("spare1", "spare2", "spare3"):
+        try_as(bridge, host)
+        eventually(lambda host=host: f"(host {host})" in link(first).warning)
+    words = "a second client at 127.0.0.1 (host spare3) and 2 others call themselves 'robot1' too, and are refused"
+    for engine in (server, first):
+        assert words in link(engine).warning
+        assert link(engine).warning.endswith(": stop all but one, or give each a name and a key of its own")
+    try_as(bridge, "spare1")
+    assert words in link(server).warning, "the one that came last is named, not whichever tried last"
+    (event,) = [event for event in first.events() if event.code == EventCode.LINK_NAME_TAKEN]
+    assert "(host spare1) calls itself 'robot1' too, and is refused" in event.text
+
+
+def test_a_replay_is_no_second_client(bridge: Bridge) -> None:
+    """Somebody without the key has recorded a client's first message, and sends it again."""
+    server, first = bridge.both()
+    hello = Hello("0.1.0", "robot1", "feedbeef", 0, host="spare")
+    recorded = ClientConnection(hello, read_key(bridge.folder / bridge.key_file).secret, Suite.CHACHAPOLY).start()
+    for _ in range(3):
+        with socket.create_connection(("127.0.0.1", bridge.port), 10.0) as stream:
+            stream.sendall(recorded)
+            assert stream.recv(1 << 16), "it is answered"
+            assert link(server).warning == ""
+    assert happened(server, EventCode.LINK_NAME_TAKEN) is None
+    assert linked(first)
 
 
 def test_a_client_takes_the_name_of_one_that_is_silent(bridge: Bridge) -> None:
@@ -95,7 +156,6 @@ def test_a_client_takes_the_name_of_one_that_is_silent(bridge: Bridge) -> None:
         eventually(lambda: linked(second), what="linked")
     finally:
         over.set()
-    ended = happened(server, EventCode.LINK_REPLACED) or happened(server, EventCode.LINK_LOST)
-    assert ended is not None
+    ended = eventually(lambda: happened(server, EventCode.LINK_REPLACED) or happened(server, EventCode.LINK_LOST))
     assert ended.level is Level.WARNING
     eventually(lambda: not linked(first))

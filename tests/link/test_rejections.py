@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
-from rsb_bridge.link.pending_connections import PendingConnections
+import pytest
+
+from rsb_bridge.link.refusals import Refusals
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
@@ -19,20 +21,24 @@ _DAY = 24 * 3600.0
 _TRIED_EVERY = 10.0
 
 
+def a_stream(host: str) -> Any:
+    return SimpleNamespace(host=host, peer=f"{host}:4242")
+
+
 def test_a_refusal_that_goes_on(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
     context = make_context()
-    pending = PendingConnections(context, cast("Any", None))
-    stream = cast("Any", SimpleNamespace(host="10.0.0.9", peer="10.0.0.9:4242"))
+    refusals = Refusals(context)
+    stream = a_stream("10.0.0.9")
 
     def tries(seconds: float, message: str) -> int:
         """How many lines so many seconds of attempts cost."""
         before = context.events.last
         end = loop.time() + seconds
         while loop.time() < end:
-            pending.log_rejection(stream, EventCode.LINK_WRONG_KEY, message, "robot1")
+            refusals.log(stream, EventCode.LINK_WRONG_KEY, message, "robot1")
             for _ in range(int(_TRIED_EVERY)):
                 loop.jump(1.0)
-                pending.tick()
+                refusals.tick()
         return context.events.last - before
 
     assert tries(_TRIED_EVERY, "the keys differ") == 1
@@ -40,5 +46,34 @@ def test_a_refusal_that_goes_on(loop: VirtualLoop, make_context: Callable[..., C
     assert tries(_TRIED_EVERY, "another version") == 1
     for _ in range(120):  # it has given up
         loop.jump(1.0)
-        pending.tick()
+        refusals.tick()
     assert tries(_TRIED_EVERY, "the keys differ") == 1
+
+
+@pytest.mark.parametrize("hosts", [["10.0.0.9"], [f"2001:db8::{number:x}" for number in range(1000)]])
+def test_ever_new_words_from_one_host(
+    hosts: list[str], loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """Whoever tries chooses the words; the log of an hour of 40 attempts a second stays small, and others' has room."""
+    context = make_context()
+    refusals = Refusals(context)
+    for second in range(3600):
+        for number in range(40):
+            name = f"{second}.{number}"
+            refusals.log(a_stream(hosts[number % len(hosts)]), EventCode.LINK_UNKNOWN_NAME, f"unknown: {name}", name)
+        loop.jump(1.0)
+        refusals.tick()
+    assert context.events.last <= 20
+    refusals.log(a_stream("10.0.0.7"), EventCode.LINK_WRONG_KEY, "the keys differ", "robot1")
+    assert context.events.after(0)[-1].link == "robot1"
+
+
+def test_a_log_line_from_many_hosts(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    context = make_context()
+    refusals = Refusals(context)
+    for second in range(3600):
+        for number in range(40):
+            refusals.log(a_stream(f"10.1.{second % 200}.{number}"), EventCode.LINK_UNKNOWN_NAME, f"{second}", "")
+        loop.jump(1.0)
+        refusals.tick()
+    assert context.events.last <= 256 + 3600 * 0.5

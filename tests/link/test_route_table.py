@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.support.offline import FakePeer
 
+from rsb_bridge.config.rights import Rights
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.link.route_table import RouteTable
@@ -36,6 +37,7 @@ class Side(FakePeer):
 
     linked_at = 0.0
     connections = 1
+    rights = Rights("the peer", "this side", "", allow=(), deny=())
 
     def __init__(self, context: Context, *, is_client: bool) -> None:
         super().__init__()
@@ -92,7 +94,7 @@ class Side(FakePeer):
     def closed(self, route_id: int) -> None:
         self.table.closed(route_id)
 
-    def authorize(self, proposal: Propose) -> Propose:
+    def with_local_name(self, proposal: Propose) -> Propose:
         return proposal
 
     async def prepare_port(self, route: Route) -> None:
@@ -211,10 +213,31 @@ def test_ids_of_closed_incarnations_are_remembered_within_bounds(
     for _ in range(100):
         server.lose()
         settle_shortly(pair, loop)
-    assert len(client.table._closed) == len(server.table._closed) == 4
+    assert len(client.table.ids._closed) == len(server.table.ids._closed) == 4
     client.remove()
     settle_shortly(pair, loop)
-    assert client.table._closed == server.table._closed == {}
+    assert client.table.ids._closed == server.table.ids._closed == {}
+
+
+def test_what_the_other_sides_operators_do_is_recorded_within_bounds(
+    make_pair: Callable[[], Pair], loop: VirtualLoop
+) -> None:
+    client, server = pair = make_pair()
+    client.add()
+    settle(pair, loop)
+
+    def recorded() -> int:
+        return sum(event.source == "operator" for event in server.context.events.after(0))
+
+    for number in range(100):
+        client.pause(number % 2 == 0)
+        hear_all(pair)
+    assert recorded() == 20
+    loop.jump(3600.0)
+    for number in range(100):
+        client.pause(number % 2 == 0)
+        hear_all(pair)
+    assert recorded() == 32
 
 
 @pytest.mark.parametrize("operator", [0, 1], ids=["client", "server"])
@@ -259,3 +282,22 @@ def test_a_limit_that_changed_while_apart_keeps_the_route(
 def settle_shortly(pair: Pair, loop: VirtualLoop) -> None:
     let_time_pass(pair, loop, 10.0)
     hear_all(pair)
+
+
+def test_no_two_routes_offer_one_service(make_pair: Callable[[], Pair]) -> None:
+    """Each call would be made twice; what an operator adds while the bridge runs is no exception."""
+    pair = make_pair()
+
+    def add(**entry: Any) -> None:
+        topic = Topic(**entry)
+        proposal = proposal_of(topic, pair[0].context.transports["tcp"], client_name="robot1", use_name=False)
+        pair[0].table.add(topic, proposal, proposed_here=True)
+
+    add(topic="/camera", direction="receive", kind="parameters")
+    with pytest.raises(LinkError):
+        add(topic="/camera/set_parameters", direction="receive", kind="service")
+    with pytest.raises(LinkError):
+        add(topic="/camera/set_parameters", direction="transmit", kind="service")
+    add(topic="/camera", direction="receive", kind="action")
+    add(topic="/camera", direction="receive", kind="service")
+    add(topic="/camera", direction="receive")

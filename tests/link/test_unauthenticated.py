@@ -8,6 +8,7 @@ import socket
 import struct
 import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,8 +17,13 @@ from tests.support.domain import text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.wire.connection import ClientConnection
+from rsb_bridge.wire.messages import Hello
+from rsb_bridge.wire.preamble import Kind
+from rsb_bridge.wire.sealing import Suite
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -154,7 +160,6 @@ NO_HANDSHAKES = [
     (frame(b"rsb\x02\x63"), "unknown preamble kind 99"),
     (frame(b"rsb\x02\x01\x01\xffname"), "a CONTROL frame ends before its name or its fingerprint does"),
     (frame(b"rsb\x02\x01\x07\x01x" + bytes(8)), "unknown cipher suite"),
-    (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(28)), "a handshake message of 20 bytes is too short"),
     (frame(b"rsb\x02\x01\x01\x06robot1" + bytes(200)), "the keys of 'robot1' differ"),
     (frame(b"rsb\x02\x02short"), "a DATA frame ends before its route does"),
     (frame(b"rsb\x02\x02" + bytes(28)), "unknown route"),
@@ -171,7 +176,7 @@ def test_what_is_no_handshake(friend: Any, bridge: Bridge) -> None:
         assert words.encode() in answer
         event = happened(server, EventCode.LINK_REJECTED, words) or happened(server, EventCode.LINK_WRONG_KEY, words)
         assert event
-        assert event.text.startswith(f"rejected 127.0.1.{number}:")
+        assert event.text.startswith(f"rejected a client at 127.0.1.{number}:")
 
 
 def talk(address: tuple[str, int], sent: bytes, source: str = "") -> bytes:
@@ -200,6 +205,78 @@ def test_half_a_handshake_and_then_nothing(friend: Any, bridge: Bridge) -> None:
         served(server, out, there, 0.5)
         assert b"no handshake within 5 s" in strangers[-1].recv(4096)
     assert happened(server, EventCode.LINK_REJECTED, "no handshake within 5 s")
+
+
+def test_a_client_links_beside_a_flood_of_connections_from_its_own_address(friend: Any, bridge: Bridge) -> None:
+    """Behind one NAT with somebody who connects 500 times a second, silent, or as anybody: whoever speaks is served."""
+    server, _, out, there = friend
+    with flood(bridge.port, 500, b"") as silent, flood(bridge.port, 50, frame(b"rsb\x02\x63")):
+        eventually(lambda: happened(server, EventCode.LINK_REJECTED, "too many"))
+        newcomer = bridge.client(name="robot2", key_file="other.key")
+        eventually(lambda: linked(newcomer, "robot2"))
+        served(server, out, there, 0.5)
+    assert silent.count >= 64
+    assert len([event for event in server.events() if event.code == EventCode.LINK_REJECTED]) <= 8
+
+
+@pytest.mark.parametrize("sent", [b"", frame(b"rsb\x02\x01")[:5]], ids=["silent", "half a handshake"])
+def test_a_client_is_read_among_many_that_arrive_at_once(sent: bytes, friend: Any, bridge: Bridge) -> None:
+    """All of them wait to be accepted; none may push out another that has spoken, and has not been read yet."""
+    server, *_ = friend
+    started, go_on = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        started.set()
+        go_on.wait(60)
+
+    server._bridge.context.call(hold)
+    started.wait(60)
+    key = read_key(bridge.folder / "other.key").secret
+    with contextlib.ExitStack() as crowd:
+
+        def strangers() -> None:
+            for _ in range(150):
+                stranger = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60))
+                stranger.sendall(sent)
+
+        strangers()
+        client = crowd.enter_context(socket.create_connection(("127.0.0.1", bridge.port), timeout=60))
+        client.sendall(ClientConnection(Hello("0.1.0", "robot2", "x", 0), key, Suite.AESGCM).start())
+        strangers()
+        go_on.set()
+        assert client.recv(4096)[8] == Kind.ACCEPT
+
+
+class Flood:
+    """How many connections were made."""
+
+    count = 0
+
+
+@contextlib.contextmanager
+def flood(port: int, hz: float, sent: bytes) -> Iterator[Flood]:
+    """Connect so many times a second, say that, and keep 200 of the connections open."""
+    made, over = Flood(), threading.Event()
+
+    def run() -> None:
+        kept: deque[socket.socket] = deque()
+        while not over.wait(1 / hz):
+            with contextlib.suppress(OSError):
+                kept.append(socket.create_connection(("127.0.0.1", port)))
+                kept[-1].sendall(sent)
+                made.count += 1
+            if len(kept) > 200:
+                kept.popleft().close()
+        for stranger in kept:
+            stranger.close()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        yield made
+    finally:
+        over.set()
+        thread.join()
 
 
 def test_an_authenticated_peer_that_breaks_the_format(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
@@ -263,7 +340,7 @@ def test_a_replayed_connection(bridge: Bridge, relay: Relay, robot: Domain, pc: 
     heard(there, 1)
     peer = link(server).peer
     control, data = (bytes(connection.sent) for connection in relay.connections[:2])
-    for recording, words in ((control, "damaged or forged"), (data, "unknown route")):
+    for recording, words in ((control, "somebody has recorded it"), (data, "unknown route")):
         talk((relay.SERVER, bridge.port), recording)
         assert happened(server, EventCode.LINK_REJECTED, words)
     assert (link(server).peer, linked(server)) == (peer, True)

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.udp_channel import ClientUdpChannel
 from rsb_bridge.config.keys import Key, fingerprint
+from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
+from rsb_bridge.link.duplicate_client import NAME_TRIED_EVERY, DuplicateClients
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.rival import REMEDY
+from rsb_bridge.link.refused import CAUSES, with_remedy
+from rsb_bridge.link.shut_down import ASKED_EVERY, told_by_server
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -25,18 +28,14 @@ from rsb_bridge.wire.messages import Welcome
 from rsb_bridge.wire.preamble import RefusalCode
 
 if TYPE_CHECKING:
+    from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Identity, Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import DatagramTransport, StreamTransport
-    from rsb_bridge.wire.messages import Hello, Propose, Shutdown
+    from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
     from rsb_bridge.wire.sealing import Suite
 
-_CAUSES: dict[RefusalCode | None, LinkCause] = {
-    RefusalCode.WRONG_KEY: LinkCause.WRONG_KEY,
-    RefusalCode.WRONG_VERSION: LinkCause.WRONG_VERSION,
-    RefusalCode.UNKNOWN_NAME: LinkCause.UNKNOWN_NAME,
-    RefusalCode.NAME_TAKEN: LinkCause.NAME_TAKEN,
-}
 _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
 _LONGEST_DELAY_UNREACHED = 1.25
@@ -50,6 +49,8 @@ _LONGEST_DELAY = 10.0
 _KEY_CHANGED = "the client has another key now"
 _NAME_MAY_BE_FREED = 5
 """Attempts that come soon although another client has this one's name."""
+_DUPLICATES_LOGGED_EVERY = 60.0
+"""s between lines about one more client of this one's name, while there is another already."""
 _UDP_RETRIED_AFTER = 1.0
 _LONGEST_RETRY_AFTER = 60.0
 """s that a server may have this side wait; a wrong figure must not keep it away."""
@@ -63,8 +64,7 @@ class ClientLink(Link):
 
     def __init__(self, context: Context, hello: Hello, key: Key | None, suite: Suite) -> None:
         session = context.session
-        mark = fingerprint(key) if key else ""
-        super().__init__(context, session.name, is_client=True, fingerprint=mark, encrypted=key is not None)
+        super().__init__(context, session.name, is_client=True, encrypted=key is not None)
         self.host, self.port = session.server_ip, session.server_port
         self._hello = hello
         self.key = key
@@ -73,10 +73,12 @@ class ClientLink(Link):
         self._retry = asyncio.Event()
         self._retry_after = 0.0
         self._stays_down = False
-        self._refused = False
+        self._longest = _LONGEST_DELAY_UNREACHED
+        self._duplicates_logged_at = 0.0
         self._udp_failure = ""
         self._udp_retry: asyncio.TimerHandle | None = None
         self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random)
+        self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)
         self._waiting: dict[int, dict[int, Route]] = {}  # by channel and id: for the stream that is being opened
@@ -84,6 +86,10 @@ class ClientLink(Link):
     @property
     def address(self) -> str:
         return self.transport.format_address((self.host, self.port))
+
+    @property
+    def fingerprints(self) -> tuple[str, str]:
+        return fingerprint(self.key) if self.key is not None else "", ""
 
     def shared_port(self) -> int:
         return self.port
@@ -115,10 +121,10 @@ class ClientLink(Link):
     async def _call(self) -> None:
         """One attempt; returns when it failed or when the link it made is over."""
         key = self.key
-        if not self.attempts:
-            self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.address}", link_status=True)
+        if not self.status.attempts:
+            self.log(Level.INFO, EventCode.LINK_CONNECTING, f"connecting to {self.peer_at}", link_status=True)
         else:
-            self.retry_at = self.context.now()
+            self.status.retry_at = self.context.now()
         secret = key.secret if key else None
         connection = ClientConnection(self._hello, secret, self._suite, multiplexed=self.transport.multiplexed)
         host = self.transport.host(self.context.session)
@@ -126,7 +132,7 @@ class ClientLink(Link):
         if failure is not None:
             self._failed(failure)
             return
-        self._refused = False
+        self._longest = _LONGEST_DELAY_UNREACHED
         self._backoff.reset()
         if self._stays_down and self.control is not None:  # decided during the handshake
             self.control.shut_down("shut down", retry_after=None)
@@ -143,7 +149,8 @@ class ClientLink(Link):
         let_in: LetIn,
     ) -> Failure | None:
         """Connect, and wait for the server's answer; None: the server accepted the stream."""
-        attempt = ConnectAttempt(connection, self.address, self._refusal_message, let_in)
+        remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
+        attempt = ConnectAttempt(connection, self.address, remedied, let_in)
         try:
             await transport.connect(host, port, attempt)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
@@ -162,35 +169,54 @@ class ClientLink(Link):
         control.take(more)
 
     def _failed(self, failure: Failure) -> None:
-        self.attempts += 1
-        # The one that has the name may be dead, which shows within seconds.
-        self._refused = failure.refused and (
-            failure.code is not RefusalCode.NAME_TAKEN or self.attempts > _NAME_MAY_BE_FREED
-        )
-        repeated = failure.reason == self.reason
-        expected = self.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
-        refused = _CAUSES.get(failure.code, LinkCause.REFUSED)
-        self.set_down(refused if failure.refused else LinkCause.UNREACHABLE, failure.reason)
+        self.status.attempts += 1
+        self._longest = _LONGEST_DELAY_UNREACHED
+        if failure.code is RefusalCode.NAME_TAKEN:  # the one that has the name may be dead, which shows within seconds
+            if self.status.attempts > _NAME_MAY_BE_FREED:
+                self._longest = NAME_TRIED_EVERY
+        elif failure.refused:
+            self._longest = _LONGEST_DELAY
+        repeated = failure.reason == self.status.reason
+        expected = self.status.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
+        refused = CAUSES.get(failure.code, LinkCause.REFUSED)
+        self.status.down(refused if failure.refused else LinkCause.UNREACHABLE, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
+        reason = failure.reason.removeprefix(f"{self.address}: ")
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
-        self.log(level, code, f"{failure.reason}; trying again", link_status=True)
+        self.log(level, code, f"no link with {self.peer_at}: {reason}; trying again", link_status=True)
 
     async def _pause(self) -> None:
         """Wait until the next attempt is due, or an operator asks for one."""
         delay: float | None = None
         if not self._stays_down:
-            longest = _LONGEST_DELAY if self._refused else _LONGEST_DELAY_UNREACHED
-            delay = max(self._backoff.next(longest), self._retry_after)
-            self.retry_at = self.context.now() + delay
+            delay = self._delay()
+            self.status.retry_at = self.context.now() + delay
         try:
             async with asyncio.timeout(delay):
                 await self._retry.wait()
         except TimeoutError:
             pass
-        self.retry_at = None
+        self.status.retry_at = None
+
+    def _delay(self) -> float:
+        """S until the next attempt."""
+        if self.status.cause is LinkCause.SHUT_DOWN:
+            return self._asking.next()
+        return max(self._backoff.next(self._longest), self._retry_after)
+
+    def on_duplicate(self, message: Duplicate) -> None:
+        now = self.context.now()
+        begins = not self.warning
+        self.duplicates.told(message, self.context.wall())
+        if not message.address and not begins:
+            self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)
+        if message.address and (begins or now - self._duplicates_logged_at >= _DUPLICATES_LOGGED_EVERY):
+            self._duplicates_logged_at = now
+            self.log(Level.WARNING, EventCode.LINK_NAME_TAKEN, self.duplicates.text(now), link_status=True)
 
     def lost(self, reason: str, code: EventCode) -> None:
         super().lost(reason, code)
+        self.duplicates = DuplicateClients(self.name)
         for opening in self._streams_opening.values():
             opening.cancel()
         self._streams_opening.clear()
@@ -198,37 +224,24 @@ class ClientLink(Link):
         self._ended.set()
 
     def on_shutdown(self, message: Shutdown) -> None:
-        self._stays_down = message.retry_after is None
-        self._retry_after = min(message.retry_after or 0.0, _LONGEST_RETRY_AFTER)
-        if self.control is not None:
+        if self.control is None:
+            return
+        if message.retry_after is None:
+            self.control.abort(told_by_server(message.reason), EventCode.LINK_SHUT_DOWN)
+        else:
+            self._retry_after = min(message.retry_after, _LONGEST_RETRY_AFTER)
             self.control.abort(f"the server closed the link: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
 
     def change_key(self, key: Key | None) -> None:
         """Use another key from now on: a link that is up connects again."""
         self.key, self.encrypted = key, key is not None
-        self.fingerprint = fingerprint(key) if key is not None else ""
         if self.control is not None:
             self.control.shut_down(_KEY_CHANGED, retry_after=0.0)
         self._retry.set()
 
-    def _refusal_message(self, code: RefusalCode, message: str) -> str:
-        """What the operator of this side is told."""
-        match code:
-            case RefusalCode.WRONG_KEY if self.key is not None:
-                return f"{message} (this side's is {self.fingerprint}): copy one side's key file to the other"
-            case RefusalCode.NAME_TAKEN:
-                return f"{message}: {REMEDY}"
-            case RefusalCode.UNKNOWN_NAME:
-                remedy = "set name in this side's session file to one that the server lets in"
-                return f"{message}: {remedy}, or list {self.name!r} under clients in the server's"
-            case RefusalCode.ENCRYPTION_REQUIRED:
-                return f"{message}: set use_encryption and key_file"
-            case _:
-                return message
-
     @property
     def shut_down(self) -> bool:
-        """Whether the link is down on purpose and waits for an operator."""
+        """Whether the link is down on purpose and waits for this side's operator."""
         return not self.linked and self._stays_down
 
     def stay_down(self, reason: str) -> None:
@@ -251,11 +264,23 @@ class ClientLink(Link):
 
     # --- routes
 
-    def authorize(self, proposal: Propose) -> Propose:
+    def client_names(self, topic: Topic) -> Topic:
+        return topic
+
+    @property
+    def rights(self) -> Rights:
+        return rights_of_server(self.context.session, self.table.listed)
+
+    def change_listed(self, topics: set[Identity]) -> None:
+        """Go on with the rights of another session, which lists these topics."""
+        self.table.listed = topics
+        self.table.rights_changed()
+
+    def with_local_name(self, proposal: Propose) -> Propose:
         return proposal
 
-    def shows(self, topic: str) -> bool:
-        return True
+    def shows(self, topic: str, kind: Kind = "topic") -> bool:
+        return self.rights.shows(topic, kind)
 
     async def prepare_port(self, route: Route) -> None:
         return
@@ -284,7 +309,7 @@ class ClientLink(Link):
 
         def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
             if route.id == route_id:  # else it was closed meanwhile
-                self.attach_stream(route, stream, connection.leftover(), multiplexed=transport.multiplexed)
+                self.channels.attach(route, stream, connection.leftover(), self)
 
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
@@ -293,12 +318,12 @@ class ClientLink(Link):
     def _share_stream(self, route: Route, transport: StreamTransport) -> None:
         """Join the stream of the route's channel, or open it if nobody has begun to."""
         assert self.keys is not None
-        assert self.data_keys is not None
+        assert self.channels.keys is not None
         channel = route.proposal.port
-        shared = self.shared_streams.get((transport.name, channel))
+        shared = self.channels.shared_streams.get((transport.name, channel))
         if shared is not None and not shared.stream.over:
             shared.stream.write(DataConnection(self.keys, route.id).start())
-            route.channel = shared.carry(route, self.data_keys)
+            route.channel = shared.carry(route, self.channels.keys)
         elif channel in self._waiting:
             self._waiting[channel][route.id] = route
         else:
@@ -321,11 +346,14 @@ class ClientLink(Link):
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> ClientUdpChannel | None:
         assert self.control is not None
-        assert self.path_probe is not None
+        assert self.channels.probe is not None
+        if descriptors.scarce():
+            self._udp_failed(descriptors.scarcity_message("client"))
+            return None
         address = self.control.stream.address
         server = (address[0], port, *address[2:])
         try:
-            udp_channel = ClientUdpChannel(transport, server, self.path_probe, self.context.now, self.udp_ready)
+            udp_channel = ClientUdpChannel(transport, server, self.channels.probe, self.context.now, self.udp_ready)
         except OSError as error:
             self._udp_failed(f"UDP to {transport.format_address(server)}: {os_error_message(error)}")
             return None
@@ -335,7 +363,7 @@ class ClientLink(Link):
     def _udp_failed(self, text: str) -> None:
         if text != self._udp_failure:
             self._udp_failure = text
-            self.log(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
+            self._log_udp(Level.ERROR, EventCode.LINK_UDP_BLOCKED, text)
         if self._udp_retry is None:
             self._udp_retry = self.context.loop.call_later(_UDP_RETRIED_AFTER, self._retry_udp)
 

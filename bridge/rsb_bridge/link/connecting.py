@@ -75,6 +75,7 @@ class ConnectAttempt(StreamHandler):
                     self._let_in(stream, event, events[index + 1 :])
                     return
                 case Refused(code, message):
+                    stream.close("refused")  # not before what is left to send is sent
                     self._finish(Failure(self._refusal_message(code, message), refused=True, code=code))
                 case Failed(reason):
                     self._finish(Failure(f"{self._address} does not speak this protocol: {reason}", refused=True))
@@ -86,7 +87,7 @@ class ConnectAttempt(StreamHandler):
 
     def end(self) -> None:
         """Close the stream, unless the server accepted it."""
-        if self._stream is not None and self._stream.handler is self:
+        if self._stream is not None and self._stream.handler is self and not self._stream.over:
             self._stream.abort("not let in")
 
     def _finish(self, outcome: Failure | None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from rsb_bridge.channel.multiplexer import Multiplexer
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import DataFrame, Event, Failed, Received, Refused
 from rsb_bridge.wire.framing import CONTROL_LIMIT, ProtocolError
@@ -22,6 +23,10 @@ _MOST_WAITING = 8 * CONTROL_LIMIT
 """Bytes; a thousand routes' reports are a fifth of one frame, and 6 s of silence end the link."""
 _AT_ONCE = 8
 """Events handled before the I/O loop does other work: each may create a DDS endpoint, which takes 0.5 ms."""
+_MESSAGES, _MESSAGES_A_SECOND = 4096, 500.0
+"""As many as a thousand routes take when they are opened, and what may come after them for ever."""
+_BYTES, _BYTES_A_SECOND = 4 * CONTROL_LIMIT, CONTROL_LIMIT
+"""Likewise. The thread of all links needs 40 ms to read a message of `CONTROL_LIMIT`."""
 
 
 class ControlHandler(Protocol):
@@ -56,17 +61,32 @@ class ControlChannel(StreamHandler):
         self._goodbye = ""
         self._code = EventCode.LINK_LOST
         self._events: deque[Event] = deque()
+        self._unsent = bytearray()  # sealed; the stream's own buffer would have to be counted anew for each message
+        self._loop = asyncio.get_running_loop()
+        self._allowance = TokenBucket(_MESSAGES, _MESSAGES_A_SECOND, self._loop.time())
+        self._volume = TokenBucket(_BYTES, _BYTES_A_SECOND, self._loop.time())
+        self._owes = False  # more came than the volume allows
         stream.handler = self
 
     def send(self, message: ControlMessage) -> None:
-        """Send a message."""
-        self.stream.write(self._connection.send(message))
-        if self.stream.waiting_bytes > _MOST_WAITING:
+        """Send a message, or keep it until the stream takes it."""
+        sealed = self._connection.send(message)
+        if not self.stream.congested:
+            self.stream.write(sealed)
+        elif len(self._unsent) + len(sealed) > _MOST_WAITING:
             self.stream.abort("the peer is not reading: control send buffer full")  # `closed` comes later
+        else:
+            self._unsent += sealed
+
+    def _flush(self) -> None:
+        if self._unsent:
+            self.stream.write(bytes(self._unsent))
+            self._unsent.clear()
 
     def shut_down(self, reason: str, *, retry_after: float | None, code: EventCode = EventCode.LINK_CLOSED) -> None:
         """Tell the peer that this ends on purpose, and end it."""
         self.send(Shutdown(reason=sanitize_text(reason), retry_after=retry_after))
+        self._flush()
         self._goodbye, self._code = reason, code
         self.stream.close(reason)
         self._end(reason)
@@ -80,6 +100,19 @@ class ControlChannel(StreamHandler):
     def received(self, data: bytes) -> None:
         """Bytes came."""
         self.take(self._connection.receive_data(data))
+        if not self.multiplexer.channels:  # else most of them may be messages, which a radio keeps slow enough
+            self._charge(len(data))
+
+    def _charge(self, size: int) -> None:
+        """Read no more until so many bytes are within the volume allowed."""
+        now = self._loop.time()
+        owed, self._owes = self._owes, not self._volume.take(size, now)
+        if self._owes:
+            self.stream.pause_reading()
+            # Not a moment too early: the rest could be too short for the clock to move.
+            self._loop.call_later((size - self._volume.left(now)) / _BYTES_A_SECOND + 0.001, self._charge, size)
+        elif owed:
+            self._resume()
 
     def take(self, events: list[Event]) -> None:
         """Handle events, a few at a time; reading pauses until all are handled."""
@@ -92,19 +125,26 @@ class ControlChannel(StreamHandler):
         for _ in range(_AT_ONCE):
             if not self._events:
                 return
+            if isinstance(self._events[0], Received) and not self._allowance.take(1, self._loop.time()):
+                break
             self._act_on(self._events.popleft())
             if self.over:  # the event ended it
                 self._events.clear()
                 return
         if self._events:
             self.stream.pause_reading()
-            asyncio.get_running_loop().call_soon(self._go_on)
+            self._loop.call_later(
+                max(0.0, 1 - self._allowance.left(self._loop.time())) / _MESSAGES_A_SECOND, self._go_on
+            )
 
     def _go_on(self) -> None:
         if not self.over:
             self._act()
-            if not self._events:
-                self.stream.resume_reading()
+            self._resume()
+
+    def _resume(self) -> None:
+        if not self.over and not self._events and not self._owes:
+            self.stream.resume_reading()
 
     def _act_on(self, event: Event) -> None:
         match event:
@@ -128,6 +168,7 @@ class ControlChannel(StreamHandler):
 
     def writable(self) -> None:
         """The stream takes more again."""
+        self._flush()
         self.multiplexer.pump()
 
     def closed(self, reason: str) -> None:

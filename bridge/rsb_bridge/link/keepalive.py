@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
 from rsb_bridge.wire.messages import Ping, Pong
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up."""
+_ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
+"""A peer pings once a second; after a pause of its process, several times at once."""
 
 
 class Keepalive:
@@ -39,6 +42,7 @@ class Keepalive:
         self._rx, self._tx = Smoothed(self._began), Smoothed(self._began)
         self._received = self._sent = 0
         self._pings = 0
+        self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._on_silence: Callable[[], None] | None = None
         self._watchdog: asyncio.TimerHandle | None = None
 
@@ -95,8 +99,10 @@ class Keepalive:
         self._pings += 1
         return Ping(n=self._pings, sent=self._context.wall_ns())
 
-    def answer(self, ping: Ping) -> Pong:
-        """The answer to the peer's ping."""
+    def answer(self, ping: Ping) -> Pong | None:
+        """The answer to the peer's ping; None: it pings too often, and gets none."""
+        if not self._answers.take(1, self._context.now()):
+            return None
         now = self._context.wall_ns()
         return Pong(n=ping.n, sent=ping.sent, received=now, answered=now)
 

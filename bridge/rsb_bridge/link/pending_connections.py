@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from enum import IntEnum, auto
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.link.refusals import Refusals, network
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Attach, Established, Event, Failed, Refused
+from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.preamble import Refusal, RefusalCode
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
@@ -22,44 +25,25 @@ if TYPE_CHECKING:
 _MOST = 256
 _MOST_OF_ONE_HOST = 64
 """The streams that linked clients have yet to open are allowed on top of both limits."""
+_MOST_OF_RESERVE = descriptors.RESERVE // 4
+_MOST_ACCEPTED = 4
+"""Of one client; it has one, unless somebody plays its first messages again."""
 _HANDSHAKE_WITHIN = 5.0
-_FAILURES = 5
-_FAILURES_WITHIN = 30.0
-_PENALTY = 1.0
-_HOSTS_REMEMBERED = 1024
-_LOGGED_AFTER, _LOGGED_AFTER_AT_LAST = 60.0, 3600.0
-"""s until the same refusal of the same host is logged again; twice as long each time."""
-_FORGOTTEN_AFTER = 60.0
-"""s without another one; a client that is refused tries again within 12 s."""
-_MOST_LOGGED = 256
 _CODES = {
     RefusalCode.WRONG_KEY: EventCode.LINK_WRONG_KEY,
     RefusalCode.UNKNOWN_NAME: EventCode.LINK_UNKNOWN_NAME,
     RefusalCode.NAME_TAKEN: EventCode.LINK_NAME_TAKEN,
+    RefusalCode.SHUT_DOWN: EventCode.LINK_SHUT_DOWN,
 }
 _TOO_MANY = "too many unauthenticated connections"
 
 
-class _Logged:
-    """A refusal that is in the log already.
+class _Stage(IntEnum):
+    """How far a connection has come: where there are too many, those of the lowest stage go first."""
 
-    Attributes:
-        tried_at: s, when it last happened.
-    """
-
-    def __init__(self, now: float) -> None:
-        self.tried_at = now
-        self._wait = _LOGGED_AFTER
-        self._due = now + self._wait
-
-    def due_again(self, now: float) -> bool:
-        """It happens again, at `now` (s): whether to log it."""
-        self.tried_at = now
-        if now < self._due:
-            return False
-        self._wait = min(2 * self._wait, _LOGGED_AFTER_AT_LAST)
-        self._due = now + self._wait
-        return True
+    REFUSED = auto()  # and not told so yet
+    WAITING = auto()  # silent, or in the middle of its first message, which proves nothing: half of one costs nothing
+    ACCEPTED = auto()  # its first message opens under the client's key
 
 
 class Admission(Protocol):
@@ -97,8 +81,16 @@ class Admission(Protocol):
         """How many streams linked clients have yet to open; with `host`: those at that host."""
         ...
 
-    def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> None:
-        """A client was refused that calls itself by that name, which may be empty, and may be another's."""
+    def refused(self, name: str, stream: Stream, code: RefusalCode, message: str) -> str:
+        """A client was refused that calls itself by that name, which may be empty, and may be another's.
+
+        Returns:
+            The name of the link that shows it; empty: none does.
+        """
+        ...
+
+    def refused_proven(self, stream: Stream, code: RefusalCode, peer: Hello) -> None:
+        """A client was refused that has proven its key: another one has its name, or its link is shut down."""
         ...
 
     def remedy_for_unknown(self) -> str:
@@ -107,42 +99,53 @@ class Admission(Protocol):
 
 
 class PendingConnections:
-    """All inbound streams that have not authenticated yet, and the hosts that failed to lately."""
+    """All inbound streams that have not authenticated yet.
+
+    Attributes:
+        refusals: what was refused lately.
+    """
 
     def __init__(self, context: Context, admission: Admission) -> None:
         self.context = context
         self.admission = admission
+        self.refusals = Refusals(context)
         self._present: dict[_PendingConnection, None] = {}  # the longest waiting first
-        self._of_host: Counter[str] = Counter()
-        self._failures: dict[str, deque[float]] = {}
-        self._logged: dict[tuple[str, str], _Logged] = {}
 
     def arrive(self) -> StreamHandler:
         """The handler of a new stream."""
         return _PendingConnection(self)
 
     def add(self, pending: _PendingConnection) -> None:
-        """Count a new connection; if there are too many, reject the one that has waited longest.
+        """Count a new connection. If there are too many, reject the one of the lowest stage that has waited longest.
 
         A host that has too many loses one of its own, so that connections that only wait cannot keep others out.
         """
-        if self._full(self._of_host[pending.host], _MOST_OF_ONE_HOST, pending.host):
-            next(each for each in self._present if each.host == pending.host).reject(_TOO_MANY)
-        elif self._full(len(self._present), _MOST):
-            next(iter(self._present)).reject(_TOO_MANY)
+        of_host = [each for each in self._present if each.network == pending.network]
+        if self._full(len(of_host), _MOST_OF_ONE_HOST, pending.host):
+            self._reject_lowest(of_host, _TOO_MANY)
+        elif self._full(len(self._present), _MOST) or self._uses_reserve():
+            self._reject_lowest(self._present, _TOO_MANY)
         self._present[pending] = None
-        self._of_host[pending.host] += 1
 
     def _full(self, count: int, limit: int, host: str = "") -> bool:
         return count >= limit and count >= limit + self.admission.streams_awaited(host)
 
+    def _uses_reserve(self) -> bool:
+        """Whether connections that only wait would take what is kept for those that must not fail."""
+        return len(self._present) >= _MOST_OF_RESERVE and descriptors.scarce()
+
+    def _reject_lowest(self, among: Iterable[_PendingConnection], message: str) -> None:
+        min(among, key=lambda each: each.stage).reject(message)
+
+    def accepted(self, pending: _PendingConnection) -> None:
+        """A connection's first message opens under its client's key."""
+        same = [each for each in self._present if each.name == pending.name and each.stage is _Stage.ACCEPTED]
+        for oldest in same[:-_MOST_ACCEPTED]:
+            oldest.reject("others came after it as the same client")
+
     def remove(self, pending: _PendingConnection) -> None:
         """A connection has authenticated or is gone."""
-        if pending in self._present:
-            del self._present[pending]
-            self._of_host[pending.host] -= 1
-            if not self._of_host[pending.host]:
-                del self._of_host[pending.host]
+        self._present.pop(pending, None)
 
     def expel(self, name: str, message: str) -> None:
         """Reject those who have begun to authenticate as this client: what they prove counts no more."""
@@ -150,52 +153,17 @@ class PendingConnections:
             if pending.name == name:
                 pending.reject(message)
 
-    def penalty(self, host: str) -> float:
-        """The delay (s) of a host's handshake: failures cost time, but lock nobody out (many share an address)."""
-        return _PENALTY if len(self._failures.get(host, ())) >= _FAILURES else 0.0
-
-    def failed(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
-        """Record a failed authentication of a client that calls itself by that name."""
-        now = self.context.now()
-        self._failures.setdefault(stream.host, deque(maxlen=_FAILURES)).append(now)
-        if len(self._failures) > _HOSTS_REMEMBERED:
-            self._failures.pop(next(iter(self._failures)))
-        self.log_rejection(stream, code, message, name)
-
-    def log_rejection(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
-        """Log that a stream was rejected, ever more rarely for each host and message.
-
-        It takes nothing of the link's quota: whoever calls itself so need not be that client.
-        """
-        if self._is_new(stream.host, message):
-            self.context.events.add(Level.WARNING, code, f"rejected {stream.peer}: {message}", link=name)
-
-    def _is_new(self, host: str, message: str) -> bool:
-        now, logged = self.context.now(), self._logged.get((host, message))
-        if logged is not None:
-            return logged.due_again(now)
-        if len(self._logged) >= _MOST_LOGGED:
-            return False
-        self._logged[host, message] = _Logged(now)
-        return True
-
     def shortage(self, message: str) -> None:
-        """No connection can be accepted for now: tell the operator, and reject the one that has waited longest."""
-        if self._is_new("", message):
+        """No connection can be accepted for now: tell the operator, and reject the pending one of the lowest stage."""
+        if self.refusals.is_new("", message):
             text = f"new connections have to wait: {message}"
             self.context.log(Level.ERROR, EventCode.ENGINE_SHORTAGE, text)
-        for oldest in tuple(self._present)[:1]:
-            oldest.reject("the server has no file descriptors left")
+        if self._present:
+            self._reject_lowest(self._present, "the server has no file descriptors left")
 
     def tick(self) -> None:
-        """Once a second: forget old failures, and which were logged."""
-        now = self.context.now()
-        for host, times in tuple(self._failures.items()):
-            while times and now - times[0] > _FAILURES_WITHIN:
-                times.popleft()
-            if not times:
-                del self._failures[host]
-        self._logged = {key: each for key, each in self._logged.items() if now - each.tried_at < _FORGOTTEN_AFTER}
+        """Once a second."""
+        self.refusals.tick()
 
     def close(self) -> None:
         """Reject all."""
@@ -207,31 +175,20 @@ class _PendingConnection(StreamHandler):
     """One stream until it is a link's control connection, a route's stream, or gone."""
 
     def __init__(self, pending: PendingConnections) -> None:
-        self.host = ""
+        self.stage = _Stage.WAITING
+        self.host = self.network = self.name = ""
         self._pending = pending
         self._admission = pending.admission
         self._connection: ServerConnection = pending.admission.connection(self._identify)
         self._stream: Stream | None = None
-        self.name = ""
         self._deadline: asyncio.TimerHandle | None = None
-        self._held_back = bytearray()
-        self._penalty: asyncio.TimerHandle | None = None
+        self._refusal: tuple[bytes, str] = (b"", "")
 
     def connected(self, stream: Stream) -> None:
-        self._stream, self.host = stream, stream.host
+        self._stream, self.host, self.network = stream, stream.host, network(stream.host)
         self._pending.add(self)
         loop = self._pending.context.loop
         self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
-        if penalty := self._pending.penalty(self.host):
-            self._penalty = loop.call_later(penalty, self._serve_penalty)
-
-    def received(self, data: bytes) -> None:
-        if self._penalty is None:
-            self._take(data)
-        elif len(self._held_back) + len(data) > 8192:
-            self.reject("too much data before the handshake")
-        else:
-            self._held_back += data
 
     def closed(self, reason: str) -> None:
         self._leave()
@@ -241,8 +198,11 @@ class _PendingConnection(StreamHandler):
         stream = self._stream
         if stream is None:
             return
+        if self.stage is _Stage.REFUSED:
+            self._tell()
+            return
         self._leave()
-        self._pending.failed(stream, EventCode.LINK_REJECTED, message)
+        self._pending.refusals.log(stream, EventCode.LINK_REJECTED, message)
         stream.write(self._connection.refuse(RefusalCode.BUSY, message))
         stream.close(message)
 
@@ -251,18 +211,12 @@ class _PendingConnection(StreamHandler):
         self.name = name
         return credential
 
-    def _serve_penalty(self) -> None:
-        self._penalty = None
-        data, self._held_back = bytes(self._held_back), bytearray()
-        if data:
-            self._take(data)
-
-    def _take(self, data: bytes) -> None:
+    def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
-        if stream is None:
+        if stream is None or self.stage is _Stage.REFUSED:
             return
         events = connection.receive_data(data)
-        stream.write(connection.data_to_send())
+        answer = connection.data_to_send()
         for index, event in enumerate(events):
             match event:
                 case Established():
@@ -273,37 +227,67 @@ class _PendingConnection(StreamHandler):
                     self._leave()
                     self._attach(stream, event)
                     return
-                case Refused(code, message):
+                case Refused(code, message, None):
                     message = self._for_operator(code, message)
-                    self._admission.refused(self.name, stream, code, message)
-                    self._refused(stream, _CODES.get(code, EventCode.LINK_REJECTED), message)
+                    self.name = self._admission.refused(self.name, stream, code, message)
+                    self._refuse(stream, _CODES.get(code, EventCode.LINK_REJECTED), message, answer)
+                    return
+                case Refused(code, message, Hello() as peer):
+                    self._leave()
+                    self._refuse_proven(stream, Refusal(code, message), peer)
+                    return
                 case Failed(reason):
-                    self._refused(stream, EventCode.LINK_REJECTED, reason)
+                    self._refuse(stream, EventCode.LINK_REJECTED, reason, answer)
+                    return
                 case _:
                     pass
+        stream.write(answer)
+        if connection.accepted and self.stage < _Stage.ACCEPTED:
+            self.stage = _Stage.ACCEPTED
+            self._pending.accepted(self)
 
     def _established(self, stream: Stream, event: Established, more: list[Event]) -> None:
         try:
             control = self._admission.established(stream, self._connection, event)
         except Refusal as refusal:
-            self._admission.refused(self.name, stream, refusal.code, refusal.message)
-            self._pending.log_rejection(stream, _CODES[refusal.code], refusal.message, self.name)
+            assert isinstance(event.peer, Hello)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
-            stream.close(refusal.message)
+            self._refuse_proven(stream, refusal, event.peer)
         else:
             control.take(more)
+
+    def _refuse_proven(self, stream: Stream, refusal: Refusal, peer: Hello) -> None:
+        """Refuse a client that has the key: that is no failed authentication."""
+        self._admission.refused_proven(stream, refusal.code, peer)
+        self._pending.refusals.log(stream, _CODES[refusal.code], refusal.message, self.name)
+        stream.close(refusal.message)
 
     def _attach(self, stream: Stream, event: Attach) -> None:
         try:
             self._admission.attach(stream, self._connection, event)
         except Refusal as refusal:  # no failure of its host: the route may have been closed meanwhile
-            self._pending.log_rejection(stream, EventCode.LINK_REJECTED, refusal.message)
+            self._pending.refusals.log(stream, EventCode.LINK_REJECTED, refusal.message)
             stream.write(self._connection.refuse(refusal.code, refusal.message))
             stream.close(refusal.message)
 
-    def _refused(self, stream: Stream, code: EventCode, message: str) -> None:
+    def _refuse(self, stream: Stream, code: EventCode, message: str, answer: bytes) -> None:
+        """Somebody failed to authenticate: say so, later to a host where many have failed."""
+        refusals = self._pending.refusals
+        refusals.failed(self.host)
+        refusals.log(stream, code, message, self.name)
+        self.stage, self._refusal = _Stage.REFUSED, (answer, message)
+        if delay := refusals.delay(self.host):
+            self._stop_waiting()
+            self._deadline = self._pending.context.loop.call_later(delay, self._tell)
+            stream.pause_reading()
+        else:
+            self._tell()
+
+    def _tell(self) -> None:
+        stream, (answer, message) = self._stream, self._refusal
+        assert stream is not None, "who has left has no timer"
         self._leave()
-        self._pending.failed(stream, code, message, self.name)
+        stream.write(answer)
         stream.close(message)
 
     def _for_operator(self, code: RefusalCode, message: str) -> str:
@@ -315,7 +299,10 @@ class _PendingConnection(StreamHandler):
 
     def _leave(self) -> None:
         self._pending.remove(self)
-        for timer in (self._deadline, self._penalty):
-            if timer is not None:
-                timer.cancel()
-        self._deadline = self._penalty = self._stream = None
+        self._stop_waiting()
+        self._stream = None
+
+    def _stop_waiting(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None

@@ -6,12 +6,19 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge import __version__
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.session import Topic
-from rsb_bridge.wire.messages import Amend, Propose
+from rsb_bridge.wire.amending import Amend
+from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.session import Kind
     from rsb_bridge.transport.transport import Transport
+
+_KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 
 
 def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_name: bool) -> Propose:
@@ -39,11 +46,19 @@ def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_nam
         expected_rate=topic.expected_rate or 0.0,
         stale_after=topic.stale_after,
         paused=topic.paused,
+        arm=topic.arm,
+        deadman=topic.deadman_seconds if topic.arm else 0.0,
+        kind=topic.kind,
+        timeout=topic.timeout or 0.0,
     )
 
 
 def topic_of(proposal: Propose) -> Topic:
-    """A peer's proposal as a session file would have it."""
+    """A peer's proposal as a session file would have it.
+
+    Raises:
+        LinkError: it is of a kind that only newer versions have.
+    """
     here, there = proposal.topic, proposal.remote_topic
     on_client, on_server = (here, there) if proposal.from_client else (there, here)
     return Topic(
@@ -59,10 +74,26 @@ def topic_of(proposal: Propose) -> Topic:
         expected_rate=proposal.expected_rate or None,
         stale_after=proposal.stale_after,
         paused=proposal.paused,
+        arm=proposal.arm,
+        deadman=proposal.deadman if proposal.arm else None,
+        kind=kind_of(proposal),
+        timeout=proposal.timeout or None,
     )
 
 
-_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0}
+def kind_of(proposal: Propose) -> Kind:
+    """What a peer proposes.
+
+    Raises:
+        LinkError: it is something that only newer versions have.
+    """
+    kind = _KINDS.get(proposal.kind)
+    if kind is None:
+        raise LinkError(f"rsb-console {__version__} does not know what {proposal.kind} is: update it")
+    return kind
+
+
+_OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
 _AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None}
 
 
@@ -77,9 +108,9 @@ def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     return msgspec.structs.replace(proposal, **{name: getattr(limits, name) for name in _AMENDABLE})
 
 
-def amendment(proposal: Propose, route_id: int) -> Amend:
-    """The message that tells a proposal's limits."""
-    return Amend(route_id, **{name: getattr(proposal, name) for name in _AMENDABLE})
+def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
+    """The message that tells a proposal's limits, and which operator has changed them; empty: it is an answer."""
+    return Amend(route_id, who=who, **{name: getattr(proposal, name) for name in _AMENDABLE})
 
 
 def amended_topic(topic: Topic, limits: Propose) -> Topic:

@@ -7,19 +7,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.difference import changes, described
+import msgspec
+
+from rsb_bridge.config.difference import changes, described, named
 from rsb_bridge.config.keys import fingerprint
+from rsb_bridge.config.rights import rights_of_server
+from rsb_bridge.link.authorizing import denied
+from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.config.keys import Key
+    from rsb_bridge.config.rights import Rights
     from rsb_bridge.link.client import ClientLink
+    from rsb_bridge.link.entry import Entry
     from rsb_bridge.link.link import Link
-    from rsb_bridge.link.server import Entry, Server, ServerLink
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.link.server import Server
+    from rsb_bridge.link.server_link import ServerLink
+    from rsb_bridge.model.session import Identity, Session
     from rsb_bridge.route.route import Route
 
 _NOT_IN_FILE = "removed from the session file"
@@ -50,6 +59,16 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
         effect = "the link is closed, and connects again with the new key"
         yield Step(f"{_key_change(link.key, key)}: {effect}", partial(link.change_key, key))
     yield from _topic_steps(link, session.topics)
+    listed = {topic.identity for topic in session.topics}
+    own = {route.spec.identity for route in link.routes.values() if route.proposed_here}
+    for identity in sorted(link.table.listed - listed - own):  # the other side has removed it already
+        kind, name, direction = identity
+        text = f"{named(Topic(name, direction, kind=kind))}: listed no more"
+        yield Step(text, partial(link.table.listed.discard, identity))
+    differs = changes(link.context.session, session, only=("allow", "deny"))
+    effect = _denial_effect(link, rights_of_server(session, listed))
+    if differs or effect:
+        yield Step(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))
 
 
 def server_steps(server: Server, entries: list[Entry]) -> Iterator[Step]:
@@ -70,7 +89,10 @@ def server_steps(server: Server, entries: list[Entry]) -> Iterator[Step]:
             yield Step(f"client {name}: {', '.join(parts)}{effect}", partial(server.change_client, wanted[name]))
     for name, entry in wanted.items():
         if name not in server.entries:
-            yield Step(f"client {name}: added, key {_mark(entry.key)}", partial(server.add_client, entry))
+            yield Step(
+                f"client {name}: added, key {', next key '.join(entry.fingerprints) or 'none'}",
+                partial(server.add_client, entry),
+            )
             for topic in entry.client.topics:
                 yield Step(f"client {name}: {_added(topic)}", partial(_add_to_client, server, name, topic))
         else:
@@ -79,98 +101,114 @@ def server_steps(server: Server, entries: list[Entry]) -> Iterator[Step]:
 
 
 def _client_changes(old: Entry, new: Entry) -> list[str]:
-    parts = changes(old.client, new.client, leave_out=("key_file", "topics", "use_name"))
+    parts = changes(old.client, new.client, leave_out=("key_file", "next_key_file", "topics", "use_name"))
     if old.use_name != new.use_name:
         parts.append(f"use_name {str(old.use_name).lower()} → {str(new.use_name).lower()}")
-    if old.key != new.key:
-        parts.append(_key_change(old.key, new.key))
+    parts += _key_changes(old.fingerprints, new.fingerprints)
     return parts or changes(old.client, new.client, leave_out=("topics",))
 
 
 def _client_effect(link: ServerLink, new: Entry) -> str:
     effects = []
-    if link.linked and link.entry.key != new.key:
+    if link.linked and not link.stays_valid(new):
         effects.append("its link is closed, and comes back once the client has the new key")
     elif link.linked and link.entry.use_name != new.use_name:
         effects.append("its link is closed, and comes back at once")
-    if denied := [route.local_topic for route in link.denied_by(new.client)]:
-        effects.append(f"{', '.join(denied)} may not cross any more")
+    if denial := _denial_effect(link, new.rights):
+        effects.append(denial)
     return f": {'; '.join(effects)}" if effects else ""
+
+
+def _denial_effect(link: Link, rights: Rights) -> str:
+    """Which topics of the peer's end under other rights; empty: none."""
+    ended = denied(link.routes.values(), rights, is_client=link.is_client)
+    return f"{', '.join(route.local_topic for route in ended)} may not cross any more" if ended else ""
 
 
 # --- the topics that one side of a link proposes
 
 
 def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
-    wanted = {_identity(topic): topic for topic in topics}
-    routes = {_identity(route.spec): route for route in link.routes.values() if route.proposed_here}
-    yielded = {_identity(topic): key for key, topic in link.table.yielded.items()}
+    wanted = {topic.identity: topic for topic in topics}
+    routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here}
+    yielded = {topic.identity: key for key, topic in link.table.yielded.items()}
     for identity, route in routes.items():
         if identity not in wanted:
             yield Step(_removed(route.spec), partial(_remove, link, identity))
     for identity, key in yielded.items():
         if identity not in wanted:
-            yield Step(_removed(link.table.yielded[key]), partial(link.table.yielded.pop, key, None))
+            yield Step(_removed(link.table.yielded[key]), partial(_drop_yielded, link, key))
     for identity, topic in wanted.items():
         if identity in routes:
             route = routes[identity]
             if route.spec != topic:
-                effect = "" if link.can_amend(route, topic) else "; opened anew, counted from 0"
-                text = f"{_topic(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
+                effect = "" if link.proposed.can_amend(route, topic) else "; opened anew, counted from 0"
+                text = f"{named(topic)}: {', '.join(changes(route.spec, topic))}{effect}"
                 yield Step(text, partial(_replace, link, topic))
         elif identity in yielded:
             key = yielded[identity]
             if differs := changes(link.table.yielded[key], topic):
-                text = f"{_topic(topic)}: {', '.join(differs)}; the client's own entry of it counts"
-                yield Step(text, partial(link.table.yielded.__setitem__, key, topic))
+                text = f"{named(topic)}: {', '.join(differs)}; the client's own entry of it counts"
+                yield Step(text, partial(_change_yielded, link, key, topic))
         else:
             yield Step(_added(topic), partial(_add, link, topic))
 
 
 def _added(topic: Topic) -> str:
-    return f"{_topic(topic)}: added: {described(topic)}"
+    return f"{named(topic)}: added: {described(topic)}"
 
 
 def _removed(topic: Topic) -> str:
-    return f"{_topic(topic)}: removed (it was {described(topic)})"
+    return f"{named(topic)}: removed (it was {described(topic)})"
 
 
 def _add(link: Link, topic: Topic) -> None:
-    link.add_topic(topic)
+    link.proposed.add(topic)
 
 
 def _add_to_client(server: Server, name: str, topic: Topic) -> None:
     if name in server.links:
-        server.links[name].add_topic(topic)
+        server.links[name].proposed.add(topic)
 
 
-def _remove(link: Link, identity: tuple[str, str]) -> None:
+def _remove(link: Link, identity: Identity) -> None:
     if (route := _proposed(link, identity)) is not None:  # else the other side has removed it meanwhile
         link.table.remove(route, _NOT_IN_FILE)
 
 
+def _drop_yielded(link: Link, key: str) -> None:
+    topic = link.table.yielded.pop(key, None)
+    if topic is not None and key in link.routes:
+        link.table.arming.demand(link.routes[key], msgspec.structs.replace(topic, arm=False))
+
+
+def _change_yielded(link: Link, key: str, topic: Topic) -> None:
+    link.table.yielded[key] = topic
+    if key in link.routes:
+        link.table.arming.demand(link.routes[key], topic)
+
+
 def _replace(link: Link, topic: Topic) -> None:
-    if (route := _proposed(link, _identity(topic))) is not None:
-        link.replace_topic(route, topic)
+    if (route := _proposed(link, topic.identity)) is not None:
+        link.proposed.replace(route, topic)
     else:
-        link.add_topic(topic)
+        link.proposed.add(topic)
 
 
-def _proposed(link: Link, identity: tuple[str, str]) -> Route | None:
+def _proposed(link: Link, identity: Identity) -> Route | None:
     """A topic's route as it is now: steps before this one may have made it anew."""
     routes = (route for route in link.routes.values() if route.proposed_here)
-    return next((route for route in routes if _identity(route.spec) == identity), None)
-
-
-def _topic(topic: Topic) -> str:
-    return f"{topic.topic} ({topic.direction})"
-
-
-def _identity(topic: Topic) -> tuple[str, str]:
-    return topic.topic, topic.direction
+    return next((route for route in routes if route.spec.identity == identity), None)
 
 
 # --- keys
+
+
+def _key_changes(old: tuple[str, ...], new: tuple[str, ...]) -> list[str]:
+    """What changes in the fingerprints of a client's valid keys."""
+    names = ("key", "next key")
+    pairs = zip_longest(names, old, new, fillvalue="")
+    return [f"{name} {before or 'none'} → {after or 'none'}" for name, before, after in pairs if before != after]
 
 
 def _key_change(old: Key | None, new: Key | None) -> str:

@@ -11,14 +11,19 @@ import msgspec
 
 from rsb_bridge import __version__
 from rsb_bridge.config.keys import Key
+from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.cipher_preference import preferred_suite
 from rsb_bridge.link.client import ClientLink
+from rsb_bridge.link.entry import Entry
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
-from rsb_bridge.link.server import Entry, Server, ServerLink
+from rsb_bridge.link.server import Server
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import ListenError
 from rsb_bridge.wire.messages import Hello, Welcome
@@ -27,6 +32,7 @@ from rsb_bridge.wire.sealing import Suite
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
+    from rsb_bridge.link.server_link import ServerLink
     from rsb_bridge.model.session import Session, Topic
     from rsb_bridge.route.route import Route
 
@@ -36,8 +42,10 @@ _FAREWELL = 0.5
 _RESTARTED_AFTER, _LONGEST_PAUSE = 1.0, 10.0
 _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
-Keys = Mapping[str, Key | None]
-"""By client's name; None: without encryption."""
+Keys = Mapping[str, tuple[Key, ...]]
+"""Those that are valid, the next one last, by client's name; none: without encryption."""
+FEATURES = (FEATURE,)
+"""What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
 """Is told each step of a restart, as text for an operator."""
 
@@ -83,8 +91,8 @@ class BridgeRole(Protocol):
         """Call at once, and open refused routes anew."""
         ...
 
-    def shut_down(self, reason: str) -> None:
-        """Close every link on both sides until an operator restarts."""
+    def shut_down(self, who: str) -> None:
+        """Close every link on both sides until an operator restarts; `who` says who shuts down, in words."""
         ...
 
     async def restart(self, step: ReportStep) -> None:
@@ -94,9 +102,19 @@ class BridgeRole(Protocol):
 
 def _entries(session: Session, keys: Keys) -> list[Entry]:
     return [
-        Entry(client, keys[client.name], session.use_name if client.use_name is None else client.use_name)
+        Entry(
+            client,
+            keys[client.name],
+            session.use_name if client.use_name is None else client.use_name,
+            rights_of_client(client, session.name),
+        )
         for client in session.accepted_clients
     ]
+
+
+def _own(keys: Keys, session: Session) -> Key | None:
+    """The key of a client's session."""
+    return next(iter(keys[session.name]), None)
 
 
 class ClientRole:
@@ -104,9 +122,10 @@ class ClientRole:
 
     def __init__(self, context: Context, keys: Keys) -> None:
         session = context.session
-        hello = Hello(__version__, session.name, context.ros.instance_id, context.domain_id, host=socket.gethostname())
+        instance, host = context.ros.instance_id, socket.gethostname()
+        hello = Hello(__version__, session.name, instance, context.domain_id, FEATURES, host)
         self._context = context
-        self._link = ClientLink(context, hello, keys[session.name], preferred_suite())
+        self._link = ClientLink(context, hello, _own(keys, session), preferred_suite())
         self._tasks = Tasks(context.loop, self._link.fail)
 
     async def start(self) -> None:
@@ -121,11 +140,11 @@ class ClientRole:
 
     @property
     def session(self) -> Session:
-        return msgspec.structs.replace(self._context.session, topics=self._link.proposed_topics)
+        return msgspec.structs.replace(self._context.session, topics=self._link.proposed.all())
 
     @property
     def keys(self) -> Keys:
-        return {self._link.name: self._link.key}
+        return {self._link.name: () if self._link.key is None else (self._link.key,)}
 
     def links(self) -> list[Link]:
         return [self._link]
@@ -134,16 +153,16 @@ class ClientRole:
         """There is nothing to do besides the link's own tick."""
 
     def add(self, topic: Topic, link: str) -> Route:
-        return self._link.add_topic(topic)
+        return self._link.proposed.add(topic)
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
-        return list(client_steps(self._link, session, keys[session.name]))
+        return list(client_steps(self._link, session, _own(keys, session)))
 
     def retry(self, link: str) -> None:
         self._link.retry()
 
-    def shut_down(self, reason: str) -> None:
-        self._link.stay_down(reason)
+    def shut_down(self, who: str) -> None:
+        self._link.stay_down(f"shut down by {who}")
 
     async def restart(self, step: ReportStep) -> None:
         if self._link.control is not None:
@@ -151,7 +170,7 @@ class ClientRole:
             self._link.control.shut_down("restart", retry_after=0.0)
         step(f"connecting to {self._link.address}")
         self._link.retry()
-        await _until(lambda: self._link.linked, lambda: self._link.reason)
+        await _until(lambda: self._link.linked, lambda: self._link.status.reason)
         step("linked; opening topics")
         routes = self._link.routes.values()
         await _until(
@@ -172,7 +191,7 @@ class ServerRole:
             context,
             _entries(session, keys),
             lambda link_id, use_name: Welcome(
-                __version__, session.name, link_id, context.ros.instance_id, context.domain_id, use_name=use_name
+                __version__, session.name, link_id, context.ros.instance_id, context.domain_id, FEATURES, use_name
             ),
             aes=preferred_suite() is Suite.AESGCM,
         )
@@ -184,7 +203,7 @@ class ServerRole:
     async def start(self) -> None:
         for link in self._server.links.values():
             for topic in link.entry.client.topics:
-                link.add_topic(topic)
+                link.proposed.add(topic)
         await self._server.start()
 
     async def stop(self) -> None:
@@ -198,7 +217,7 @@ class ServerRole:
     @property
     def session(self) -> Session:
         links = tuple(self._server.links.values())
-        clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.proposed_topics) for link in links)
+        clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.proposed.all()) for link in links)
         session = self._context.session
         if not session.clients and not any(client.topics for client in clients):
             return session
@@ -206,7 +225,7 @@ class ServerRole:
 
     @property
     def keys(self) -> Keys:
-        return {name: entry.key for name, entry in self._server.entries.items()}
+        return {name: entry.keys for name, entry in self._server.entries.items()}
 
     def links(self) -> list[Link]:
         return list(self._server.links.values())
@@ -215,28 +234,32 @@ class ServerRole:
         self._server.tick()
 
     def add(self, topic: Topic, link: str) -> Route:
-        return self._chosen(link).add_topic(topic)
+        chosen = self._chosen(link, topic.topic)
+        return chosen.proposed.add(chosen.client_names(topic))
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
         return list(server_steps(self._server, _entries(session, keys)))
 
-    def _chosen(self, name: str) -> ServerLink:
+    def _chosen(self, name: str, topic: str) -> ServerLink:
+        """The link of that name; without one, the only link, or the only one whose client's name the topic has."""
         links = self._server.links
         if name in links:
             return links[name]
-        if not name and len(links) == 1:
-            return next(iter(links.values()))
+        found = list(links.values())
+        if len(found) > 1:
+            found = [link for link in found if link.use_name and client_topic(topic, link.name) is not None]
+        if not name and len(found) == 1:
+            return found[0]
         raise LinkError(f"say which client: one of {', '.join(links)}")
 
     def retry(self, link: str) -> None:
-        for robot in self.links():
+        for robot in self._server.links.values():
             if link in ("", robot.name):
+                robot.let_in()
                 robot.table.retry()
 
-    def shut_down(self, reason: str) -> None:
-        for link in self.links():
-            if link.control is not None:
-                link.control.shut_down(reason, retry_after=None)
+    def shut_down(self, who: str) -> None:
+        self._server.shut_down(who)
 
     async def restart(self, step: ReportStep) -> None:
         if self._restarting.locked():
@@ -246,6 +269,8 @@ class ServerRole:
 
     async def _restart(self, step: ReportStep) -> None:
         linked = [link for link in self.links() if link.linked]
+        for robot in self._server.links.values():
+            robot.let_in()
         step(f"closing {len(linked)} links on both sides")
         if self._binding is not None:
             self._binding.cancel()
@@ -273,14 +298,14 @@ class ServerRole:
         while reason:
             self._server.stop()  # what it had bound of its ports
             for link in self.links():
-                link.reason = f"the server is not listening: {reason}"
+                link.status.down(LinkCause.UNREACHABLE, f"the server is not listening: {reason}")
             level = Level.DEBUG if reason == said else Level.ERROR
             self._context.log(level, EventCode.ENGINE_NOT_LISTENING, f"not listening: {reason}; trying again")
             said = reason
             await asyncio.sleep(backoff.next())
             reason = await self._bind()
         for link in self.links():
-            link.reason = "not connected since the restart"
+            link.status.down(LinkCause.CLOSED, "not connected since the restart")
 
     async def _bind(self) -> str:
         """Bind the server's ports; why that failed, or empty."""

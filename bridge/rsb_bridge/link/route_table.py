@@ -2,82 +2,42 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 
-from rsb_bridge.config.validation import validate_topic
+from rsb_bridge.link.arming import LinkArming
+from rsb_bridge.link.authorizing import allow_rate, authorized, check_overlap, check_room, denied
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.halves import HalfMessage, half_of, hand_over, unsupported
+from rsb_bridge.link.pausing import Pausing
+from rsb_bridge.link.peer_operators import PeerOperators, acting_operator
 from rsb_bridge.link.proposals import amended, amended_topic, amendment, same_route, topic_of
+from rsb_bridge.link.reporting import take_report
+from rsb_bridge.link.route_ids import RouteIds
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import ROUTES_PER_LINK
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.outgoing import OutgoingRoute
-from rsb_bridge.route.route import Owner, Route, route_key
+from rsb_bridge.route.arming import Disarmed
+from rsb_bridge.route.keys import route_key
 from rsb_bridge.tasks import in_slices
 from rsb_bridge.transport.transport import ListenError
-from rsb_bridge.wire.messages import Accept, Amend, Close, Describe, Pause, Propose, Publishers, Ready, Refuse, Report
+from rsb_bridge.wire.amending import Amend, Limit, Pause
+from rsb_bridge.wire.arming import Arm, Armed, ArmingMessage, Disarm
+from rsb_bridge.wire.by_hand import ByHand
+from rsb_bridge.wire.messages import Accept, Close, Describe, Propose, Provide, Publishers, Ready, Refuse, Report
 
 if TYPE_CHECKING:
-    import asyncio
-    from collections.abc import Callable, Coroutine
-
     from rsb_bridge.context import Context
-    from rsb_bridge.model.session import Topic
+    from rsb_bridge.link.route_owner import RouteOwner
+    from rsb_bridge.model.session import Identity, Topic
+    from rsb_bridge.route.route import Route
     from rsb_bridge.wire.fields import RefuseCode
-    from rsb_bridge.wire.records import ReceivedReport, SentReport
 
-_CLOSED_REMEMBERED = 4
-"""Ids of a route's closed incarnations: what the peer says of one may be under way while the next ones come and go."""
-
-_REPORTED_AT_ONCE = 250
-"""Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
-
-RouteMessage: TypeAlias = Propose | Accept | Refuse | Describe | Ready | Publishers | Close | Amend | Pause | Report
+_AboutOpenRoute: TypeAlias = Accept | Refuse | HalfMessage | Close | Limit | Pause | ByHand | ArmingMessage
+RouteMessage: TypeAlias = Propose | Amend | Report | _AboutOpenRoute
 """The control messages that are about routes."""
-
-
-class RouteOwner(Owner, Protocol):
-    """What the table asks of its link."""
-
-    @property
-    def linked_at(self) -> float:
-        """s, when the present connection was made."""
-        ...
-
-    def authorize(self, proposal: Propose) -> Propose:
-        """The peer's proposal with this side's name for the topic.
-
-        Raises:
-            LinkError: the peer may not have this topic.
-        """
-        ...
-
-    async def prepare_port(self, route: Route) -> None:
-        """Have the port that a route names ready for the client.
-
-        Raises:
-            ListenError: it cannot be bound.
-        """
-        ...
-
-    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
-        """Run a coroutine beside."""
-        ...
-
-    def guarded(self, work: Callable[[], None]) -> None:
-        """Do regular work; if it fails, this link's connection ends, not the others'."""
-        ...
-
-    def protocol_error(self, reason: str) -> None:
-        """The peer broke the protocol: end the connection."""
-        ...
-
-    def log(self, level: Level, code: EventCode, text: str, *, topic: str = "") -> None:
-        """Add an event about this link."""
-        ...
 
 
 class RouteTable:
@@ -85,20 +45,26 @@ class RouteTable:
 
     Attributes:
         routes: by key.
+        ids: of their openings.
+        arming: arms and disarms them.
         yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
+        listed: identities of the topics that this side proposes, also while the other side has removed them.
     """
 
     def __init__(self, context: Context, owner: RouteOwner) -> None:
         self.routes: dict[str, Route] = {}
         self.yielded: dict[str, Topic] = {}
+        self.listed: set[Identity] = set()
         self._context = context
         self._owner = owner
-        self._by_id: dict[int, Route] = {}
-        self._closed: dict[int, Route] = {}  # by the ids of its last incarnations on this connection
-        # Ids count on across connections, so that late messages from a closed connection match no route.
-        self._next_id = 1 if owner.is_client else 2
-        self._newest_of_peer = 0
+        self.ids = RouteIds(is_client=owner.is_client)
         self._refused: dict[str, str] = {}
+        peer_name = "server" if owner.is_client else owner.name
+        self._peer_operators = PeerOperators(context, peer_name)
+        self._pausing = Pausing(owner, self._peer_operators)
+        self.arming = LinkArming(
+            context, owner, self._peer_operators, lambda: tuple(self.routes.values()), self.propose
+        )
 
     # --- the connection
 
@@ -110,13 +76,10 @@ class RouteTable:
 
     def disconnected(self, reason: str) -> None:
         """The connection is over: every route is closed until the next one."""
-        self._by_id.clear()
-        self._closed.clear()
+        self.ids.disconnected()
         self._refused.clear()
-        self._newest_of_peer = 0
         for route in self.routes.values():
             route.close(reason)
-            route.closed_ids.clear()
 
     def destroy(self) -> None:
         """End all routes for good."""
@@ -126,25 +89,33 @@ class RouteTable:
 
     # --- adding and removing
 
-    def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool) -> Route:
+    def add(self, spec: Topic, proposal: Propose, *, proposed_here: bool, edited: bool = False) -> Route:
         """Make a route's half on this side; if this side proposes it, ask the peer for the other half.
 
         Args:
             spec: the topic, validated.
             proposal: of it, with this side's names.
             proposed_here: whether this side proposes it.
+            edited: it takes the place of a route that was removed right before.
 
         Raises:
-            LinkError: there is such a route.
+            LinkError: there is such a route, or one that bridges the same service.
         """
         key = route_key(self._owner.name, proposal)
         if key in self.routes:
+            if spec.arm and not self.routes[key].proposed_here:
+                self.arming.demand(self.routes[key], spec)
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
-        kind = OutgoingRoute if proposal.from_client == self._owner.is_client else IncomingRoute
-        route = kind(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
+        check_overlap(spec, self.routes.values())
+        half = half_of(proposal, is_client=self._owner.is_client)
+        route = half(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
         self.routes[key] = route
+        allow_rate(route, self._owner)
+        if proposed_here:
+            self.listed.add(spec.identity)
+            self.arming.demand(route, spec)
         if proposed_here and self._owner.linked:
-            self.propose(route)
+            self.propose(route, acting_operator(), edited=edited)
         return route
 
     def move(self, route: Route, at: int) -> None:
@@ -153,9 +124,11 @@ class RouteTable:
         routes.insert(at, route)
         self.routes = {each.key: each for each in routes}
 
-    def remove(self, route: Route, reason: str) -> None:
-        """Remove a route on both sides."""
-        self._tell_removed(route, reason)
+    def remove(self, route: Route, reason: str, *, told: bool = True) -> None:
+        """Remove a route on both sides; `told`: the other side's operators are told who does it."""
+        self.listed.discard(route.spec.identity)
+        self.arming.forget(route)
+        self._tell_removed(route, reason, acting_operator() if told else "")
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def deny(self, route: Route, reason: str) -> None:
@@ -164,19 +137,33 @@ class RouteTable:
             self._owner.send(Refuse(route=route.id, code="denied", reason=sanitize_text(reason)))
         self._forget(route, EventCode.ROUTE_REFUSED, reason)
 
-    def _tell_removed(self, route: Route, reason: str) -> None:
+    def rights_changed(self) -> None:
+        """Hold the open routes to what the peer may do now."""
+        routes = tuple(self.routes.values())
+        for route, reason in denied(routes, self._owner.rights, is_client=self._owner.is_client).items():
+            self.deny(route, reason)
+        for route in self.routes.values():
+            if allow_rate(route, self._owner):
+                self._tell_rate(route)
+
+    def _tell_rate(self, route: Route) -> None:
+        if route.id:
+            self._owner.send(Limit(route=route.id, max_rate=route.limit.here))
+
+    def _tell_removed(self, route: Route, reason: str, who: str = "") -> None:
         """Tell the peer, by the last id that the route had where it is closed for now."""
-        if route_id := route.id or next(reversed(route.closed_ids), 0):
-            self._owner.send(Close(route=route_id, reason=sanitize_text(reason), removed=True))
+        if route_id := self.ids.last_of(route):
+            self._owner.send(Close(route=route_id, reason=sanitize_text(reason), removed=True, who=who))
 
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
         self.routes.pop(route.key, None)
         if code is EventCode.ROUTE_REMOVED:
             self.yielded.pop(route.key, None)
+        if route.arming.held:
+            route.disarm(Disarmed.REMOVED)
         route.destroy()
-        for route_id in route.closed_ids:
-            del self._closed[route_id]
+        self.ids.forget(route)
         route.log(Level.INFO, code, reason)
 
     def can_amend(self, route: Route, proposal: Propose) -> bool:
@@ -195,28 +182,26 @@ class RouteTable:
         if route.proposed_here:
             route.amend(msgspec.structs.replace(spec, paused=route.paused), changed)
         if route.id:
-            self._owner.send(amendment(changed, route.id))
+            self._owner.send(amendment(changed, route.id, acting_operator()))
         if spec.paused != route.paused:
             self.pause(route, paused=spec.paused)
 
     def _amended(self, message: Amend) -> None:
         """The peer has changed the limits of a route, or asks for that."""
-        route = self._by_id.get(message.route) or self._closed.get(message.route)
+        route = self.ids.find(message.route)
         if route is None:
             return  # it was removed here while the message was under way
-        proposal = amended(route.proposal, message)
+        proposal, old = amended(route.proposal, message), route.spec
         route.amend(amended_topic(route.spec, proposal), proposal)
+        if message.who:
+            self._peer_operators.edited(route, message.who, old)
         if route.proposed_here and route.id:
             self._owner.send(amendment(proposal, route.id))
 
     def pause(self, route: Route, *, paused: bool) -> None:
-        """Pause or resume a route on both sides."""
-        route.pause(paused)
-        self._send_pause(route)
-
-    def _send_pause(self, route: Route) -> None:
-        if route.id:
-            self._owner.send(Pause(route=route.id, paused=route.paused, revision=route.pausing.revision))
+        """Pause or resume a route on both sides; what was armed has to be armed again."""
+        self._pausing.pause(route, paused=paused)  # first: what is disarmed opens anew, and that names nobody
+        self.arming.disarm(route, Disarmed.PAUSED)
 
     def retry(self) -> None:
         """Propose at once what was refused."""
@@ -226,39 +211,33 @@ class RouteTable:
 
     # --- ids
 
-    def open_route(self, route_id: int) -> Route | None:
-        """The open route of that id."""
-        return self._by_id.get(route_id)
-
-    def is_closed_id(self, route_id: int) -> bool:
-        """Whether a route was open under that id and is no longer: what still arrives for it is late, not wrong."""
-        ours = route_id % 2 == self._owner.is_client
-        newest = self._next_id - 2 if ours else self._newest_of_peer
-        return 0 < route_id <= newest and route_id not in self._by_id
-
     def closed(self, route_id: int) -> None:
         """An incarnation of a route is over."""
-        route = self._by_id.pop(route_id, None)
-        if route is not None:
-            self._closed[route_id] = route
-            route.closed_ids.append(route_id)
-            if len(route.closed_ids) > _CLOSED_REMEMBERED:
-                del self._closed[route.closed_ids.popleft()]
+        self.ids.closed(route_id)
 
     def _reopen(self, route: Route, route_id: int) -> None:
         route.close("opened anew")
         route.open(route_id)
-        self._by_id[route_id] = route
+        self.arming.opened(route)
+        self.ids.opened(route, route_id)
 
     # --- proposing
 
-    def propose(self, route: Route) -> None:
-        """Ask the peer to open a route; if it is open, it is closed and opened again."""
-        self._reopen(route, self._next_id)
-        self._next_id += 2
-        self._owner.spawn(self._propose(route, route.id))
+    def propose(self, route: Route, who: str = "", *, edited: bool = False) -> None:
+        """Ask the peer to open a route; if it is open, it is closed and opened again.
 
-    async def _propose(self, route: Route, route_id: int) -> None:
+        Args:
+            route: which.
+            who: has just added or edited it; empty: nobody has.
+            edited: it takes the place of a route that was removed right before.
+        """
+        self._reopen(route, self.ids.new())
+        if refusal := unsupported(route.proposal, self._owner.features):
+            route.refuse(EventCode.ROUTE_REFUSED, refusal)
+            return
+        self._owner.spawn(self._propose(route, route.id, who, edited=edited))
+
+    async def _propose(self, route: Route, route_id: int, who: str, *, edited: bool) -> None:
         try:
             await self._owner.prepare_port(route)
         except ListenError as error:
@@ -266,11 +245,8 @@ class RouteTable:
                 route.refuse(EventCode.ROUTE_PORT_UNAVAILABLE, str(error))
         if route.id == route_id:
             pausing = route.pausing
-            self._owner.send(
-                msgspec.structs.replace(
-                    route.proposal, route=route_id, paused=pausing.paused, pause_revision=pausing.revision
-                )
-            )
+            opening = {"route": route_id, "paused": pausing.paused, "pause_revision": pausing.revision}
+            self._owner.send(msgspec.structs.replace(route.proposal, **opening, who=who, edited=edited))
 
     # --- what the peer says
 
@@ -280,27 +256,27 @@ class RouteTable:
             case Propose():
                 self._proposed(message)
             case Report():
-                self._take_report(message)
+                take_report(message, self.ids.open_route)
             case Close(removed=True):
                 self._removed(message)
             case Amend():
                 self._amended(message)
             case _:
-                route = self._by_id.get(message.route)
+                route = self.ids.open_route(message.route)
                 if route is not None:  # else it was closed here while the message was under way
                     self._about_route(route, message)
 
     def _proposed(self, proposal: Propose) -> None:
-        if proposal.route % 2 == self._owner.is_client or proposal.route <= self._newest_of_peer:
+        if not self.ids.take_of_peer(proposal.route):
             self._owner.protocol_error(f"invalid route id {proposal.route} in a proposal")
             return
-        self._newest_of_peer = proposal.route
         try:
             route = self._take_up(proposal)
         except LinkError as error:
             self._refuse(proposal, "denied", str(error))
         else:
             self._owner.spawn(self._accept(route, proposal))
+            self._peer_operators.proposed(route, proposal)
 
     def _take_up(self, proposal: Propose) -> Route:
         """This side's half of what the peer proposes.
@@ -308,23 +284,14 @@ class RouteTable:
         Raises:
             LinkError: the peer may not have it.
         """
-        owner, session = self._owner, self._context.session
-        for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
-            raise LinkError(str(problem))
-        authorized = owner.authorize(proposal)
-        for problem in validate_topic(topic_of(authorized), session):
-            raise LinkError(str(problem))
-        incoming = authorized.from_client != owner.is_client
-        if incoming and authorized.remote_topic == session.shutdown_topic:
-            raise LinkError(
-                f"{authorized.remote_topic} is this side's shutdown topic: only its own domain may publish on it"
-            )
-        if len(self.routes) >= ROUTES_PER_LINK:
-            raise LinkError(f"this link has {ROUTES_PER_LINK} topics already, which is the limit")
-        known = self.routes.get(route_key(owner.name, authorized))
-        if known is not None and known.proposed_here and owner.is_client:
-            raise LinkError(f"{authorized.topic} is bridged in that direction already")
-        if known is not None and (known.proposed_here or not same_route(known.proposal, authorized)):
+        owner = self._owner
+        ours = authorized(proposal, owner, self._context.session)
+        known = self.routes.get(route_key(owner.name, ours))
+        if known is None:
+            check_room(self.routes.values(), self._context.session)
+        elif known.proposed_here and owner.is_client:
+            raise LinkError(f"{ours.topic} is bridged in that direction already")
+        if known is not None and (known.proposed_here or not same_route(known.proposal, ours)):
             # Where both propose, the client's is the one that stays. The client may have removed it since, and taken up
             # this side's.
             if known.proposed_here:
@@ -333,13 +300,11 @@ class RouteTable:
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         if known is not None:
-            known.amend(amended_topic(known.spec, authorized), amended(known.proposal, authorized))
-        route = known or self.add(topic_of(authorized), authorized, proposed_here=False)
+            known.amend(amended_topic(known.spec, ours), amended(known.proposal, ours))
+        route = known or self.add(topic_of(ours), ours, proposed_here=False)
         same_process = route.instance == owner.instance
         self._reopen(route, proposal.route)
-        route.pause_from_peer(proposal.paused, proposal.pause_revision, known=same_process)
-        if (route.paused, route.pausing.revision) != (proposal.paused, proposal.pause_revision):
-            self._send_pause(route)  # an operator of this side changed it while the link was down
+        self._pausing.taken_up(route, proposal, known=same_process)
         return route
 
     async def _accept(self, route: Route, proposal: Propose) -> None:
@@ -356,8 +321,14 @@ class RouteTable:
                 self._refuse(proposal, "port_taken", str(error))
             return
         if current():  # else it was closed while its port was being bound
-            self._owner.send(Accept(route=route.id, topic=route.local_topic))
-            route.on_accepted()
+            arming = route.arming
+            self._owner.send(Accept(route.id, route.local_topic, arming.required, arming.deadman))
+            self._accepted(route)
+
+    def _accepted(self, route: Route) -> None:
+        if route.limit.here:
+            self._tell_rate(route)
+        route.on_accepted()
 
     def _refuse(self, proposal: Propose, code: RefuseCode, reason: str) -> None:
         if self._refused.get(proposal.topic) != reason:  # the other side keeps trying; one event is enough
@@ -370,43 +341,38 @@ class RouteTable:
 
     def _removed(self, message: Close) -> None:
         """The peer has removed a route, which may have been closed or opened again on this side meanwhile."""
-        route = self._by_id.get(message.route) or self._closed.get(message.route)
+        route = self.ids.find(message.route)
         if route is None:
             return  # both sides removed it
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:
             self._tell_removed(route, reason)
+        if message.who:
+            self._peer_operators.removed(route, message.who)
         self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
-    def _about_route(
-        self, route: Route, message: Accept | Refuse | Describe | Ready | Publishers | Close | Pause
-    ) -> None:
+    def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:
             case Accept():
                 route.set_peer_topic(message.topic)
-                route.on_accepted()
+                route.arming.demand(required=message.arm, deadman=message.deadman)
+                self._accepted(route)
+            case Limit():
+                route.limit.allow_there(message.max_rate)
             case Refuse():
                 route.refuse(EventCode.ROUTE_REFUSED, f"refused by the other side: {message.reason}")
-            case Describe() if isinstance(route, IncomingRoute):
-                route.described(message)
-            case Ready() if isinstance(route, OutgoingRoute):
-                route.peer_ready(message)
-            case Publishers() if isinstance(route, IncomingRoute):
-                route.publishers_present(message.present)
+            case Describe() | Ready() | Publishers() | Provide():
+                hand_over(message, route)
             case Close():
                 route.refuse(EventCode.ROUTE_CLOSED, f"closed by the other side: {message.reason}")
             case Pause():
-                route.pause_from_peer(message.paused, message.revision)
-
-    def _take_report(self, report: Report) -> None:
-        for sent in report.sent:
-            route = self._by_id.get(sent.route)
-            if isinstance(route, IncomingRoute):
-                route.reported(sent)
-        for received in report.received:
-            route = self._by_id.get(received.route)
-            if isinstance(route, OutgoingRoute):
-                route.reported(received)
+                self._pausing.from_peer(route, message)
+                if route.paused:
+                    self.arming.disarm(route, Disarmed.PAUSED)
+            case ByHand():
+                self._peer_operators.called(route, message)
+            case Arm() | Armed() | Disarm():
+                self.arming.handle(route, message)
 
     # --- time
 
@@ -415,33 +381,18 @@ class RouteTable:
         await in_slices(tuple(self.routes.values()), lambda route: self._owner.guarded(route.tick))
 
     async def advance(self) -> None:
-        """Have the open routes that nothing flows on do what can be done next."""
+        """Have the open routes do what can be done next."""
 
         def advance(route: Route) -> None:
-            if route.id and not route.flowing:
+            if route.id:  # a slice before this one may have closed it
                 route.advance()
 
-        await in_slices(tuple(self._by_id.values()), advance)
-
-    def report(self) -> None:
-        """Tell the peer this side's counts, as far as it does not know them."""
-        sent: list[SentReport] = []
-        received: list[ReceivedReport] = []
-        for route in self.routes.values():
-            if not route.accepted:
-                continue  # the other side may not know it yet
-            if isinstance(route, OutgoingRoute):
-                if (sending := route.news()) is not None:
-                    sent.append(sending)
-            elif isinstance(route, IncomingRoute) and (receiving := route.news()) is not None:
-                received.append(receiving)
-        for first in range(0, max(len(sent), len(received)), _REPORTED_AT_ONCE):
-            part = slice(first, first + _REPORTED_AT_ONCE)
-            self._owner.send(Report(sent=tuple(sent[part]), received=tuple(received[part])))
+        await in_slices(self.ids.open_routes(), advance)
 
     def tick(self) -> None:
         """Once a second while linked: propose again what was refused, and remove what the peer no longer wants."""
         now, owner = self._context.now(), self._owner
+        self.arming.tick()
         for route in tuple(self.routes.values()):
             if route.proposed_here and not route.id and now >= route.retry_at:
                 self.propose(route)

@@ -1,93 +1,118 @@
-"""The two sides of a link tell each other which topics their ROS graphs have."""
+"""The two sides of a link tell each other what their ROS graphs have: topics, and what can be called."""
 
 from __future__ import annotations
 
 import asyncio
-import itertools
+from collections import Counter
+from functools import partial
+from itertools import groupby, islice
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING
 
-from rsb_bridge.link.errors import LinkError
+import msgspec
+
+from rsb_bridge.link.questions import Questions
+from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_bridge.wire.messages import ControlMessage, ListTopics, TopicList
+from rsb_bridge.ros.graph_entries import CALLED, graph_of
+from rsb_bridge.wire.framing import CONTROL_LIMIT
+from rsb_bridge.wire.questions import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine
+    from collections.abc import Callable, Coroutine, Iterator, Sequence
 
-_ANSWER_WITHIN = 5.0
-_MOST_TOPICS = 2000
-"""In one list: a control frame holds about three times as many of usual names (PROTOCOL.md section 1)."""
+    from rsb_bridge.model.session import Kind
+    from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.wire.messages import ControlMessage
+
+_ANSWERED_WITHIN = 5.0
+_MOST_ENTRIES = 4000
+"""Of one list, which is one control frame: it holds some 5,000 of usual names, and 1,400 of the longest."""
+_MOST_BYTES = CONTROL_LIMIT - 4096
+_KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 
 
 class TopicLists:
-    """Asks the peer for its topics, and answers when it asks for ours.
+    """Asks the peer for what its graph has, and answers when it asks for ours.
 
     Args:
-        local_topics: this side's topics, those only that the peer may see.
+        ros: this side's graph.
+        shows: whether the peer may know of a name of a kind; called on another thread.
         send: sends a control message.
         spawn: runs a coroutine beside.
     """
 
     def __init__(
         self,
-        local_topics: Callable[[], Awaitable[list[TopicInfo]]],
+        ros: RosInterface,
+        shows: Callable[[str, Kind], bool],
         send: Callable[[ControlMessage], None],
         spawn: Callable[[Coroutine[None, None, None]], object],
     ) -> None:
-        self._local_topics = local_topics
-        self._send = send
-        self._spawn = spawn
-        self._numbers = itertools.count(1)
-        self._requests: dict[int, asyncio.Future[tuple[TopicEntry, ...]]] = {}
-        self._answering = False
+        self._ros = ros
+        self._shows = shows
+        self._request = 0  # the number of the last question
+        self._questions: Questions[tuple[TopicEntry, ...]] = Questions(send, spawn, _ANSWERED_WITHIN)
 
     def disconnected(self) -> None:
         """The connection is over: nobody will answer."""
-        for future in self._requests.values():
-            if not future.done():
-                future.set_exception(LinkError("the link was lost"))
-        self._requests.clear()
+        self._questions.disconnected()
 
     def handle(self, message: ListTopics | TopicList) -> None:
         """Answer the peer's question, or take its answer."""
         match message:
-            case ListTopics() if not self._answering:
-                self._answering = True
-                self._spawn(self._answer(message.request))
             case ListTopics():
-                pass  # one at a time: the answer costs more than the question
+                self._questions.answer(message.request, partial(self._find, message))
             case TopicList():
-                future = self._requests.get(message.request)
-                if future is not None and not future.done():
-                    future.set_result(message.topics)
+                self._questions.answered(message.request, message.topics)
 
-    async def _answer(self, request: int) -> None:
-        try:
-            topics = await self._local_topics()
-        finally:
-            self._answering = False
-        entries = tuple(
-            TopicEntry(t.topic, t.type_name, t.type_hash, t.qos, t.publishers, t.subscriptions)
-            for t in topics[:_MOST_TOPICS]
-            if max(len(t.topic), len(t.type_name)) <= TEXT_LENGTH
-        )
-        self._send(TopicList(request=request, topics=entries))
+    async def _find(self, question: ListTopics) -> TopicList:
+        kinds = [kind for kind in CALLED if kind in question.kinds]
+        return TopicList(question.request, tuple(await asyncio.to_thread(self._local_entries, kinds)))
+
+    def _local_entries(self, kinds: Sequence[Kind]) -> list[TopicEntry]:
+        """What the peer may know of, as much as one message holds."""
+        shown = [
+            entry
+            for entry in graph_of(self._ros, kinds)
+            if max(len(entry.topic), len(entry.type_name)) <= TEXT_LENGTH and self._shows(entry.topic, entry.kind)
+        ]
+        most = _MOST_ENTRIES
+        while True:
+            entries = [
+                TopicEntry(e.topic, e.type_name, e.type_hash, e.qos, e.publishers, e.subscriptions, e.kind)
+                for e in _shared_out(shown, most)
+            ]
+            if len(msgspec.msgpack.encode(entries)) <= _MOST_BYTES:
+                return entries
+            most //= 2
 
     async def ask(self) -> list[TopicInfo]:
-        """The peer's topics.
+        """What the peer's graph has. Who asks while an answer is awaited gets the same answer.
+
+        A peer that carries no calls answers with its topics.
 
         Raises:
             LinkError: the link is lost meanwhile, or the peer does not answer.
         """
-        request = next(self._numbers)
-        future = self._requests[request] = asyncio.get_running_loop().create_future()
-        self._send(ListTopics(request=request))
-        try:
-            async with asyncio.timeout(_ANSWER_WITHIN):
-                entries = await future
-        except TimeoutError:
-            raise LinkError("the other side did not answer") from None
-        finally:
-            self._requests.pop(request, None)
-        return [TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions) for e in entries]
+        if not self._questions.awaited(self._request):
+            self._request += 1
+        entries = await self._questions.ask(self._request, ListTopics(self._request, CALLED))
+        return [
+            TopicInfo(e.topic, e.type, e.type_hash, e.qos, e.publishers, e.subscriptions, kind)
+            for e in entries
+            if (kind := _KINDS.get(e.kind)) is not None
+        ]
+
+
+def _shared_out(entries: list[TopicInfo], room: int) -> Iterator[TopicInfo]:
+    """At most so many of entries that are by kind: no kind is left out because there is so much of another one."""
+    shares: dict[str, int] = {}
+    counts = sorted(Counter(entry.kind for entry in entries).items(), key=itemgetter(1))
+    for kinds_before, (kind, count) in enumerate(counts):
+        shares[kind] = min(count, room // (len(counts) - kinds_before))
+        room -= shares[kind]
+    for kind, of_kind in groupby(entries, attrgetter("kind")):
+        yield from islice(of_kind, shares[kind])

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import asyncio
+from functools import partial
 from typing import TYPE_CHECKING
 
 import zstandard
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.wire.messages import AskType, ControlMessage, TypeText
+from rsb_bridge.link.questions import Questions
+from rsb_bridge.wire.questions import AskType, TypeText
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
     from rsb_bridge.ros.type_descriptions import TypeDescriptions
     from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.messages import ControlMessage
 
-_ANSWER_WITHIN = 10.0
+_ANSWERED_WITHIN = 10.0
 """s: the other side may have to ask several nodes."""
 
 
@@ -40,40 +42,26 @@ class TypeQuestions:
     ) -> None:
         self._known = known
         self._open_route = open_route
-        self._send = send
-        self._spawn = spawn
-        self._asked: dict[int, asyncio.Future[bytes]] = {}
-        self._answering = False
+        self._questions: Questions[bytes] = Questions(send, spawn, _ANSWERED_WITHIN)
 
     def disconnected(self) -> None:
         """The connection is over: nobody will answer."""
-        for future in self._asked.values():
-            if not future.done():
-                future.set_result(b"")
-        self._asked.clear()
+        self._questions.disconnected()
 
     def handle(self, message: AskType | TypeText) -> None:
         """Answer the peer's question, or take its answer."""
         match message:
-            case AskType() if not self._answering:
-                self._answering = True
-                self._spawn(self._answer(message.route))
             case AskType():
-                pass  # one at a time: the answer costs more than the question
+                self._questions.answer(message.route, partial(self._find, message.route))
             case TypeText():
-                future = self._asked.get(message.route)
-                if future is not None and not future.done():
-                    future.set_result(message.text)
+                self._questions.answered(message.route, message.text)
 
-    async def _answer(self, route_id: int) -> None:
+    async def _find(self, route_id: int) -> TypeText:
         text = None
-        try:
-            route = self._open_route(route_id)
-            if route is not None and route.type_hash:
-                text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
-        finally:
-            self._answering = False
-        self._send(TypeText(route=route_id, text=zstandard.compress(text.encode()) if text else b""))
+        route = self._open_route(route_id)
+        if route is not None and route.type_hash:
+            text = await self._known.find(route.type_name, route.type_hash, route.local_topic)
+        return TypeText(route=route_id, text=zstandard.compress(text.encode()) if text else b"")
 
     async def describe(self, route: Route, *, linked: bool) -> str:
         """The text of the description of a route's type.
@@ -96,26 +84,23 @@ class TypeQuestions:
 
     async def _ask(self, route_id: int) -> bytes:
         """The peer's answer; empty: it does not know, or does not answer."""
-        future = self._asked.get(route_id)
-        if future is None:
-            future = self._asked[route_id] = asyncio.get_running_loop().create_future()
-            self._send(AskType(route=route_id))
         try:
-            async with asyncio.timeout(_ANSWER_WITHIN):
-                return await asyncio.shield(future)
-        except TimeoutError:
+            return await self._questions.ask(route_id, AskType(route=route_id))
+        except LinkError:
             return b""
-        finally:
-            if self._asked.get(route_id) is future:
-                del self._asked[route_id]
 
     def _checked(self, compressed: bytes, type_hash: str) -> str | None:
         """The text in an answer, if it is that type's."""
-        try:
-            size = zstandard.frame_content_size(compressed) if compressed else 0
-            if not 0 < size <= DESCRIPTION_LIMIT:
-                return None
-            text = zstandard.ZstdDecompressor().decompress(compressed).decode()
-        except (zstandard.ZstdError, UnicodeDecodeError):
+        text = description_in(compressed)
+        return text if text is not None and self._known.add(text, type_hash) else None
+
+
+def description_in(compressed: bytes) -> str | None:
+    """The text in an answer, whatever it describes; None: there is none."""
+    try:
+        size = zstandard.frame_content_size(compressed) if compressed else 0
+        if not 0 < size <= DESCRIPTION_LIMIT:
             return None
-        return text if self._known.add(text, type_hash) else None
+        return zstandard.ZstdDecompressor().decompress(compressed).decode()
+    except (zstandard.ZstdError, UnicodeDecodeError):
+        return None

@@ -38,11 +38,16 @@ class UdpChannels:
         """Add a new channel."""
         self._channels[port] = channel
 
-    def probe(self, channel: UdpChannel, probes: int = 1) -> None:
+    def open(self, port: int, channel: UdpChannel) -> None:
+        """Add a new channel, and probe its path."""
+        self.add(port, channel)
+        self._probe(channel)
+
+    def _probe(self, channel: UdpChannel, probes: int = 1) -> None:
         """Probe a new channel every 0.25 s; after 8 probes without an answer, `tick` alone goes on once a second."""
         if probes <= _QUICK_PROBES and not channel.ready and not channel.over:
             channel.tick()
-            self._loop.call_later(_PROBE_EVERY, self.probe, channel, probes + 1)
+            self._loop.call_later(_PROBE_EVERY, self._probe, channel, probes + 1)
 
     def tick(self) -> None:
         """Once a second: probe, and say when nothing gets through any more, or again."""

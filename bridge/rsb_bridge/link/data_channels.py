@@ -1,0 +1,86 @@
+"""What carries the messages of a link's routes, on the present connection."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.channel.data_keys import DataKeys
+from rsb_bridge.channel.path_probe import PathProbe
+from rsb_bridge.channel.shared_stream import SharedStream
+from rsb_bridge.channel.stream import stream_channel
+from rsb_bridge.link.udp_channels import UdpChannels
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable, Iterable
+
+    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.channel.shared_stream import SharedStreamOwner
+    from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.snapshot import Level
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.streams import Stream, StreamHandler
+    from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.sealing import Role, SessionKeys
+
+
+class DataChannels:
+    """The streams and UDP channels of one link besides its control connection.
+
+    Args:
+        loop: sets the timers.
+        log: adds an event about the link.
+        unfinished: what the peer may have this side hold of messages that are not whole yet.
+
+    Attributes:
+        keys: what seals and opens routes' messages; None: not linked.
+        probe: what is sent to find a UDP path; None: not linked.
+        shared_streams: multiplexed streams, by transport and channel.
+        udp: the UDP channels.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, log: Callable[[Level, EventCode, str], None], unfinished: Budget
+    ) -> None:
+        self.keys: DataKeys | None = None
+        self.probe: PathProbe | None = None
+        self.shared_streams: dict[tuple[str, int], SharedStream] = {}
+        self.udp = UdpChannels(loop, log)
+        self._unfinished = unfinished
+
+    def connected(self, keys: SessionKeys, role: Role) -> None:
+        """There is a connection, which has left these keys."""
+        self.keys = DataKeys(keys, role, self._unfinished)
+        self.probe = PathProbe(self.keys)
+
+    def disconnected(self) -> None:
+        """The connection is over. Call it when no route uses a channel any more."""
+        self.keys = self.probe = None
+        self.udp.close()
+        self.shared_streams.clear()
+
+    def attach(self, route: Route, stream: Stream, beginning: bytes, owner: SharedStreamOwner) -> None:
+        """A stream is let in that was opened for a route.
+
+        Args:
+            route: to be carried.
+            stream: by it.
+            beginning: what came behind the stream's preamble.
+            owner: told of further routes on the stream, if its transport is a multiplexed one.
+        """
+        assert self.keys is not None
+        handler: StreamHandler
+        if route.transport.multiplexed:
+            handler = shared = SharedStream(stream, owner, route.proposal.port, self._unfinished)
+            self.shared_streams[route.transport.name, route.proposal.port] = shared
+            route.channel = shared.carry(route, self.keys)
+        else:
+            handler = route.channel = stream_channel(stream, route, self.keys)
+        if beginning:
+            handler.received(beginning)
+        route.advance()
+
+    def carriers(self, routes: Iterable[Route]) -> set[Carrier]:
+        """All that carries bytes."""
+        carriers: set[Carrier] = {route.channel.carrier for route in routes if route.channel is not None}
+        return carriers.union(self.udp.all())

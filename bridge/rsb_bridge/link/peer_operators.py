@@ -1,0 +1,104 @@
+"""What operators of the other side do to routes, among this side's operators' actions, as the other side's words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.difference import changes, described
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.model.operators import operator
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.route.pause import pause_word
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.by_hand import ByHand
+    from rsb_bridge.wire.messages import Propose
+
+_AT_ONCE, _A_SECOND = 20.0, 1 / 300
+"""Actions of one link's peer that are recorded: the time line keeps 500 of all operators."""
+
+
+def acting_operator() -> str:
+    """Who gives the present command, as the other side is told."""
+    return sanitize_text(operator(), TEXT_LENGTH)
+
+
+def called(route: Route, lane: int, outcome: str = "") -> str:
+    """What an operator has done who calls a lane of a route by hand, in words; a lane beyond all is a newer peer's."""
+    lanes = LANES[route.spec.kind]
+    name = lanes[lane].name if lane < len(lanes) else ""
+    what = f"{name} called" if name else "called"
+    return f"{what} ({outcome})" if outcome else what
+
+
+class PeerOperators:
+    """Records the actions of one link's other side, within a budget. A log line each of its routes has beside that.
+
+    Who did it is what the other side says, and is marked so: it cannot be taken for an operator of this side.
+
+    Args:
+        context: has the log.
+        peer_name: what this side's operators call the other one.
+    """
+
+    def __init__(self, context: Context, peer_name: str) -> None:
+        self._events = context.events
+        self._now = context.now
+        self._peer_name = peer_name
+        self._budget = TokenBucket(_AT_ONCE, _A_SECOND, context.now())
+
+    def says(self, who: str) -> str:
+        """Who it was, as the other side says, which may say nothing."""
+        return f"{self._peer_name} says: {who or 'an operator'}"
+
+    def paused(self, route: Route, who: str) -> None:
+        """A route is paused or resumed now because somebody there wants it; `who` may be empty."""
+        code = EventCode.OPERATOR_PAUSED if route.paused else EventCode.OPERATOR_RESUMED
+        what = "paused" if route.paused else "resumed"
+        self._did(code, what, route, who, pause_word(paused=not route.paused), pause_word(paused=route.paused))
+
+    def proposed(self, route: Route, proposal: Propose) -> None:
+        """Somebody there bridges one more topic, or has put it in another one's place; or nobody does."""
+        if proposal.who and proposal.edited:
+            self.edited(route, proposal.who, None)
+        elif proposal.who:
+            self._did(EventCode.OPERATOR_ADDED, "added", route, proposal.who, "", described(route.spec))
+
+    def edited(self, route: Route, who: str, old: Topic | None) -> None:
+        """Somebody there has changed a topic, which was `old`; None: that is not known any more."""
+        what = "changed" if old is None else f"changed ({', '.join(changes(old, route.spec)) or 'nothing differs'})"
+        before = "" if old is None else described(old)
+        self._did(EventCode.OPERATOR_EDITED, what, route, who, before, described(route.spec))
+
+    def removed(self, route: Route, who: str) -> None:
+        """Somebody there no longer bridges a topic."""
+        self._did(EventCode.OPERATOR_REMOVED, "removed", route, who, described(route.spec), "")
+
+    def called(self, route: Route, message: ByHand) -> None:
+        """Somebody there calls by hand what a route provides, or has done so."""
+        code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
+        new = message.outcome or message.request
+        self._did(code, called(route, message.lane, message.outcome), route, message.who, "", new)
+
+    def _did(self, code: EventCode, what: str, route: Route, who: str, old: str, new: str) -> None:
+        if not self._budget.take(1, self._now()):
+            return
+        topic, who = route.local_topic, self.says(who)
+        self._events.add(
+            Level.INFO,
+            code,
+            f"{topic}: {what}, {who}",
+            link=route.peer.name,
+            topic=topic,
+            who=who,
+            old=old,
+            new=new,
+            from_peer=True,
+        )

@@ -1,0 +1,93 @@
+"""The topics that this side of a link proposes, as operators have left them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.validation import validate_topic
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import proposal_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.route_table import RouteTable
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.transport import Transport
+    from rsb_bridge.wire.messages import Propose
+
+
+class ProposedTopics:
+    """Adds and changes topics in a link's route table.
+
+    Args:
+        context: its session says what is valid.
+        table: the link's routes.
+        transport: of the link, which carries a topic unless that names another.
+        client_name: the prefix.
+        prefixed: whether this side knows that the server puts the prefix before the client's topics.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        table: RouteTable,
+        transport: Transport,
+        client_name: str,
+        prefixed: Callable[[], bool],
+    ) -> None:
+        self._context = context
+        self._table = table
+        self._transport = transport
+        self._client_name = client_name
+        self._prefixed = prefixed
+
+    def all(self) -> tuple[Topic, ...]:
+        """What this side proposes, in a session's order. May be called from any thread."""
+        topics = [route.spec for route in tuple(self._table.routes.values()) if route.proposed_here]
+        return (*topics, *tuple(self._table.yielded.values()))
+
+    def add(self, topic: Topic) -> Route:
+        """Bridge one more topic, which this side proposes.
+
+        Raises:
+            LinkError: the topic has a mistake, or there is such a route.
+        """
+        return self._table.add(topic, self._proposal(topic), proposed_here=True)
+
+    def can_amend(self, route: Route, topic: Topic) -> bool:
+        """Whether a route can go on, with its counts, if another topic takes its place.
+
+        Raises:
+            LinkError: the topic has a mistake.
+        """
+        return self._table.can_amend(route, self._proposal(topic))
+
+    def replace(self, route: Route, topic: Topic) -> Route:
+        """Put another topic in a route's place; the route goes on if only limits differ, else there is a new one.
+
+        Raises:
+            LinkError: the topic has a mistake, or there is such a route; the old one stays.
+        """
+        table, proposal = self._table, self._proposal(topic)
+        if table.can_amend(route, proposal):
+            table.amend(route, topic, proposal)
+            return route
+        at = list(table.routes).index(route.key)
+        table.remove(route, "edited", told=False)
+        try:
+            new = table.add(topic, proposal, proposed_here=True, edited=True)
+        except LinkError:
+            table.move(self.add(route.spec), at)
+            raise
+        table.move(new, at)
+        return new
+
+    def _proposal(self, topic: Topic) -> Propose:
+        name, prefixed, transports = self._client_name, self._prefixed(), self._context.transports
+        for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
+            raise LinkError(str(problem))
+        transport = transports[topic.protocol] if topic.protocol else self._transport
+        return proposal_of(topic, transport, client_name=name, use_name=prefixed)

@@ -1,0 +1,128 @@
+"""Questions to the peer that wait for an answer, and the peer's own, which are answered one at a time."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from rsb_bridge.link.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Coroutine
+
+    from rsb_bridge.wire.messages import ControlMessage
+
+T = TypeVar("T")
+
+QUESTIONS_KEPT = 8
+"""The peer's questions of one kind that wait for an answer, with the one that is being answered; others are ignored."""
+
+
+@dataclass(slots=True, eq=False)
+class _Asked(Generic[T]):
+    """A question to the peer that has no answer yet.
+
+    Attributes:
+        answer: set once it is there.
+        askers: how many wait for it.
+        to_send: whether the next asker sends it: it has not been sent, or an asker has waited for too long.
+    """
+
+    answer: asyncio.Future[T]
+    askers: int = 0
+    to_send: bool = True
+
+
+class Questions(Generic[T]):
+    """The questions of one kind, in both directions of a link.
+
+    Args:
+        send: sends a control message.
+        spawn: runs a coroutine beside.
+        answered_within: s that the peer has for an answer.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[ControlMessage], None],
+        spawn: Callable[[Coroutine[None, None, None]], object],
+        answered_within: float,
+    ) -> None:
+        self._send = send
+        self._spawn = spawn
+        self._answered_within = answered_within
+        self._asked: dict[int, _Asked[T]] = {}
+        self._to_answer: dict[int, Callable[[], Awaitable[ControlMessage]]] = {}  # the first is being answered
+        self._answering = False
+
+    async def ask(self, number: int, question: ControlMessage) -> T:
+        """The peer's answer. Who asks the same while it is awaited gets the same answer.
+
+        Args:
+            number: by which the answer is known.
+            question: to send.
+
+        Raises:
+            LinkError: the link is lost meanwhile, or the peer does not answer.
+        """
+        asked = self._asked.get(number)
+        if asked is None:
+            asked = self._asked[number] = _Asked(asyncio.get_running_loop().create_future())
+        if asked.to_send:
+            asked.to_send = False
+            self._send(question)
+        asked.askers += 1
+        try:
+            async with asyncio.timeout(self._answered_within):
+                return await asyncio.shield(asked.answer)
+        except TimeoutError:
+            asked.to_send = True
+            raise LinkError("the other side did not answer") from None
+        finally:
+            asked.askers -= 1
+            if not asked.askers and self._asked.get(number) is asked:
+                del self._asked[number]
+
+    def awaited(self, number: int) -> bool:
+        """Whether somebody waits for the answer of that number."""
+        return number in self._asked
+
+    def answered(self, number: int, answer: T) -> None:
+        """The peer answers a question; nobody may wait for it any more."""
+        asked = self._asked.pop(number, None)
+        if asked is not None:
+            asked.answer.set_result(answer)
+
+    def answer(self, number: int, find: Callable[[], Awaitable[ControlMessage]]) -> None:
+        """Answer the peer's question after those that it asked before.
+
+        An answer costs more than a question: one that is asked again meanwhile is answered once, and where too many
+        wait, further ones are ignored.
+        """
+        if number in self._to_answer or len(self._to_answer) >= QUESTIONS_KEPT:
+            return
+        self._to_answer[number] = find
+        if not self._answering:
+            self._answering = True
+            self._spawn(self._answer())
+
+    async def _answer(self) -> None:
+        try:
+            while self._to_answer:
+                number, find = next(iter(self._to_answer.items()))
+                message = await find()
+                if self._to_answer.get(number) is find:  # else the connection is over on which it was asked
+                    del self._to_answer[number]
+                    self._send(message)
+        finally:
+            self._to_answer.clear()
+            self._answering = False
+
+    def disconnected(self) -> None:
+        """The connection is over: nobody will answer, and nobody waits for this side's answers."""
+        for asked in self._asked.values():
+            asked.answer.set_exception(LinkError("the link was lost"))
+            asked.answer.exception()  # whoever asked may have given up
+        self._asked.clear()
+        self._to_answer.clear()

@@ -1,0 +1,56 @@
+"""The two sides of a link tell each other what their halves of the routes have counted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.route.calls.route import CallsRoute
+from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.wire.messages import Report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
+
+_REPORTED_AT_ONCE = 250
+"""Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
+
+
+def reports(routes: Iterable[Route]) -> Iterator[Report]:
+    """This side's counts, as far as the peer does not know them."""
+    sent: list[SentReport] = []
+    received: list[ReceivedReport] = []
+    calls: list[CallsReport] = []
+    for route in routes:
+        if not route.accepted:
+            continue  # the other side may not know it yet
+        if isinstance(route, OutgoingRoute):
+            if (sending := route.news()) is not None:
+                sent.append(sending)
+        elif isinstance(route, IncomingRoute):
+            if (receiving := route.news()) is not None:
+                received.append(receiving)
+        elif isinstance(route, CallsRoute) and (carrying := route.news()) is not None:
+            calls.append(carrying)
+    for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
+        part = slice(first, first + _REPORTED_AT_ONCE)
+        yield Report(sent=tuple(sent[part]), received=tuple(received[part]), calls=tuple(calls[part]))
+
+
+def take_report(report: Report, open_route: Callable[[int], Route | None]) -> None:
+    """Take in the peer's counts."""
+    for sent in report.sent:
+        route = open_route(sent.route)
+        if isinstance(route, IncomingRoute):
+            route.reported(sent)
+    for received in report.received:
+        route = open_route(received.route)
+        if isinstance(route, OutgoingRoute):
+            route.reported(received)
+    for calls in report.calls:
+        route = open_route(calls.route)
+        if isinstance(route, CallsRoute):
+            route.reported(calls)

@@ -1,0 +1,268 @@
+"""One client, as the server sees it."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.channel.udp_channel import ServerUdpChannel
+from rsb_bridge.link.duplicate_client import DuplicateClients, name_taken
+from rsb_bridge.link.link import Link
+from rsb_bridge.link.shut_down import ASKED_EVERY, ShutDown
+from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fingerprints import format_fingerprint
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.transport import ListenError, StreamTransport
+from rsb_bridge.wire.messages import Duplicate, Hello, Propose, Shutdown
+from rsb_bridge.wire.preamble import DataPreamble, Refusal, RefusalCode, parse_further
+from rsb_bridge.wire.replay_cache import ReplayCache
+from rsb_bridge.wire.sealing import SealError
+
+if TYPE_CHECKING:
+    from rsb_bridge.channel.shared_stream import SharedStream
+    from rsb_bridge.config.rights import Rights
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.descriptor_share import DescriptorShare
+    from rsb_bridge.link.entry import Entry
+    from rsb_bridge.model.session import Kind, Topic
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.transport.ports import Ports
+    from rsb_bridge.transport.streams import Address, Stream
+    from rsb_bridge.transport.transport import DatagramSocket, DatagramTransport
+    from rsb_bridge.wire.events import Attach
+
+_SILENT = 1.5
+"""s without a byte (pings come every second) after which another process may take a client's name over."""
+UNKNOWN_ROUTE = "unknown route"  # whoever has not authenticated does not learn which links there are
+
+
+class ServerLink(Link):
+    """One client, as the server sees it."""
+
+    def __init__(self, context: Context, entry: Entry, ports: Ports, descriptors: DescriptorShare) -> None:
+        super().__init__(context, entry.client.name, is_client=False, encrypted=bool(entry.keys))
+        self.entry = entry
+        self.replays = ReplayCache()
+        self.descriptors = descriptors
+        self._ports = ports
+        self._topic_ports = TopicPorts(self.name)
+        self._seen_at = ""
+        self._seen_host = ""
+        self._seen_key = ""
+        self._told = Duplicate()  # on the present connection
+        self.shut_down_by: ShutDown | None = None
+
+    @property
+    def address(self) -> str:
+        return self.control.stream.peer if self.control else self._seen_at
+
+    @property
+    def fingerprints(self) -> tuple[str, str]:
+        current, *following = self.entry.fingerprints
+        return self._seen_key if self.linked else current, "".join(following)
+
+    def was_at(self, host: str) -> bool:
+        """Whether the client was last seen at that host."""
+        return host == self._seen_host
+
+    def seen(self, stream: Stream, fingerprint: bytes) -> None:
+        """The client is at the other end of a stream, and has the key of that fingerprint; empty: unencrypted."""
+        self._seen_at, self._seen_host = stream.peer, stream.host
+        self._seen_key = format_fingerprint(fingerprint)
+        self.duplicates, self._told = DuplicateClients(self.name), Duplicate()
+
+    def refused(self, stream: Stream, cause: LinkCause, message: str) -> None:
+        """Somebody was refused who calls itself by the client's name, and it is not linked."""
+        if self.shut_down_by is not None:
+            return
+        if self.status.cause is not cause:
+            self.status.since = self.context.wall()
+        self.status.down(cause, f"refused {stream.host}: {message}")
+
+    # --- shut down by an operator
+
+    def shut_down_for(self, who: str) -> None:
+        """End the link, and refuse the client until `let_in`."""
+        self.shut_down_by = ShutDown(who, self.context.wall())
+        if self.control is not None:
+            self.control.shut_down(self.shut_down_by.refusal(), retry_after=None, code=EventCode.LINK_SHUT_DOWN)
+            self._awaits_question()
+        self.status.down(LinkCause.SHUT_DOWN, self.shut_down_by.reason(self.name))
+        self.status.since = self.shut_down_by.since
+
+    def asked(self, stream: Stream) -> None:
+        """The client has asked whether it may come back, and may not."""
+        self._seen_at, self._seen_host = stream.peer, stream.host
+        self.status.attempts += 1
+        self._awaits_question()
+
+    def _awaits_question(self) -> None:
+        self.status.retry_at = self.context.now() + ASKED_EVERY
+
+    def let_in(self) -> None:
+        """The client may come back, if an operator had shut its link down."""
+        if self.shut_down_by is not None:
+            self.shut_down_by = None
+            self.status.down(LinkCause.CLOSED, "an operator lets it in again; the client has not asked yet")
+
+    # --- two clients of one name
+
+    def keeps_name_from(self, hello: Hello) -> bool:
+        """Whether a client must not take the name over: another process has it, and is not silent."""
+        if self.control is None or not isinstance(self.peer, Hello) or hello.instance == self.peer.instance:
+            return False
+        return self.keepalive.quiet < _SILENT
+
+    def name_taken(self) -> str:
+        """What both sides say of a second client."""
+        first = self.peer.host if isinstance(self.peer, Hello) else ""
+        return name_taken(self.name, self.address, first, self.status.since)
+
+    def duplicate_tried(self, address: str, host: str) -> None:
+        """A second client was refused, which has proven its key."""
+        self.duplicates.tried(address, host, self.context.now(), self.context.wall())
+
+    def tick(self) -> None:
+        super().tick()
+        if self.status.retry_at is not None and self.context.now() > self.status.retry_at + ASKED_EVERY:
+            self.status.retry_at = None  # it does not ask any more
+        news = self.duplicates.news(self.context.now())
+        if self.linked and news != self._told:
+            if not news.address:
+                self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)
+            self._told = news
+            self.send(news)
+
+    def shared_port(self) -> int:
+        return self.context.session.server_port
+
+    @property
+    def use_name(self) -> bool:
+        return self.entry.use_name
+
+    def on_shutdown(self, message: Shutdown) -> None:
+        if self.control is not None:
+            self.control.abort(f"the client left: {message.reason}", EventCode.LINK_CLOSED_BY_PEER)
+
+    def client_names(self, topic: Topic) -> Topic:
+        return self.entry.client_names(topic)
+
+    def on_duplicate(self, message: Duplicate) -> None:
+        self.protocol_error("a client says that there is a second client")
+
+    @property
+    def rights(self) -> Rights:
+        return self.entry.rights
+
+    def with_local_name(self, proposal: Propose) -> Propose:
+        """Put the client's name before the topic's on this side where that is wanted."""
+        field = "remote_topic" if proposal.from_client else "topic"
+        return msgspec.structs.replace(proposal, **{field: self.entry.server_name(getattr(proposal, field))})
+
+    def shows(self, topic: str, kind: Kind = "topic") -> bool:
+        return self.entry.shows(topic, kind)
+
+    def change_entry(self, entry: Entry) -> None:
+        """Go on with another entry of the session.
+
+        The link ends where the client's key is not valid any more, or the names of topics change.
+        """
+        old, self.entry = self.entry, entry
+        self.encrypted = bool(entry.keys)
+        if self.control is not None and not self.stays_valid(entry):
+            self.control.shut_down(f"the server has another key for {self.name} now", retry_after=0.0)
+        if old.use_name != entry.use_name:
+            self._rename_topics()
+        self.table.rights_changed()
+
+    def stays_valid(self, entry: Entry) -> bool:
+        """Whether the key that the linked client has is valid with another entry of it."""
+        return self._seen_key in entry.fingerprints
+
+    def _rename_topics(self) -> None:
+        """Open everything anew, under other names on this side."""
+        if self.control is not None:
+            self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
+        own = self.proposed.all()
+        self.table.destroy()
+        self.table.yielded.clear()
+        for topic in own:
+            self.proposed.add(topic)
+
+    def open_stream(self, route: Route, transport: StreamTransport) -> None:
+        """The client opens it."""
+
+    @property
+    def streams_awaited(self) -> int:
+        """How many routes wait for the client to open their stream, which may be opened."""
+        awaited = sum(1 for route in self.routes.values() if _stream_awaited(route))
+        return min(awaited, max(0, self.descriptors.room)) if awaited else 0
+
+    def waiting_route(self, preamble: Attach | DataPreamble) -> tuple[Route, StreamTransport]:
+        """The route that a data preamble names, and its transport; raises Refusal if it does not wait for a stream."""
+        route = self.table.ids.open_route(preamble.route)
+        transport = _stream_awaited(route) if route is not None else None
+        if self.keys is None or route is None or transport is None:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, UNKNOWN_ROUTE)
+        try:
+            self.keys.check_attach_proof(preamble.header, preamble.route, preamble.proof)
+        except SealError as error:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, str(error)) from None
+        return route, transport
+
+    def join_stream(self, shared: SharedStream, frame: bytes) -> None:
+        preamble = parse_further(frame)
+        if self.is_closed_id(preamble.route):
+            return  # it was closed here while the frame was under way
+        route, transport = self.waiting_route(preamble)
+        if not transport.multiplexed or route.proposal.port != shared.channel:
+            raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
+        assert self.channels.keys is not None
+        route.channel = shared.carry(route, self.channels.keys)
+        route.advance()
+
+    def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:
+        """The client's first probe does."""
+
+    async def prepare_port(self, route: Route) -> None:
+        port, route_id, transport = route.proposal.port, route.id, route.transport
+        same_numbers = transport.port_kind == self.transport.port_kind  # channel 5 is not port 5
+        if not port or (same_numbers and port == self.shared_port()):
+            return
+        check_topic_port(self.context.domain_id, transport, port)
+        if refusal := self.descriptors.refusal:
+            raise ListenError(refusal)
+        with ExitStack() as taken:
+            taken.callback(self.descriptors.take())
+            if not route.proposed_here:
+                taken.callback(self._topic_ports.reserve(self.context.session, transport, port))
+            taken.callback(await self._ports.open(transport.name, port))
+            if route.id == route_id and route.release_port is None:  # else it was closed while the port was being bound
+                route.release_port = taken.pop_all().close
+
+    def new_udp_channel(self, socket: DatagramSocket, address: Address) -> ServerUdpChannel | None:
+        """The link's UDP channel on a socket that its first datagram came to, from `address`; None: it can't be.
+
+        A datagram of the other IP version is ignored: a forged one must not take over the UDP channel.
+        """
+        assert self.channels.probe is not None
+        assert self.control is not None
+        stream = self.control.stream
+        if len(address) != len(stream.address):
+            return None
+        udp_channel = ServerUdpChannel(
+            socket, stream.own_address, self.channels.probe, self.context.now, self.udp_ready
+        )
+        self.channels.udp.add(socket.port, udp_channel)
+        return udp_channel
+
+
+def _stream_awaited(route: Route) -> StreamTransport | None:
+    """The transport of the stream that a route waits for; None: it waits for none."""
+    if not route.id or route.channel is not None or not isinstance(route.transport, StreamTransport):
+        return None
+    return route.transport

@@ -1,0 +1,42 @@
+"""A link as user interfaces show it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.telemetry.meters import ClockOffset
+
+if TYPE_CHECKING:
+    from rsb_bridge.link.link import Link
+
+
+def snapshot_of(link: Link) -> LinkSnapshot:
+    """The link as it is now."""
+    now = link.context.now()
+    keepalive, keys, peer = link.keepalive, link.keys, link.peer
+    clock = keepalive.clock if link.linked else ClockOffset()  # what a dead connection measured holds no more
+    return LinkSnapshot(
+        name=link.name,
+        peer=link.address,
+        state=link.status.state,
+        reason=link.down_reason,
+        since=link.status.since,
+        retry_in=link.status.retry_in(now),
+        attempts=link.status.attempts,
+        encrypted=link.encrypted,
+        cipher=keys.suite.name if keys and link.encrypted else "",
+        fingerprint=link.fingerprints[0],
+        next_fingerprint=link.fingerprints[1],
+        rtt=clock.rtt,
+        clock_offset=clock.offset,
+        clock_uncertainty=clock.uncertainty,
+        rx_bytes_per_second=keepalive.rx_rate if link.linked else 0.0,
+        tx_bytes_per_second=keepalive.tx_rate if link.linked else 0.0,
+        peer_version=peer.version if peer else "",
+        peer_domain=peer.domain_id if peer else None,
+        use_name=link.use_name,
+        cause=LinkCause.NAME_TAKEN if link.warning else link.status.cause,
+        warning=link.warning,
+    )

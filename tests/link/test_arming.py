@@ -1,0 +1,415 @@
+"""Arming over the route tables of both sides, on virtual time: any doubt means disarmed."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.link.test_route_table import Pair, Side, hear_all, let_time_pass
+
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import acting
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.verdict import Cause
+from rsb_bridge.route.arming import CONSOLE_SILENT_AFTER, PEER_GRACE, SAID, Disarmed
+from rsb_bridge.wire.amending import Pause
+from rsb_bridge.wire.arming import Arm, Armed, Disarm
+from rsb_bridge.wire.messages import Close, Propose
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import Event
+    from rsb_bridge.route.route import Route
+
+DEADMAN = 30.0
+COMMANDS = Topic("/cmd_vel", "receive", arm=True, deadman=DEADMAN)
+CONSOLE = "anna's"
+
+
+@pytest.fixture
+def make_armable(loop: VirtualLoop, make_context: Callable[..., Context]) -> Callable[..., Pair]:
+    """Makes a robot, which is the client, and a control PC, with the topic between them."""
+
+    def make(topic: Topic = COMMANDS) -> Pair:
+        robot, pc = Side(make_context(), is_client=True), Side(make_context(role="server"), is_client=False)
+        robot.other, pc.other = pc, robot
+        propose(robot, topic)
+        hear_all((robot, pc))
+        return robot, pc
+
+    return make
+
+
+@pytest.fixture
+def pair(make_armable: Callable[..., Pair]) -> Pair:
+    return make_armable()
+
+
+def propose(side: Side, topic: Topic) -> None:
+    proposal = proposal_of(topic, side.context.transports["tcp"], client_name="robot1", use_name=False)
+    side.table.add(topic, proposal, proposed_here=True)
+
+
+def route(side: Side) -> Route:
+    (found,) = side.table.routes.values()
+    return found
+
+
+def passes(*sides: Side) -> list[bool]:
+    return [route(side).arming.passes(side.context.now()) for side in sides]
+
+
+def arm(side: Side, loop: VirtualLoop, *, console: str = CONSOLE, answered: bool = True) -> asyncio.Task[None]:
+    async def ask() -> None:
+        with acting("anna"):
+            await side.table.arming.arm(route(side), console)
+
+    task = loop.create_task(ask())
+    turn(loop)
+    if answered:
+        hear_all((side, side.other))
+        turn(loop)
+    return task
+
+
+def turn(loop: VirtualLoop) -> None:
+    async def nothing() -> None:
+        for _ in range(3):
+            await asyncio.sleep(0)
+
+    loop.run_until_complete(nothing())
+
+
+def events(side: Side, *codes: EventCode) -> list[Event]:
+    return [event for event in side.context.events.after(0) if event.code in codes]
+
+
+def why(side: Side) -> str:
+    return events(side, EventCode.ROUTE_DISARMED)[-1].cause
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+def test_an_operator_of_either_side_arms_both(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    assert passes(*pair) == [False, False]
+    arm(pair[at], loop).result()
+    assert passes(*pair) == [True, True]
+    here, there = (route(side).arming.snapshot(loop.time()) for side in (pair[at], pair[1 - at]))
+    assert here is not None
+    assert there is not None
+    assert (here.by, here.here, here.left) == ("anna", True, DEADMAN)
+    assert (there.by.endswith(": anna"), there.here, there.left) == (True, False, DEADMAN)
+    for side in pair:
+        (event,) = events(side, EventCode.OPERATOR_ARMED)
+        assert (event.who.endswith("anna"), event.topic, event.new) == (True, "/cmd_vel", "armed")
+
+
+def test_nothing_passes_before_both_sides_agree(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    task = arm(pc, loop, answered=False)
+    assert passes(robot, pc) == [False, False]
+    robot.hear()
+    assert passes(robot, pc) == [True, False]
+    hear_all(pair)
+    turn(loop)
+    assert task.done()
+    assert passes(robot, pc) == [True, True]
+
+
+def test_a_side_that_does_not_answer_leaves_it_disarmed(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    task = arm(pc, loop, answered=False)
+    robot.inbox.clear()
+    for _ in range(6):
+        let_time_pass(pair, loop, 1.0)
+    turn(loop)
+    assert isinstance(task.exception(), LinkError)
+    assert passes(*pair) == [False, False]
+    assert why(pc) == Disarmed.NO_ANSWER
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["armed on the robot", "armed on the control PC"])
+def test_it_disarms_when_no_key_is_pressed_in_time(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    side, other = pair[at], pair[1 - at]
+    arm(side, loop).result()
+    for _ in range(int(DEADMAN) - 1):
+        side.table.arming.seen(CONSOLE, pressed=False)
+        let_time_pass(pair, loop, 1.0)
+    assert passes(*pair) == [True, True]
+    loop.jump(1.0)
+    assert passes(side) == [False]  # not a moment later, tick or not
+    assert route(side).snapshot().cause == Cause.DISARMED
+    assert route(side).snapshot().reason.startswith(SAID[Disarmed.DEADMAN])
+    let_time_pass(pair, loop, 0.0)
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    assert why(side) == why(other) == Disarmed.DEADMAN
+
+
+def test_a_key_begins_the_time_anew_on_both_sides(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(pc, loop).result()
+    for second in range(200):
+        pc.table.arming.seen(CONSOLE, pressed=second % 20 == 19)
+        pc.table.arming.seen("another console", pressed=True)
+        let_time_pass(pair, loop, 1.0)
+    hear_all(pair)
+    assert passes(*pair) == [True, True]
+    assert len(events(robot, EventCode.OPERATOR_ARMED)) == 1
+
+
+def test_the_other_side_disarms_by_its_own_clock_where_keys_are_no_longer_told(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(pc, loop).result()
+    loop.jump(DEADMAN + PEER_GRACE)
+    assert passes(robot) == [False]
+    robot.table.tick()
+    assert why(robot) == Disarmed.DEADMAN
+
+
+def test_without_a_deadman_only_the_console_has_to_be_there(
+    make_armable: Callable[..., Pair], loop: VirtualLoop
+) -> None:
+    pair = robot, pc = make_armable(Topic("/cmd_vel", "receive", arm=True, deadman=0.0))
+    arm(pc, loop).result()
+    for _ in range(1000):
+        pc.table.arming.seen(CONSOLE, pressed=False)
+        let_time_pass(pair, loop, 3.0)
+    assert passes(*pair) == [True, True]
+    pc.table.arming.gone("another console")
+    assert passes(*pair) == [True, True]
+    pc.table.arming.gone(CONSOLE)
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    assert why(robot) == Disarmed.CONSOLE_GONE
+
+
+def test_a_console_that_gives_no_sign_of_life_is_gone(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(robot, loop).result()
+    let_time_pass(pair, loop, CONSOLE_SILENT_AFTER)
+    assert passes(*pair) == [True, True]
+    let_time_pass(pair, loop, 1.0)
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    assert why(robot) == why(pc) == Disarmed.CONSOLE_GONE
+
+
+def test_a_console_that_goes_because_its_time_is_over_leaves_that_as_the_cause(pair: Pair, loop: VirtualLoop) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    loop.jump(DEADMAN)
+    pc.table.arming.gone(CONSOLE)
+    hear_all(pair)
+    assert [why(side) for side in pair] == [Disarmed.DEADMAN, Disarmed.DEADMAN]
+
+
+def test_a_lost_link_disarms_both_sides_and_a_new_one_is_disarmed(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(pc, loop).result()
+    for side in pair:
+        side.linked = False
+        side.inbox.clear()
+        side.table.disconnected("cut")
+    assert passes(*pair) == [False, False]
+    assert why(robot) == why(pc) == Disarmed.LINK_LOST
+    for side in pair:
+        side.linked = True
+        side.table.connected()
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    arm(pc, loop).result()
+    assert passes(*pair) == [True, True]
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["the robot", "the control PC"])
+def test_an_operator_of_either_side_disarms_what_the_other_armed(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    arm(pair[1 - at], loop).result()
+    side = pair[at]
+    before = route(side).id
+    with acting("bob"):
+        side.table.arming.disarm(route(side), Disarmed.OPERATOR)
+    assert passes(side) == [False]
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    for each in pair:
+        (event,) = events(each, EventCode.OPERATOR_DISARMED)
+        assert (event.who.endswith("bob"), event.from_peer) == (True, each is not side)
+        assert route(each).id not in (0, before), "opened anew: what is under way belongs to another route id"
+    arm(side, loop).result()
+    assert passes(*pair) == [True, True]
+
+
+def test_the_data_connection_of_a_disarmed_opening_may_end_before_the_next_one_is_proposed(
+    pair: Pair, loop: VirtualLoop
+) -> None:
+    robot, pc = pair
+    for _ in range(3):
+        arm(robot, loop).result()
+        with acting("anna"):
+            robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
+        pc.table.handle(pc.inbox.popleft())
+        assert route(pc).arming.spent
+        route(pc).channel_lost("closed by the other side")
+        hear_all(pair)
+    assert not route(pc).losses.repeated
+
+
+def test_an_opening_is_armed_once_whatever_the_peer_says(pair: Pair, loop: VirtualLoop) -> None:
+    """The control PC's own bridge is made to lie: it never opens the route anew, and arms it again at once."""
+    robot, pc = pair
+    arm(pc, loop).result()
+    opening = route(robot).id
+    with acting("bob"):
+        robot.table.arming.disarm(route(robot), Disarmed.OPERATOR)
+    again = route(robot).id
+    assert again != opening
+    robot.table.handle(Arm(opening, "a liar"))
+    robot.table.handle(Armed(again))
+    assert passes(robot) == [False]
+
+
+def test_who_only_answers_arms_nothing(pair: Pair) -> None:
+    robot, _ = pair
+    robot.table.handle(Armed(route(robot).id))
+    robot.table.handle(Disarm(route(robot).id, "operator", "nobody"))
+    assert passes(robot) == [False]
+    assert not events(robot, EventCode.OPERATOR_ARMED, EventCode.OPERATOR_DISARMED, EventCode.ROUTE_DISARMED)
+
+
+def test_a_side_marks_its_own_topic_whatever_the_peer_proposes(pair: Pair) -> None:
+    """The control PC removes the robot's topic, and proposes it without a mark, from a topic of another name."""
+    robot, pc = pair
+    pc.table.handle(Close(route(pc).id, "removed", removed=True))
+    robot.inbox.append(Close(route(robot).id, "removed", removed=True))
+    hear_all(pair)
+    assert not robot.table.routes
+    for number, name in enumerate(("/cmd_vel", "/another")):
+        robot.table.handle(Propose(route=100 + 2 * number, topic=name, remote_topic="/cmd_vel", from_client=False))
+    assert [each.arming.required for each in robot.table.routes.values()] == [True, True]
+    assert {each.arming.deadman for each in robot.table.routes.values()} == {DEADMAN}
+
+
+def test_the_shorter_deadman_of_both_sides_counts(make_armable: Callable[..., Pair], loop: VirtualLoop) -> None:
+    robot, pc = make_armable(Topic("/other", "receive"))
+    propose(pc, Topic("/cmd_vel", "receive", arm=True, deadman=20.0))
+    propose(robot, Topic("/cmd_vel", "receive", arm=True, deadman=0.0))
+    for _ in range(3):
+        let_time_pass((robot, pc), loop, 1.0)
+    commands = [each for side in (robot, pc) for each in side.table.routes.values() if "cmd" in each.key]
+    assert [(each.arming.required, each.arming.deadman) for each in commands] == [(True, 20.0)] * 2
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_two_operators_at_once_the_client_s_arms(first: int, pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    tasks = [arm(pair[at], loop, console=f"console {at}", answered=False) for at in (first, 1 - first)]
+    hear_all(pair)
+    turn(loop)
+    assert passes(*pair) == [True, True]
+    assert (route(robot).arming.console, route(pc).arming.console) == ("console 0", None)
+    assert [task.exception() is None for task in tasks] == [first == 0, first == 1]
+
+
+def test_pausing_disarms(pair: Pair, loop: VirtualLoop) -> None:
+    _, pc = pair
+    arm(pc, loop).result()
+    pc.table.pause(route(pc), paused=True)
+    hear_all(pair)
+    pc.table.pause(route(pc), paused=False)
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    assert why(pc) == Disarmed.PAUSED
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["on the robot", "on the control PC"])
+def test_who_pauses_an_armed_topic_is_named_on_both_sides(at: int, pair: Pair, loop: VirtualLoop) -> None:
+    here, there = pair[at], pair[1 - at]
+    arm(there, loop).result()
+    with acting("berta"):
+        here.table.pause(route(here), paused=True)
+    hear_all(pair)
+    assert passes(*pair) == [False, False]
+    for side in pair:
+        assert route(side).paused
+        assert route(side).pausing.who.endswith("berta")
+        assert why(side) == Disarmed.PAUSED
+    (event,) = events(there, EventCode.OPERATOR_PAUSED)
+    assert event.who.endswith("says: berta")
+
+
+def test_a_peer_that_pauses_and_resumes_without_disarming_has_disarmed(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    arm(pc, loop).result()
+    opening = route(robot).id
+    for paused in (True, False):
+        robot.table.handle(Pause(opening, paused=paused, revision=1000 + (not paused)))
+    assert passes(robot) == [False]
+    assert why(robot) == Disarmed.PAUSED
+
+
+def test_a_side_that_marks_a_topic_late_is_heeded_where_the_peer_has_taken_it_over(
+    make_armable: Callable[..., Pair], loop: VirtualLoop
+) -> None:
+    """The control PC removes the robot's topic and proposes it itself; then the robot's session file gets the mark."""
+    robot, pc = pair = make_armable(Topic("/cmd_vel", "receive"))
+    pc.table.remove(route(pc), "removed")
+    hear_all(pair)
+    propose(pc, Topic("/cmd_vel", "receive"))
+    hear_all(pair)
+    assert passes(*pair) == [True, True]
+    with pytest.raises(LinkError):
+        propose(robot, COMMANDS)
+    assert not route(robot).accepted, "closed at once, and opened anew with the mark"
+    for _ in range(20):
+        let_time_pass(pair, loop, 1.0)
+    assert route(pc).accepted
+    assert passes(*pair) == [False, False]
+    arm(robot, loop).result()
+    assert passes(*pair) == [True, True]
+
+
+def test_a_peer_that_arms_more_often_than_people_do_is_refused(pair: Pair, loop: VirtualLoop) -> None:
+    robot, pc = pair
+    outcomes: list[Any] = []
+    for _ in range(40):
+        outcomes.append(arm(pc, loop).exception())
+        with acting("a script"):
+            pc.table.arming.disarm(route(pc), Disarmed.OPERATOR)
+        hear_all(pair)
+    assert [error is None for error in outcomes] == [True] * 20 + [False] * 20
+    assert len(events(robot, EventCode.OPERATOR_ARMED)) == 20
+    for _ in range(30):
+        let_time_pass(pair, loop, 1.0)
+    arm(pc, loop).result()
+
+
+@pytest.mark.parametrize(
+    ("topic", "prepare"),
+    [
+        (Topic("/cmd_vel", "receive"), None),
+        (COMMANDS, "paused"),
+        (COMMANDS, "armed"),
+        (COMMANDS, "down"),
+    ],
+    ids=["need not be", "paused", "armed already", "link down"],
+)
+def test_what_cannot_be_armed_says_why(
+    topic: Topic, prepare: str | None, make_armable: Callable[..., Pair], loop: VirtualLoop
+) -> None:
+    pair = robot, pc = make_armable(topic)
+    if prepare == "paused":
+        pc.table.pause(route(pc), paused=True)
+        hear_all(pair)
+    elif prepare == "armed":
+        arm(robot, loop).result()
+    elif prepare == "down":
+        pc.linked = False
+    with pytest.raises(LinkError, match="cannot be armed"):
+        arm(pc, loop, console="another").result()

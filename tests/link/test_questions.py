@@ -1,0 +1,171 @@
+"""Several operators ask the other side at once: each gets an answer, and a peer's questions stay few."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.offline import NoRos
+
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions
+from rsb_bridge.link.topic_lists import TopicLists
+from rsb_bridge.ros.graph_entries import CALLED
+from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.wire.messages import ControlMessage
+
+
+class Side:
+    """One side's questions; an answer is found after 1 s."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.sent: list[ControlMessage] = []
+        self.found: list[int] = []
+        self._loop = loop
+        self.questions: Questions[bytes] = Questions(self.sent.append, self.spawn, 5.0)
+
+    def spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        return self._loop.create_task(work)
+
+    def asked(self, number: int) -> None:
+        self.questions.answer(number, self._finder(number))
+
+    def _finder(self, number: int) -> Callable[[], Coroutine[None, None, ControlMessage]]:
+        async def find() -> ControlMessage:
+            self.found.append(number)
+            await asyncio.sleep(1.0)
+            return TypeText(route=number)
+
+        return find
+
+    async def ask(self, number: int = 3) -> bytes:
+        return await self.questions.ask(number, AskType(route=number))
+
+
+@pytest.fixture
+def side(loop: VirtualLoop) -> Side:
+    return Side(loop)
+
+
+def test_who_lists_topics_meanwhile_shares_the_question(loop: VirtualLoop) -> None:
+    sent: list[Any] = []
+    lists = TopicLists(NoRos(), lambda *_: True, sent.append, loop.create_task)
+
+    async def run() -> None:
+        asking = [asyncio.ensure_future(lists.ask()) for _ in range(3)]
+        await asyncio.sleep(0.0)
+        assert sent == [ListTopics(1, CALLED)]
+        lists.handle(TopicList(request=1, topics=()))
+        later = asyncio.ensure_future(lists.ask())
+        assert await asyncio.gather(*asking) == [[], [], []]
+        await asyncio.sleep(0.0)
+        assert sent == [ListTopics(1, CALLED), ListTopics(2, CALLED)], "an answer that was there is not used again"
+        lists.handle(TopicList(request=1, topics=()))
+        assert not later.done()
+        lists.handle(TopicList(request=2, topics=()))
+        assert await later == []
+
+    loop.run_until_complete(run())
+
+
+def test_an_earlier_asker_s_timeout_harms_no_later_one(loop: VirtualLoop, side: Side) -> None:
+    async def run() -> None:
+        first = asyncio.ensure_future(side.ask())
+        await asyncio.sleep(3.0)
+        second = asyncio.ensure_future(side.ask())
+        with pytest.raises(LinkError, match="the other side did not answer"):
+            await first
+        assert loop.time() == 5.0
+        third = asyncio.ensure_future(side.ask())
+        await asyncio.sleep(1.0)
+        assert side.sent == [AskType(route=3)] * 2, "after a timeout it is asked again"
+        side.questions.answered(3, b"yes")
+        assert [await second, await third] == [b"yes", b"yes"]
+        assert not side.questions.awaited(3)
+
+    loop.run_until_complete(run())
+
+
+def test_an_asker_who_leaves_harms_no_other(loop: VirtualLoop, side: Side) -> None:
+    async def run() -> None:
+        first, second = asyncio.ensure_future(side.ask()), asyncio.ensure_future(side.ask())
+        await asyncio.sleep(1.0)
+        first.cancel()
+        await asyncio.sleep(1.0)
+        side.questions.answered(3, b"yes")
+        assert await second == b"yes"
+        alone = asyncio.ensure_future(side.ask())
+        await asyncio.sleep(1.0)
+        alone.cancel()
+        await asyncio.sleep(1.0)
+        assert not side.questions.awaited(3), "nobody waits"
+
+    loop.run_until_complete(run())
+
+
+def test_questions_are_answered_one_after_the_other(loop: VirtualLoop, side: Side) -> None:
+    async def run() -> None:
+        for number in (1, 2, 3, 2):
+            side.asked(number)
+        await asyncio.sleep(1.5)
+        assert side.found == [1, 2]
+        side.asked(2)
+        await asyncio.sleep(9.0)
+        assert side.sent == [TypeText(route=1), TypeText(route=2), TypeText(route=3)]
+        side.asked(2)
+        await asyncio.sleep(2.0)
+        assert side.found == [1, 2, 3, 2], "it is answered again once it was answered"
+
+    loop.run_until_complete(run())
+
+
+def test_a_peer_cannot_make_the_questions_many(loop: VirtualLoop, side: Side) -> None:
+    async def run() -> None:
+        for number in range(1000):
+            side.asked(number)
+        await asyncio.sleep(2000.0)
+        assert side.found == list(range(QUESTIONS_KEPT))
+        side.asked(1000)
+        await asyncio.sleep(2.0)
+        assert side.sent[-1] == TypeText(route=1000)
+
+    loop.run_until_complete(run())
+
+
+def test_the_next_connection_gets_no_answers_of_the_last(loop: VirtualLoop, side: Side) -> None:
+    async def run() -> None:
+        side.asked(1)
+        side.asked(2)
+        asking = asyncio.ensure_future(side.ask())
+        await asyncio.sleep(0.5)
+        side.questions.disconnected()
+        with pytest.raises(LinkError, match="the link was lost"):
+            await asking
+        side.asked(1)
+        await asyncio.sleep(9.0)
+        assert side.found == [1, 1]
+        assert side.sent == [AskType(route=3), TypeText(route=1)]
+
+    loop.run_until_complete(run())
+
+
+def test_a_failure_ends_what_waits(loop: VirtualLoop, side: Side) -> None:
+    async def fails() -> ControlMessage:
+        raise ValueError("broken")
+
+    async def run() -> None:
+        side.questions.answer(1, fails)
+        side.asked(2)
+        await asyncio.sleep(2.0)
+        side.asked(3)
+        await asyncio.sleep(2.0)
+        assert side.sent == [TypeText(route=3)]
+
+    loop.run_until_complete(run())

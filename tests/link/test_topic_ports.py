@@ -1,0 +1,134 @@
+"""The ports of their own that clients' topics may have a server bind."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.bridge import happened, linked, route
+from tests.support.ports import free_port
+from tests.support.rogue import Rogue
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import PORTS_PER_CLIENT
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.transports import named
+from rsb_bridge.transport.transport import ListenError
+from rsb_bridge.wire.messages import Accept, Close, Propose, Refuse
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+
+TCP, UDP, RFCOMM = (named(name)() for name in ("tcp", "udp", "bluetooth"))
+SESSION = Session(name="pc", role="server", server_ip="0.0.0.0", server_port=7060)
+
+
+def asks(rogue: Rogue, number: int, port: int, transport: Any = "udp") -> Accept | Refuse:
+    """What the server says of a topic with a port of its own."""
+    name = f"/t{number}"
+    rogue.say(Propose(route=number, topic=name, remote_topic=name, from_client=True, transport=transport, port=port))
+    return answer_of(rogue)
+
+
+def answer_of(rogue: Rogue) -> Accept | Refuse:
+    answer = rogue.wait_for(Accept, Refuse)
+    assert isinstance(answer, Accept | Refuse)
+    return answer
+
+
+@pytest.mark.parametrize("protocol", ["udp", "tcp"])
+def test_a_port_of_the_servers_domain_is_refused_on_both_sides(protocol: Any, bridge: Bridge) -> None:
+    """ROS nodes of the server's machine would no longer find each other."""
+    port = 7400 + 250 * bridge.pc.id + 249
+    server, client = bridge.both(Topic("/scan", "transmit", protocol=protocol, port=port))
+    for engine in (server, client):
+        eventually(lambda engine=engine: "leave the topic's port out" in route(engine, "/scan").reason)
+        assert f"port {port} is reserved for discovery in the server's ROS domain" in route(engine, "/scan").reason
+    assert happened(server, EventCode.ROUTE_REFUSED, f"port {port}")
+
+
+@pytest.mark.parametrize(
+    ("domain", "port", "is_free"),
+    [(0, 7399, True), (0, 7400, False), (0, 7649, False), (0, 7650, True), (1, 7400, True), (18, 12001, False)]
+    + [(domain, port, True) for domain in (0, 1, 17, 19) for port in (12001, 12012)],
+)
+def test_the_ports_of_a_domain(domain: int, port: int, is_free: bool) -> None:
+    """The thesis's sessions name 12001 to 12012, which are domain 18's."""
+    for transport in (TCP, UDP):
+        if is_free:
+            check_topic_port(domain, transport, port)
+        else:
+            with pytest.raises(ListenError, match=f"ROS domain {domain} .*leave the topic's port out"):
+                check_topic_port(domain, transport, port)
+    with pytest.raises(ListenError, match="1024 to 65535; give one of these"):
+        check_topic_port(domain, TCP, 1023)
+
+
+def test_a_client_has_so_many_however_it_asks(bridge: Bridge) -> None:
+    """All at once, one after the other, or over several links; what it gives back, it may have again."""
+    server = bridge.server()
+    secret = read_key(bridge.folder / bridge.key_file).secret
+    ports = [free_port() for _ in range(PORTS_PER_CLIENT + 1)]
+    with Rogue(bridge.port, secret) as rogue:
+        proposals = [
+            Propose(
+                route=2 * at + 1, topic=f"/t{at}", remote_topic=f"/t{at}", from_client=True, transport="udp", port=port
+            )
+            for at, port in enumerate(ports)
+        ]
+        rogue.say(*proposals)
+        answers = [answer_of(rogue) for _ in ports]
+        (refused,) = [answer for answer in answers if isinstance(answer, Refuse)]
+        assert f"robot1's topics already have {PORTS_PER_CLIENT} ports of their own" in refused.reason
+        assert "under ports in the server's session file" in refused.reason
+        accepted = next(answer.route for answer in answers if isinstance(answer, Accept))
+        rogue.say(Close(route=accepted, reason="", removed=True))
+        assert isinstance(asks(rogue, 101, ports[-1]), Accept)
+        assert isinstance(asks(rogue, 103, free_port()), Refuse)
+    eventually(lambda: not linked(server))
+    with Rogue(bridge.port, secret) as rogue:  # the ports of the link before are free again
+        for at, port in enumerate(ports[:-1]):
+            assert isinstance(asks(rogue, 2 * at + 1, port), Accept)
+        assert isinstance(asks(rogue, 201, ports[-1]), Refuse)
+
+
+@pytest.mark.parametrize("ports", [(), "none"])
+def test_none(ports: Any, bridge: Bridge) -> None:
+    port = free_port()
+    server, client = (
+        bridge.server(ports=ports),
+        bridge.client(Topic("/a", "transmit", port=port), Topic("/b", "transmit")),
+    )
+    for engine in (server, client):
+        eventually(lambda engine=engine: linked(engine) and "ports: none" in route(engine, "/a").reason)
+        assert "leave the topic's port out, so that it shares the link's, or add it there" in route(engine, "/a").reason
+    assert not route(client, "/b").reason.startswith("refused")
+
+
+def test_a_list_is_what_clients_may_have() -> None:
+    listed = tuple(range(12001, 12031))
+    session = Session(name="pc", role="server", server_ip="::", server_port=7060, ports=listed)
+    ports = TopicPorts("robot1")
+    for port in listed:
+        ports.reserve(session, UDP, port)
+    with pytest.raises(ListenError, match=r"port 12031: the server's session has ports: 12001, .* and 18 more; "):
+        ports.reserve(session, UDP, 12031)
+    ports.reserve(session, RFCOMM, 5)
+
+
+def test_topics_that_share_a_channel_count_once() -> None:
+    ports = TopicPorts("robot1")
+    released = [ports.reserve(SESSION, RFCOMM, 5) for _ in range(PORTS_PER_CLIENT + 1)]
+    for port in range(5000, 5000 + PORTS_PER_CLIENT - 1):
+        ports.reserve(SESSION, TCP, port)
+    with pytest.raises(ListenError):
+        ports.reserve(SESSION, TCP, 6000)
+    for release in released[1:]:
+        release()
+    with pytest.raises(ListenError):
+        ports.reserve(SESSION, TCP, 6000)
+    released[0]()
+    ports.reserve(SESSION, TCP, 6000)
