@@ -20,6 +20,34 @@ class EngineError(Exception):
     """The engine cannot do what was asked; the message tells the operator why, and what to do."""
 
 
+class ArmingApi(Protocol):
+    """What a console may do about topics that have to be armed. Every method may be called from any thread.
+
+    What a console has armed it has to keep armed: it disarms by itself when the console gives no sign of life for 5 s,
+    or its operator presses no key within the topic's deadman time.
+    """
+
+    def arm(self, key: str) -> Future[None]:
+        """Arm a topic; done once both sides hold it for armed."""
+        ...
+
+    def disarm(self, key: str) -> Future[None]:
+        """Disarm a topic, whoever armed it."""
+        ...
+
+    def keep(self, *, pressed: bool) -> Future[None]:
+        """Say that this console is there, at least every 2 s while it has armed anything.
+
+        Args:
+            pressed: its operator has pressed a key since the last call: the deadman times begin anew.
+        """
+        ...
+
+    def release(self) -> Future[None]:
+        """Disarm what this console has armed, because it goes."""
+        ...
+
+
 class EngineApi(Protocol):
     """An engine as a user interface sees it. Every method may be called from any thread.
 
@@ -34,12 +62,17 @@ class EngineApi(Protocol):
 
     @property
     def waits_for_operator(self) -> bool:
-        """Whether a client's link was shut down on purpose, so that it does not come back by itself."""
+        """Whether this side's operator shut a client's link down, so that it does not come back by itself."""
         ...
 
     @property
     def unreachable(self) -> str:
         """Why the state of an attached engine is not known at present; empty: it is, as it always is in-process."""
+        ...
+
+    @property
+    def arming(self) -> ArmingApi:
+        """Arms and disarms topics, for this console."""
         ...
 
     def start(self) -> None:
@@ -71,7 +104,10 @@ class EngineApi(Protocol):
         ...
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        """Bridge one more topic. On a server `link` says with which client. Gives the route's key."""
+        """Bridge one more topic. On a server `link` says with which client. Gives the route's key.
+
+        A server also takes its own name of the topic, with the client's before it (`Session.use_name`).
+        """
         ...
 
     def edit_topic(self, key: str, topic: Topic) -> Future[str]:
@@ -131,7 +167,7 @@ class EngineApi(Protocol):
         ...
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        """The topics that can be bridged: of this side's graph, or with `link` of that peer's."""
+        """What can be bridged: of this side's graph, or with `link` of that peer's (of an older one, topics only)."""
         ...
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
@@ -151,4 +187,21 @@ class EngineApi(Protocol):
 
     def describe(self, key: str) -> Future[str]:
         """The text of the description of a topic's type (`rsb_bridge.cdr.description`), wherever it is known."""
+        ...
+
+    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
+        """Call what a route provides, by hand, from either side; its types have to be installed where the bridge runs.
+
+        Args:
+            key: of a route that is not a topic's.
+            request: its fields, as YAML; empty: their defaults.
+            lane: which of the route's services (`RouteSnapshot.lanes`).
+
+        Returns:
+            The response, as YAML.
+        """
+        ...
+
+    def template(self, key: str, lane: str = "") -> Future[str]:
+        """What `call` may be given: all fields of the request with their defaults, as YAML."""
         ...

@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.arming import BridgeArming
 from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.validation import validate
+from rsb_bridge.contents import Contents
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.reloading import Step
@@ -26,9 +29,10 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
-from rsb_bridge.ros.graph import topics_of
+from rsb_bridge.ros.graph_entries import CALLED, graph_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
-from rsb_bridge.route.peeking import PeekError, Peeking
+from rsb_bridge.route.pause import pause_word
+from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
 from rsb_bridge.transport.transport import ListenError
 
@@ -38,15 +42,13 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
 _ERROR_LOGGED_EVERY = 10.0
-_TICK = 1.0
-_LONGEST_PAUSE = 10.0
+_TICK, _LONGEST_PAUSE = 1.0, 10.0
 
 _logger = logging.getLogger(__name__)
 
@@ -64,6 +66,8 @@ class Bridge:
 
     Attributes:
         graph_watch: to be told of changes of the ROS graph.
+        arming: arms and disarms topics.
+        contents: shows what routes carry, and calls it by hand.
     """
 
     def __init__(self, context: Context, keys: Keys, snapshots: SnapshotPublisher) -> None:
@@ -71,11 +75,11 @@ class Bridge:
         self._snapshots = snapshots
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
         self.graph_watch = GraphWatch(context, self._role.links)
+        self.arming = BridgeArming(self.links, self._find, self._command)
+        self.contents = Contents(context, self._find, self._command, self._did)
         self._tasks = Tasks(context.loop, lambda: None)
-        self._peeking = Peeking(context)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._reloading = asyncio.Lock()
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -189,13 +193,13 @@ class Bridge:
         _logger.error("%s", message, exc_info=exc_info)
         self.context.events.add(Level.ERROR, EventCode.ENGINE_ERROR, message)
 
-    # --- commands: `rsb_bridge.api.EngineApi` says what each does
+    # --- commands: `rsb_bridge.api.EngineApi` says what each does. Those that change the session run one at a time.
 
     async def add_topic(self, topic: Topic, link: str = "") -> str:
         """Bridge one more topic; its route's key."""
         with self._command():
             route = self._role.add(topic, link)
-            self._did(EventCode.OPERATOR_ADDED, "added", route, new=described(topic))
+            self._did(EventCode.OPERATOR_ADDED, "added", route, new=described(route.spec))
             return route.key
 
     async def edit_topic(self, key: str, topic: Topic) -> str:
@@ -203,7 +207,9 @@ class Bridge:
         with self._command():
             link, route = self._find(key)
             old = route.spec
-            new = link.replace_topic(route, topic)
+            if topic.topic != old.topic:
+                topic = link.client_names(topic)
+            new = link.proposed.replace(route, topic)
             what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
             self._did(EventCode.OPERATOR_EDITED, what, new, old=described(old), new=described(topic))
             return new.key
@@ -219,17 +225,17 @@ class Bridge:
         """Stop or resume carrying a topic's messages."""
         with self._command():
             link, route = self._find(key)
-            old = _pause_word(paused=route.paused)
+            old = pause_word(paused=route.paused)
             link.table.pause(route, paused=paused)
             code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
-            self._did(code, "paused" if paused else "resumed", route, old=old, new=_pause_word(paused=paused))
+            self._did(code, "paused" if paused else "resumed", route, old=old, new=pause_word(paused=paused))
 
-    async def add_client(self, client: Client, key: Key | None) -> None:
+    async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Let one more client in, on a server."""
         with self._command():
-            await self._change_clients(lambda session: with_client(session, client), {client.name: key})
+            await self._change_clients(lambda session: with_client(session, client), {client.name: keys})
 
-    async def change_client(self, client: Client, key: Key | None) -> None:
+    async def change_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Put another entry in a client's place. What is proposed to it stays."""
 
         def change(session: Session) -> Session:
@@ -237,7 +243,7 @@ class Bridge:
             return with_changed_client(session, msgspec.structs.replace(client, topics=topics))
 
         with self._command():
-            await self._change_clients(change, {client.name: key})
+            await self._change_clients(change, {client.name: keys})
 
     async def remove_client(self, name: str) -> None:
         """Let a client in no more, and end its link."""
@@ -245,11 +251,14 @@ class Bridge:
             await self._change_clients(lambda session: without_client(session, name), {})
 
     async def _change_clients(self, change: Callable[[Session], Session], keys: Keys) -> None:
-        async with self._reloading:
-            session = change(self.session)  # as it is now, and not as it was before another change was awaited
-            for problem in validate(session):
-                raise LinkError(str(problem))
-            _, failed = await self._reload(session, {**self._role.keys, **keys}, EventCode.OPERATOR_CLIENTS)
+        session = change(self.session)
+        for problem in validate(session):
+            raise LinkError(str(problem))
+        known = {**self._role.keys, **keys}
+        keys = {client.name: known[client.name] for client in session.accepted_clients}
+        if shared := shared_key_problem(session, keys):
+            raise LinkError(shared)
+        _, failed = await self._reload(session, keys, EventCode.OPERATOR_CLIENTS)
         if failed:
             raise LinkError("; ".join(failed))
 
@@ -263,7 +272,7 @@ class Bridge:
         """Close the sockets on both sides until an operator restarts."""
         with self._command():
             self._did(EventCode.OPERATOR_SHUT_DOWN, "shut down on both sides")
-            self._role.shut_down("an operator shut it down")
+            self._role.shut_down(operator())
 
     async def restart(self, step: Callable[[str], None] | None = None) -> None:
         """Close the links on both sides and open them again."""
@@ -291,8 +300,8 @@ class Bridge:
         with self._command():
             if dry_run:
                 return [step.text for step in self._steps_to(session, keys)], []
-            async with self._reloading:
-                return await self._reload(session, keys)
+            self.arming.reloaded()
+            return await self._reload(session, keys)
 
     async def _reload(
         self, session: Session, keys: Keys, code: EventCode = EventCode.OPERATOR_RELOADED
@@ -301,7 +310,7 @@ class Bridge:
         self.context.session = session
         done: list[str] = []
         failed: list[str] = []
-        why = "reload: " if code is EventCode.OPERATOR_RELOADED else ""
+        why = f"reload by {operator()}: " if code is EventCode.OPERATOR_RELOADED else ""
 
         def take(step: Step) -> None:
             try:
@@ -330,7 +339,8 @@ class Bridge:
     def _set_stale_after(self) -> None:
         for link in self.links():
             for route in link.routes.values():
-                route.set_stale_after()
+                if isinstance(route, TopicRoute):
+                    route.set_stale_after()
 
     def _change_shutdown_topic(self) -> None:
         before, self._shutdown_watch = self._shutdown_watch, self._watch_shutdown()
@@ -349,30 +359,14 @@ class Bridge:
         self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
 
     async def topics(self, link: str | None = None) -> list[TopicInfo]:
-        """The topics that can be bridged, on this side or on a peer's."""
+        """What can be bridged, on this side or on a peer's."""
         with self._command():
             if link is None:
-                return await asyncio.to_thread(topics_of, self.context.ros)
+                return await asyncio.to_thread(graph_of, self.context.ros, CALLED)
             for candidate in self.links():
                 if candidate.name == link:
                     return await candidate.remote_topics()
             raise LinkError(f"there is no link {link!r}")
-
-    async def peek(self, key: str, *, kept: bool) -> PeekedMessage | None:
-        """Wait for a topic's next message; nothing that this does changes the snapshot."""
-        try:
-            _, route = self._find(key)
-            return await self._peeking.peek(route, kept=kept)
-        except (LinkError, PeekError) as error:
-            raise EngineError(str(error)) from None
-
-    async def describe(self, key: str) -> str:
-        """The text of the description of a route's type."""
-        try:
-            link, route = self._find(key)
-            return await link.describe(route)
-        except LinkError as error:
-            raise EngineError(str(error)) from None
 
     @contextlib.contextmanager
     def _command(self) -> Iterator[None]:
@@ -382,14 +376,11 @@ class Bridge:
         except (LinkError, ListenError, RosError, ValueError) as error:
             raise EngineError(str(error)) from None
         finally:
-            self._snapshots.refresh_now(self._role)
+            if not self._stopping.is_set():  # the last snapshot, which says so, stays
+                self._snapshots.refresh_now(self._role)
 
     def _find(self, key: str) -> tuple[Link, Route]:
         for link in self.links():
             if key in link.routes:
                 return link, link.routes[key]
         raise LinkError(f"there is no route {key!r} any more")
-
-
-def _pause_word(*, paused: bool) -> str:
-    return "paused" if paused else "not paused"

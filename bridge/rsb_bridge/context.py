@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.ros.announcements import Announcements
 from rsb_bridge.ros.graph import SimilarTopics
+from rsb_bridge.ros.meant import Meant
+from rsb_bridge.ros.parameter_events import ParameterEvents
 from rsb_bridge.ros.type_descriptions import TypeDescriptions
 from rsb_bridge.telemetry.event_limit import RateLimitedEventLog
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
     from rsb_bridge.ros.api import RosInterface
     from rsb_bridge.ros.queue import RosToLoopQueue
-    from rsb_bridge.telemetry.event_log import EventLog
+    from rsb_bridge.telemetry.event_log import About, EventLog
 
 
 @dataclass(slots=True)
@@ -43,7 +45,9 @@ class Context:
         limited: the way to `events` for what a peer may be the cause of.
         announcements: what this bridge and the others in its domain tell each other.
         descriptions: of the message types that somebody looks at.
+        parameter_events: of the nodes whose parameters are bridged.
         similar_topics: finds what an operator may have meant.
+        meant: likewise, by the name of something that is called.
     """
 
     session: Session
@@ -58,30 +62,26 @@ class Context:
     limited: RateLimitedEventLog = field(init=False)
     announcements: Announcements = field(init=False)
     descriptions: TypeDescriptions = field(init=False)
+    parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
+    meant: Meant = field(init=False)
 
     def __post_init__(self) -> None:
         self.limited = RateLimitedEventLog(self.events, self.now)
         self.announcements = Announcements(self.ros, self.loop, self._warn)
         self.descriptions = TypeDescriptions(self.ros, self.now)
+        self.parameter_events = ParameterEvents(self.ros, self.call)
         self.similar_topics = SimilarTopics(self.ros, self.now)
+        self.meant = Meant(self.ros, self.now)
 
     def log(
-        self,
-        level: Level,
-        code: EventCode,
-        text: str,
-        *,
-        link: str = "",
-        topic: str = "",
-        cause: str = "",
-        link_status: bool = False,
+        self, level: Level, code: EventCode, text: str, *, link_status: bool = False, **about: Unpack[About]
     ) -> None:
         """Add an event; of a link's, those that are within its share (`RateLimitedEventLog`)."""
-        if link:
-            self.limited.add(level, code, text, link=link, topic=topic, cause=cause, link_status=link_status)
+        if about.get("link"):
+            self.limited.add(level, code, text, link_status=link_status, **about)
         else:
-            self.events.add(level, code, text, topic=topic)
+            self.events.add(level, code, text, **about)
 
     def _warn(self, text: str) -> None:
         self.log(Level.WARNING, EventCode.ENGINE_ANNOUNCEMENTS, text)

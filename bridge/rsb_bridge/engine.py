@@ -15,10 +15,14 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 
 from rsb_bridge.api import EngineApi, EngineError
+from rsb_bridge.arming import EngineArming
 from rsb_bridge.bridge import Bridge
+from rsb_bridge.commands_under_way import CommandsUnderWay, not_running
 from rsb_bridge.config.difference import is_another, kept
-from rsb_bridge.config.keys import KeyFileError, key_path, read_key
+from rsb_bridge.config.keys import KeyFileError
+from rsb_bridge.config.rotation import key_warnings
 from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.config.shared_keys import unshared_keys
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.history.disk import Disk
@@ -88,6 +92,9 @@ class Engine(EngineApi):
         self._starting = threading.Lock()
         """Held by whoever starts or ends the threads."""
         self._stop_wanted = False
+        self._changing = asyncio.Lock()
+        """Held by the command that changes the session, so that the next one sees all of its effect."""
+        self._commands = CommandsUnderWay()
         self._thread: threading.Thread | None = None
         self._bridge: Bridge | None = None
         transport = self._transports.of_link(session.server_ip)
@@ -115,6 +122,10 @@ class Engine(EngineApi):
     @property
     def unreachable(self) -> str:
         return ""
+
+    @property
+    def arming(self) -> EngineArming:
+        return EngineArming(lambda work: self._command(lambda bridge: work(bridge.arming)))
 
     def start(self) -> None:
         with self._starting:
@@ -179,8 +190,10 @@ class Engine(EngineApi):
         if thread is None or bridge is None:
             return
         deadline = self._clock.steady() + timeout
+        self._commands.refuse()
         bridge.context.call(bridge.stop)
         thread.join(max(0.0, timeout - _ROS_STOPS_WITHIN - _RECORDED_WITHIN))
+        self._commands.end()  # the thread does so itself, unless it hangs
         bridge.context.ros.stop()
         self._recorder.stop(max(_RECORDED_WITHIN, deadline - self._clock.steady()))
         if self._disk is not None:
@@ -200,30 +213,30 @@ class Engine(EngineApi):
     def history(self, seconds: float) -> Future[HistoryReport]:
         if self._bridge is not None:
             return self._recorder.history(seconds if seconds > 0 else 0.0)  # NaN is not greater than 0, either
-        return _not_running()
+        return not_running()
 
     # --- commands
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._command(lambda bridge: bridge.add_topic(topic, link))
+        return self._change(lambda bridge: bridge.add_topic(topic, link))
 
     def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        return self._command(lambda bridge: bridge.edit_topic(key, topic))
+        return self._change(lambda bridge: bridge.edit_topic(key, topic))
 
     def remove_topic(self, key: str) -> Future[None]:
-        return self._command(lambda bridge: bridge.remove_topic(key))
+        return self._change(lambda bridge: bridge.remove_topic(key))
 
     def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._command(lambda bridge: bridge.pause(key, paused=paused))
+        return self._change(lambda bridge: bridge.pause(key, paused=paused))
 
     def add_client(self, client: Client) -> Future[None]:
-        return self._command(lambda bridge: self._with_key(bridge.add_client, client))
+        return self._change(lambda bridge: self._with_key(bridge.add_client, client))
 
     def change_client(self, client: Client) -> Future[None]:
-        return self._command(lambda bridge: self._with_key(bridge.change_client, client))
+        return self._change(lambda bridge: self._with_key(bridge.change_client, client))
 
     def remove_client(self, name: str) -> Future[None]:
-        return self._command(lambda bridge: bridge.remove_client(name))
+        return self._change(lambda bridge: bridge.remove_client(name))
 
     def retry(self, link: str = "") -> Future[None]:
         return self._command(lambda bridge: bridge.retry(link))
@@ -235,7 +248,7 @@ class Engine(EngineApi):
         return self._command(lambda bridge: bridge.restart(step))
 
     def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._command(lambda bridge: self._reload(bridge, dry_run=dry_run))
+        return self._change(lambda bridge: self._reload(bridge, dry_run=dry_run))
 
     def use_file(self, path: Path | None) -> None:
         self._file = path
@@ -248,21 +261,30 @@ class Engine(EngineApi):
         return self._command(lambda bridge: bridge.topics(link))
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._command(lambda bridge: bridge.peek(key, kept=kept))
+        return self._command(lambda bridge: bridge.contents.peek(key, kept=kept))
 
     def describe(self, key: str) -> Future[str]:
-        return self._command(lambda bridge: bridge.describe(key))
+        return self._command(lambda bridge: bridge.contents.describe(key))
+
+    def template(self, key: str, lane: str = "") -> Future[str]:
+        return self._command(lambda bridge: bridge.contents.template(key, lane))
+
+    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
+        return self._command(lambda bridge: bridge.contents.call(key, request, lane))
 
     def _command(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
         """Run on the I/O thread."""
         bridge = self._bridge
-        if bridge is not None and self._thread is not None:
-            coroutine = work(bridge)
-            try:
-                return asyncio.run_coroutine_threadsafe(coroutine, bridge.context.loop)
-            except RuntimeError:
-                coroutine.close()
-        return _not_running()
+        return not_running() if bridge is None else self._commands.run(lambda: work(bridge))
+
+    def _change(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
+        """Run a command that changes the session, once those before it are through."""
+
+        async def change(bridge: Bridge) -> T:
+            async with self._changing:
+                return await work(bridge)
+
+        return self._command(change)
 
     # --- on the I/O thread
 
@@ -278,19 +300,13 @@ class Engine(EngineApi):
 
     async def _main(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
+        queue = RosToLoopQueue(loop)
         context = Context(
-            self._session,
-            domain,
-            ros,
-            self._events,
-            RosToLoopQueue(loop),
-            loop,
-            self._clock,
-            self._random,
-            self._transports,
+            self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
         )
         bridge = self._bridge = Bridge(context, keys, self._snapshots)
         loop.set_exception_handler(bridge.internal_error)
+        self._commands.open(loop)
         try:
             await bridge.start()
         except EngineError as error:
@@ -298,11 +314,13 @@ class Engine(EngineApi):
         else:
             started.set_result(None)
             await bridge.run()
+        finally:
+            self._commands.end()
 
     async def _with_key(
-        self, command: Callable[[Client, Key | None], Coroutine[None, None, None]], client: Client
+        self, command: Callable[[Client, tuple[Key, ...]], Coroutine[None, None, None]], client: Client
     ) -> None:
-        """Run a command about a client with what is in its key file now.
+        """Run a command about a client with what is in its key files now.
 
         Raises:
             EngineError: there is no key, or the command fails.
@@ -325,13 +343,15 @@ class Engine(EngineApi):
                 self._events.add(Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, text, who=who)
             raise
         if not dry_run:
-            self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, f"{path} is read again by {who}", who=who)
             self._warn_of(keys)
         done, failed = await bridge.reload(session, keys, dry_run=dry_run)
         if not dry_run:
             self._session = session
+            if not (done or failed or left):
+                text = f"reload by {who}: nothing differs in {path}"
+                self._events.add(Level.INFO, EventCode.OPERATOR_RELOADED, text, who=who)
             for text in left:
-                self._events.add(Level.WARNING, EventCode.ENGINE_RELOAD_INCOMPLETE, f"reload: {text}", who=who)
+                self._events.add(Level.WARNING, EventCode.ENGINE_RELOAD_INCOMPLETE, f"reload by {who}: {text}", who=who)
         return Reloaded(tuple(done), tuple(left), tuple(failed))
 
     def _read_again(self) -> tuple[Path, Session, list[str]]:
@@ -354,7 +374,7 @@ class Engine(EngineApi):
         return self._file, session, left
 
     def _warn_of(self, keys: Keys) -> None:
-        for warning in (warning for key in keys.values() if key is not None for warning in key.warnings):
+        for warning in key_warnings(keys, self._clock.time_ns() / 1e9):
             self._events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
 
 
@@ -362,29 +382,12 @@ def _load_keys(session: Session, base: Path) -> Keys:
     """The key of each client.
 
     Raises:
-        EngineError: there is none.
+        EngineError: there is none, or two clients have the same.
     """
-    clients = session.accepted_clients if session.role == "server" else ()
-    files = {client.name: client.key_file or session.key_file for client in clients} or {session.name: session.key_file}
-    if not session.use_encryption:
-        return dict.fromkeys(files)
-    keys = {}
-    for name, file in files.items():
-        if file is None:
-            raise EngineError(
-                f"no key_file for {name}: make one with `rsb-console keygen`, and copy it to the other side"
-            )
-        try:
-            keys[name] = read_key(key_path(base, file))
-        except KeyFileError as error:
-            raise EngineError(str(error)) from None
-    return keys
-
-
-def _not_running() -> Future[T]:
-    failed: Future[T] = Future()
-    failed.set_exception(EngineError("the engine is not running"))
-    return failed
+    try:
+        return unshared_keys(session, base)
+    except KeyFileError as error:
+        raise EngineError(str(error)) from None
 
 
 def _ros_node(domain: int, name: str) -> RosInterface:

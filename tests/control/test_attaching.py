@@ -194,6 +194,8 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     now = remote.snapshot()
     assert not now.running
     assert {each.state for each in now.routes} | {each.state for each in now.links} == {State.DOWN}
+    (since,) = {each.since for each in now.routes} | {each.since for each in now.links}
+    assert abs(since - lost.time) < 1.0
     with pytest.raises(EngineError, match="not attached"):
         remote.retry().result(10)
     again = ScriptedEngine(routes=(route("/again"),))
@@ -227,7 +229,10 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     engine.goes_on.clear()
     eventually(lambda: not remote.snapshot().running)
     assert "has not answered for" in remote.unreachable
-    assert {each.state for each in remote.snapshot().routes} == {State.DOWN}
+    first = remote.snapshot()
+    later = eventually(lambda: remote.snapshot() if remote.snapshot().time > first.time + 0.2 else None)
+    assert {each.state for each in later.routes} == {State.DOWN}
+    assert first.links[0].since == pytest.approx(later.links[0].since, abs=0.05), "since it answered last"
     engine.goes_on.set()
     eventually(lambda: remote.snapshot().running and not remote.unreachable)
     assert State.OK in {each.state for each in remote.snapshot().routes}

@@ -87,6 +87,14 @@ def test_a_message_of_ten_thousand_levels_is_refused() -> None:
         fed(len(body).to_bytes(4, "big") + body, [], to_bridge=True)
 
 
+@pytest.mark.parametrize("to_bridge", [True, False])
+def test_text_that_is_not_utf_8_is_refused(to_bridge: bool) -> None:
+    message = protocol.Hello(1, "words") if to_bridge else protocol.Refused("words")
+    body = protocol.encode(message)[4:].replace(b"words", b"\xa6ords")
+    with pytest.raises(ProtocolError, match="invalid"):
+        fed(len(body).to_bytes(4, "big") + body, [], to_bridge=to_bridge)
+
+
 @settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_a_console_has_the_routes_that_the_engine_has(data: st.DataObject) -> None:

@@ -11,6 +11,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
+from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 
@@ -54,7 +55,7 @@ def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Doma
 
 
 def test_changes_that_wait_for_each_other_undo_nothing(bridge: Bridge) -> None:
-    server = bridge.server(clients=(Client("robot1"),))
+    server = bridge.server(clients=(Client("robot1"),), shared_keys=True)
     topics = tuple(Topic(f"/t{number}", "transmit") for number in range(60))  # takes several turns of the loop
     new = (Client("robot2", topics=topics), Client("robot3"), Client("robot4"))
     for change in [server.add_client(each) for each in new]:
@@ -101,6 +102,32 @@ def test_what_cannot_be_done_is_refused_and_changes_nothing(bridge: Bridge) -> N
             command().result(60)
     assert server.session == session
     assert linked(server)
+
+
+def test_clients_that_share_a_key_are_refused_unless_it_is_meant(bridge: Bridge) -> None:
+    """Each could take the other's name and rights: at the start, when one is added, and when the file is read again."""
+    bridge.make_key("robot2")
+    (bridge.folder / "copy.key").write_bytes((bridge.folder / bridge.key_file).read_bytes())
+    both = (Client("robot1", bridge.key_file), Client("robot2", "copy.key"))
+    words = "robot1 and robot2 have one key: .* rekey NAME SESSION.*shared_keys: true"
+    for clients in (both, (Client("robot1"), Client("robot2"))):
+        with pytest.raises(EngineError, match=words):
+            bridge.server(clients=clients)
+    server = bridge.server()
+    for client in both[1:], (Client("robot2"),):
+        with pytest.raises(EngineError, match=words):
+            server.add_client(*client).result(60)
+    server.add_client(ROBOT2).result(60)
+    with pytest.raises(EngineError, match=words):
+        server.change_client(Client("robot2", "copy.key")).result(60)
+    path = bridge.folder / "server.yaml"
+    save(bridge.server_session(clients=both), path)
+    server.use_file(path)
+    with pytest.raises(EngineError, match=words):
+        server.reload().result(60)
+    assert [each.name for each in server.session.clients] == ["robot1", "robot2"]
+    server.stop()
+    bridge.server(clients=both, shared_keys=True)
 
 
 def test_the_log_says_who_came_and_went(bridge: Bridge) -> None:

@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.bridge import happened, linked, now
+from tests.support.domain import text
 from tests.support.ports import free_port
+from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
+from rsb_bridge.config.keys import read_key
+from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.transport.tcp import Tcp
@@ -25,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
     from tests.support.program import Programs
 
 TOPICS = 100
@@ -110,7 +116,11 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
     ((_, session),) = sessions.items()
     short.wait_for("listening" if side == "server" else "connecting")
     other = bridge.start(session)
-    message = f"the {side} may have 150 file descriptors and needs more: raise the limit (ulimit -n"
+    message = {
+        "client": "the client may have 150 file descriptors and needs more: raise the limit (ulimit -n",
+        "server": "robot1's topics may hold no more of the server's 150 file descriptors than are left for everyone "
+        "else: raise the limit (ulimit -n",
+    }[side]
     eventually(lambda: happened(other, EventCode.ROUTE_CONNECTED) and message in "".join(short.said))
     refused = eventually(lambda: [route for route in now(other).routes if message in route.reason])
     assert len(refused) < TOPICS
@@ -119,3 +129,45 @@ def test_topics_beyond_the_limit(side: str, bridge: Bridge, programs: Programs) 
     if side == "server":
         newcomer = bridge.client(name="robot2", key_file="other.key")
         eventually(lambda: linked(newcomer, "robot2"))
+
+
+def test_one_client_that_takes_all_it_can_leaves_enough_for_the_next(
+    bridge: Bridge, programs: Programs, robot: Domain, pc: Domain
+) -> None:
+    """The limit cannot be raised. Beside it, strangers connect; another client and an operator get in all the same."""
+    bridge.make_key("other")
+    clients = (Client("robot1", key_file=bridge.key_file), Client("robot2", key_file="other.key"))
+    server = programs.start(bridge.server_session(name="pc", clients=clients), descriptors=(256, 256))
+    server.wait_for("listening")
+    names = [f"/served{number}" for number in range(5)]
+    theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
+    with contextlib.ExitStack() as resources:
+        hog = resources.enter_context(Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret))
+        taken = 0
+        while hog.has_stream(hog.route(f"/hogged{taken}", "tcp", Qos())):
+            taken += 1
+        assert TOPICS // 4 < taken < 128
+        server.wait_for("robot1's topics may hold no more of the server's 256 file descriptors")
+        for _ in range(TOPICS):
+            resources.enter_context(socket.create_connection(("127.0.0.1", bridge.port)))
+        client = bridge.client(*(Topic(name, "transmit") for name in names), name="robot2", key_file="other.key")
+        eventually(lambda: all(out.get_subscription_count() for out in outs))
+        for out, there in zip(outs, theres, strict=True):
+            eventually(lambda out=out, there=there: out.publish(text("served")) or there.payloads)
+        operator = RemoteEngine(bridge.folder / "server0.yaml.sock")
+        resources.callback(operator.stop)
+        operator.start()
+        eventually(lambda: {link.name for link in operator.snapshot().links if link.state == "ok"} >= {"robot2"})
+    assert not happened(client, EventCode.LINK_LOST)
+
+
+def test_a_client_opens_no_socket_for_datagrams_from_the_reserve(
+    bridge: Bridge, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server may ask for many ports, and each takes one. It goes on once there are enough again."""
+    out = robot.publisher("/scan")
+    with monkeypatch.context() as short:
+        short.setattr("rsb_bridge.transport.descriptors.scarce", lambda: True)
+        _, client = bridge.both(Topic("/scan", "transmit", protocol="udp"))
+        eventually(lambda: happened(client, EventCode.LINK_UDP_BLOCKED, "file descriptors and needs more"))
+    eventually(out.get_subscription_count, what="subscribed")

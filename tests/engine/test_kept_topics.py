@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 from msgspec.structs import replace
 from tests.support.bridge import carries, find, happened, heard, linked, route
 from tests.support.domain import text
 from tests.support.waiting import eventually
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.config.session_file import load_file, save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
@@ -59,7 +61,7 @@ def test_it_comes_back_when_either_side_is_started_again(
 
 def test_each_client_has_its_own_and_the_rest_of_the_session_stays(bridge: Bridge) -> None:
     clients = (Client("robot1", allow=("/chat",)), Client("robot2", topics=(Topic("/map", "transmit"),)))
-    server = bridge.server(clients=clients)
+    server = bridge.server(clients=clients, shared_keys=True)
     assert server.session.clients == clients
     server.add_topic(CHAT, "robot1").result(60)
     assert server.session.clients == (replace(clients[0], topics=(CHAT,)), clients[1])
@@ -93,9 +95,33 @@ def test_the_clients_own_takes_its_place_and_it_stays_in_the_session(bridge: Bri
 def test_what_the_client_refuses_is_said_on_both_sides(bridge: Bridge) -> None:
     halt = Topic("/halt", "receive")
     server = bridge.server(clients=(Client("robot1", topics=(halt,)),), shutdown_topic=None)
-    client = bridge.client(shutdown_topic="/halt")
+    client = bridge.client(shutdown_topic="/halt", allow=("/halt",))
     eventually(lambda: find(server, "/halt") and "/halt is this side's shutdown topic" in route(server, "/halt").reason)
     assert "refused by the other side" in route(server, "/halt").reason
     assert happened(client, EventCode.ROUTE_REFUSED, "refused /halt: /halt is this side's shutdown topic")
     assert find(client, "/halt") is None
     assert server.session.clients == (Client("robot1", topics=(halt,)),)
+
+
+def test_a_topic_has_the_name_that_the_servers_screen_shows(bridge: Bridge) -> None:
+    """With `use_name`, in every command; the client's own name does as well."""
+    bridge.make_key("other")
+    server = bridge.server(clients=(Client("robot1", use_name=True), Client("robot2", key_file="other.key")))
+    client = bridge.client(allow=("/*",))
+    eventually(lambda: linked(server))
+    keys = [server.add_topic(Topic(name, "transmit")).result(60) for name in ("/robot1/chat", "/robot1/map")]
+    server.add_topic(Topic("/scan", "transmit"), "robot1").result(60)
+    both = Topic("/robot1/odom", "receive", remote_topic="/robot1/odom")
+    server.add_topic(both, "robot1").result(60)
+    eventually(lambda: all(find(client, name) for name in ("/chat", "/map", "/scan", "/robot1/odom")))
+    for name in ("/robot1/chat", "/robot1/map", "/robot1/scan", "/robot1/odom"):
+        assert find(server, name)
+    assert happened(server, EventCode.OPERATOR_ADDED, "/robot1/chat: added by ")
+
+    server.edit_topic(keys[0], Topic("/robot1/words", "transmit")).result(60)
+    eventually(lambda: find(client, "/words") and find(server, "/robot1/words") and not find(client, "/chat"))
+    server.edit_topic(route(server, "/robot1/odom").key, replace(both, max_rate=5.0)).result(60)
+    names = [topic.topic for topic in server.session.clients[0].topics]
+    assert names == ["/words", "/map", "/scan", "/robot1/odom"]
+    with pytest.raises(EngineError, match="say which client: one of robot1, robot2"):
+        server.add_topic(Topic("/tf", "transmit")).result(60)

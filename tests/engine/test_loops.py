@@ -193,7 +193,7 @@ def test_a_refused_route_opens_when_the_loop_is_gone(
 def test_a_ring_through_one_engine(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """Two clients in one domain: what one of them brings to the server, the other would bring back."""
     clients = tuple(Client(name, key_file=bridge.key_file) for name in ("there", "back"))
-    server = bridge.server(clients=clients)
+    server = bridge.server(clients=clients, shared_keys=True)
     there = bridge.client(Topic(CHAT, "transmit", qos=DEEP), name="there")
     back = bridge.client(Topic(CHAT, "receive", qos=DEEP), name="back")
     publisher = robot.publisher(CHAT)
@@ -206,7 +206,7 @@ def test_a_ring_through_one_engine(bridge: Bridge, robot: Domain, pc: Domain) ->
 def test_one_server_passes_on_between_its_clients(bridge: Bridge, robot: Domain, third: Domain) -> None:
     """Without anybody in the server's domain, and with the type and the QoS of who publishes."""
     clients = tuple(Client(name, key_file=bridge.key_file) for name in ("from", "to"))
-    bridge.server(clients=clients)
+    bridge.server(clients=clients, shared_keys=True)
     bridge.client(Topic(CHAT, "transmit", qos=DEEP), name="from")
     bridge.client(Topic(CHAT, "receive", qos=DEEP), name="to", domain_id=third.id)
     assert counts({"a": robot, "c": third}, {"a": robot.publisher(CHAT)}) == {"a in a": 1, "a in c": 1}
@@ -214,7 +214,7 @@ def test_one_server_passes_on_between_its_clients(bridge: Bridge, robot: Domain,
 
 def test_back_under_another_name_is_no_loop(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     clients = tuple(Client(name, key_file=bridge.key_file) for name in ("there", "back"))
-    bridge.server(clients=clients)
+    bridge.server(clients=clients, shared_keys=True)
     bridge.client(Topic(CHAT, "transmit", remote_topic="/there"), name="there")
     bridge.client(Topic("/back", "receive", remote_topic="/there"), name="back")
     says(robot.publisher(CHAT), [pc.listener("/there"), robot.listener("/back")], "a")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import signal
+import subprocess
+import sys
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +13,7 @@ import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from tests.support.bridge import carries, happened, heard, linked, route, settled
 from tests.support.domain import text
-from tests.support.rogue import Rogue
+from tests.support.rogue import BLOB, Rogue
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import read_key
@@ -21,10 +24,11 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.route.latched import PUBLISHER_COST
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT
-from rsb_bridge.wire.messages import Ping
+from rsb_bridge.wire.messages import Close, Propose, Ready, Refuse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
@@ -33,6 +37,16 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
 
 ROUTES = 8
+LISTENER = """
+import sys
+import rclpy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("stopped")
+node.create_subscription(String, "/large", lambda message: print(len(message.data), flush=True), QoSProfile(depth=10))
+rclpy.spin(node)
+"""
 WORDS = f"the link's incomplete messages would take more than {UNFINISHED_LIMIT:,} bytes"
 
 
@@ -64,17 +78,17 @@ def test_on_streams(how: str, bridge: Bridge, server: Engine, rogue: Rogue, robo
             rogue.begin_frame(stream)
         else:
             rogue.begin_chunks(stream, writer)
-        assert link.unfinished.held <= UNFINISHED_LIMIT
+        assert link.budget.unfinished.held <= UNFINISHED_LIMIT
     eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, WORDS))
     assert linked(server)
     rogue.close()
-    eventually(lambda: not linked(server) and link.unfinished.held == 0)
+    eventually(lambda: not linked(server) and link.budget.unfinished.held == 0)
     there, out = pc.listener("/beat"), robot.publisher("/beat")
     bridge.client(Topic("/beat", "transmit"))
     carries([out], server, ["/beat"])
     out.publish(text("x" * (8 << 20)))
     heard(there, 1)
-    eventually(lambda: link.unfinished.held == 0)
+    eventually(lambda: link.budget.unfinished.held == 0)
 
 
 def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
@@ -82,14 +96,14 @@ def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
     writers = [rogue.datagrams(rogue.route(f"/begun{number}", "udp", Qos())) for number in range(3)]
     rogue.probe()
     link = link_of(server)
-    eventually(link.udp_channels.all, what="the server has heard the probe")
+    eventually(link.channels.udp.all, what="the server has heard the probe")
     highest, over = 0, time.monotonic() + 4.0
     while time.monotonic() < over:
         for writer in writers:
             rogue.udp.send(writer.write(bytes(120_000), 0, 0, 60_000)[0])
-        highest = max(highest, link.unfinished.held)
+        highest = max(highest, link.budget.unfinished.held)
     assert MESSAGE_LIMIT // 16 < highest <= UNFINISHED_LIMIT
-    eventually(lambda: link.unfinished.held == 0)
+    eventually(lambda: link.budget.unfinished.held == 0)
 
 
 def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,7 +112,7 @@ def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue, monkeypatch
     rogue.takes_little()
     with contextlib.suppress(OSError):
         for number in range(1_000_000):
-            rogue.say(Ping(n=number, sent=number))
+            rogue.say(Propose(route=2 * number + 1, topic="/x", remote_topic="/x", from_client=True))
     eventually(lambda: happened(server, EventCode.LINK_LOST))
     assert not linked(server)
 
@@ -107,7 +121,7 @@ def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Dom
     """The oldest gives way where the depth says so; a topic that would have too much kept is told what to do."""
     link = link_of(server)
     names = ("/fits", "/hoards")
-    link.latched.limit = 10_000_000 + len(names) * PUBLISHER_COST
+    link.budget.kept.limit = 10_000_000 + len(names) * PUBLISHER_COST
     keep_all = {"durability": "transient_local", "history": "keep_all"}
     qos: dict[str, Any] = {"/fits": {"durability": "transient_local", "depth": 2}, "/hoards": keep_all}
     theres = [pc.listener(name) for name in names]
@@ -125,15 +139,15 @@ def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Dom
     assert (ledger.delivered, ledger.dropped) == (4, {"latched full": 4})
     assert "a smaller depth" in route(server, "/hoards").last_error
     client.remove_topic(route(client, "/hoards").key).result(60)
-    eventually(lambda: 3_000_000 <= link.latched.held - PUBLISHER_COST < 3_001_000)
+    eventually(lambda: 3_000_000 <= link.budget.kept.held - PUBLISHER_COST < 3_001_000)
     client.remove_topic(route(client, "/fits").key).result(60)
-    eventually(lambda: link.latched.held == 0)
+    eventually(lambda: link.budget.kept.held == 0)
 
 
 def test_compressed_messages_that_grow_too_much(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:
     """What is a few kB on the wire and MBs here has a limit for the whole link; the others are served as ever."""
     link = link_of(server)
-    link.expansion = TokenBucket(burst=4_000_000, per_second=0.0, now=0.0)
+    link.budget.expansion.over_time = TokenBucket(burst=4_000_000, per_second=0.0, now=0.0)
     names = ("/grows", "/grows_too")
     theres, outs = [pc.listener(name) for name in names], [robot.publisher(name) for name in names]
     out, there = robot.publisher("/plain"), pc.listener("/plain")
@@ -168,4 +182,69 @@ def test_many_large_messages_at_once(bridge: Bridge, server: Engine, robot: Doma
             assert heard(there, count)[-1] == payload
     for name in names:
         assert settled(client, name, 3).delivered == 3
-    assert link_of(server).unfinished.held == 0
+    assert link_of(server).budget.unfinished.held == 0
+
+
+def test_a_subscriber_that_is_stopped(
+    bridge: Bridge, server: Engine, robot: Domain, pc: Domain, tmp_path: Path
+) -> None:
+    """DDS would hold as many messages for it as the depth says. Small topics go on, and this one once it goes on."""
+    budget = link_of(server).budget.unacknowledged
+    budget.limit = 2_400_000
+    out, small, there = robot.publisher("/large"), robot.publisher("/small"), pc.listener("/small")
+    topics = Topic("/large", "transmit", qos={"depth": 10_000}), Topic("/small", "transmit")
+    printed = tmp_path / "sizes"
+
+    def took(size: int) -> bool:
+        out.publish(text("x" * size))
+        return str(size) in printed.read_text().split()
+
+    with (
+        printed.open("w") as file,
+        subprocess.Popen([sys.executable, "-c", LISTENER, str(pc.id)], stdout=file) as program,
+        contextlib.ExitStack() as ends,
+    ):
+        ends.callback(program.kill)
+        client = bridge.client(*topics)
+        carries([out, small], server, ["/large", "/small"])
+        eventually(lambda: took(1))
+        program.send_signal(signal.SIGSTOP)
+        before = route(client, "/large").ledger.offered
+        for _ in range(20):
+            out.publish(text("x" * 200_000))
+        ledger = settled(client, "/large", before + 20)
+        assert 10 <= ledger.dropped.pop("slow subscriber") <= 18
+        assert not ledger.dropped
+        assert budget.held <= budget.limit // 2
+        assert happened(server, EventCode.ROUTE_SLOW_SUBSCRIBER, "restart the subscriber")
+        small.publish(text("still"))
+        heard(there, 1)
+        program.send_signal(signal.SIGCONT)
+        eventually(lambda: took(200_001))
+    client.remove_topic(route(client, "/large").key).result(60)
+    eventually(lambda: budget.held == 0)
+
+
+def test_types_that_are_not_installed(bridge: Bridge, server: Engine, rogue: Rogue) -> None:
+    """A peer may name any; topics share one, and what a topic that is gone had, the next one may have."""
+    types = link_of(server).budget.types
+    types.limit = 2
+
+    def described(topic: str, name: str) -> tuple[int, Ready | Refuse]:
+        return rogue.describe(topic, "tcp", Qos(), (f"made_up_msgs/msg/{name}", BLOB[1]))
+
+    routes = [described(f"/t{number}", name) for number, name in enumerate(("First", "First", "Second"))]
+    assert [type(answer) for _, answer in routes] == [Ready] * 3
+    _, refused = described("/more", "Third")
+    assert isinstance(refused, Refuse)
+    assert "install ros-jazzy-made-up-msgs here, or remove topics" in refused.reason
+    assert happened(server, EventCode.ROUTE_TYPE_DIFFERS, "have 2 types that are not installed on this side")
+    rogue.say(Close(route=routes[-1][0], reason="", removed=True))
+    assert isinstance(described("/then", "Third")[1], Ready)
+    rogue.close()
+    eventually(lambda: not linked(server))
+    with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as again:
+        for name in ("First", "Third"):
+            assert isinstance(again.describe("/t0", "tcp", Qos(), (f"made_up_msgs/msg/{name}", BLOB[1]))[1], Ready)
+            again.say(Close(route=1, reason=""))
+            assert types.used <= 2

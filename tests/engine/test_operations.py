@@ -13,7 +13,9 @@ from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import acting
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
@@ -168,7 +170,7 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
         robot.publisher(name)
         pc.publisher(name)
     one = bridge.client(*topics, name="robot1", key_file="one.key", use_name=True)
-    two = bridge.client(*topics, name="robot2", key_file="two.key")
+    two = bridge.client(*topics, name="robot2", key_file="two.key", allow=("/more",))
     heard_one, heard_two = pc.listener("/robot1/chat"), pc.listener("/chat")
     carries([], server, ["/robot1/chat", "/chat"])
     out = robot.publisher("/chat")
@@ -178,7 +180,7 @@ def test_a_fleet(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     assert route(one, "/back").remote_topic == "/robot1/back"
     assert route(two, "/back").remote_topic == "/back"
     eventually(lambda: "the server denies /robot1/secret_door to robot1" in route(one, "/secret_door").reason)
-    eventually(lambda: "does not allow /secret_door to robot2" in route(two, "/secret_door").reason)
+    eventually(lambda: "does not let robot2 publish /secret_door" in route(two, "/secret_door").reason)
     with pytest.raises(EngineError, match="say which client: one of robot1, robot2"):
         server.add_topic(Topic("/more", "receive")).result(60)
     server.add_topic(Topic("/more", "receive"), "robot2").result(60)
@@ -300,9 +302,37 @@ def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: D
         eventually(lambda engine=engine: route(engine, "/chat").state == "stale")
 
 
+def shut_down_there(client: Engine, server: Engine) -> None:
+    """Both sides say that an operator of the server has shut the link down, and that the client asks again."""
+
+    def said(engine: Engine) -> bool:  # a snapshot is a moment old, and an attempt may be under way
+        (link,) = engine.snapshot().links
+        return (link.state, link.cause) == ("down", LinkCause.SHUT_DOWN) and bool(link.retry_in)
+
+    eventually(lambda: said(client) and said(server))
+
+
+@pytest.mark.parametrize("restarts", [True, False])
+def test_a_link_that_is_shut_down_before_its_client_came(restarts: bool, bridge: Bridge) -> None:
+    server = bridge.server()
+    with acting("anna on pts/3"):
+        server.shut_down().result(60)
+    client = bridge.client()
+    eventually(lambda: client.snapshot().links[0].cause == LinkCause.SHUT_DOWN)
+    for engine in (client, server):
+        assert "anna on pts/3" in engine.snapshot().links[0].reason
+    (server.restart() if restarts else server.retry("robot1")).result(60)
+    client.retry().result(60)
+    eventually(lambda: linked(client) and linked(server))
+
+
 @pytest.mark.parametrize("side", ["client", "server"])
 def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    """Closes the sockets on both sides; the client waits for its operator, the server takes the next init as it is."""
+    """Closes the sockets on both sides. The side on whose topic it was published keeps the link down.
+
+    A client waits for its operator; a server takes the next init as it is then. A server refuses the client, which
+    does not end, until it is to let it in again.
+    """
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     carries([out], server, ["/chat"])
@@ -310,12 +340,17 @@ def test_the_shutdown_topic(side: str, bridge: Bridge, robot: Domain, pc: Domain
     eventually(stop.get_subscription_count)
     stop.publish(text("not this"))
     stop.publish(String(data="shutdown"))
-    eventually(lambda: client.waits_for_operator)
     eventually(lambda: not linked(server) and not linked(client))
     engine = client if side == "client" else server
     assert happened(engine, EventCode.ENGINE_SHUTDOWN)
-    assert happened(server, EventCode.LINK_CLOSED if side == "server" else EventCode.LINK_CLOSED_BY_PEER)
-    holds(lambda: not linked(server) and client.waits_for_operator, 1.5)
+    assert happened(server, EventCode.LINK_SHUT_DOWN if side == "server" else EventCode.LINK_CLOSED_BY_PEER)
+    holds(lambda: not linked(server) and client.waits_for_operator == (side == "client"), 1.5)
+    if side == "server":
+        shut_down_there(client, server)
+        client.retry().result(60)
+        eventually(lambda: server.snapshot().links[0].attempts == 1)  # it has asked, and has been refused
+        shut_down_there(client, server)
+        server.retry().result(60)
     client.retry().result(60)
     eventually(lambda: linked(client) and linked(server))
     assert not client.waits_for_operator

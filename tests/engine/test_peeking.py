@@ -24,6 +24,7 @@ from rsb_bridge.model.peek import PEEK_LIMIT
 from rsb_bridge.model.session import Topic
 from rsb_bridge.ros.node import RosNode
 from rsb_bridge.route import peeking
+from rsb_bridge.route.topic_route import TopicRoute
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.link.link import Link
     from rsb_bridge.model.peek import PeekedMessage
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -57,8 +59,13 @@ def look(engine: Engine, topic: str, *, kept: bool = False) -> Future[PeekedMess
     future = engine.peek(key(engine, topic), kept=kept)
     assert engine._bridge is not None
     link = engine._bridge.links()[0]
-    eventually(lambda: future.done() or any(each.peek_slot.wanted for each in tuple(link.routes.values())))
+    eventually(lambda: future.done() or any(wanted(link)))
     return future
+
+
+def wanted(link: Link) -> list[bool]:
+    """Which of a link's topics somebody looks at."""
+    return [each.peek_slot.wanted for each in tuple(link.routes.values()) if isinstance(each, TopicRoute)]
 
 
 def seen(future: Future[PeekedMessage | None]) -> PeekedMessage:
@@ -164,8 +171,8 @@ def test_nobody_waits_for_ever_nor_in_numbers(bridge: Bridge, monkeypatch: pytes
     last = eventually(lambda: _unless_refused(client.peek(route_key)), what="their places are free again")
     assert last == [None]
     assert client._bridge is not None
-    assert client._bridge._peeking._lookers == 0
-    assert not any(each.peek_slot.wanted for each in client._bridge.links()[0].routes.values())
+    assert client._bridge.contents._peeking._lookers == 0
+    assert not any(wanted(client._bridge.links()[0]))
     with pytest.raises(EngineError, match="no route"):
         client.peek("nonsense").result(10)
 

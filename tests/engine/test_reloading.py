@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
 from tests.support.bridge import carries, find, happened, heard, link, linked, route
 from tests.support.domain import text
-from tests.support.waiting import eventually
+from tests.support.waiting import eventually, holds
 
+from rsb_bridge import engine as engine_module
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.session_file import save
+from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import OWN_CONSOLE, acting
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import Level
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
     from pathlib import Path
 
     from tests.support.bridge import Bridge
@@ -80,11 +83,12 @@ def test_only_the_topics_that_differ_change(bridge: Bridge, robot: Domain, pc: D
     assert link(client).since == since
     assert len(codes(client, EventCode.LINK_UP)) == 1
     assert codes(client, EventCode.OPERATOR_RELOADED) == [
-        f"{file.path} is read again by {OWN_CONSOLE}",
-        *(f"reload: {change}" for change in reloaded.changed),
-    ]
+        f"reload by {OWN_CONSOLE}: {change}" for change in reloaded.changed
+    ], "each once"
     assert happened(server, EventCode.ROUTE_REMOVED, "/gone: removed by the other side: removed from the session file")
     assert file.reload() == type(reloaded)(), "nothing differs any more"
+    same = f"reload by {OWN_CONSOLE}: nothing differs in {file.path}"
+    assert codes(client, EventCode.OPERATOR_RELOADED)[-1] == same
 
 
 def test_another_rate_limit_keeps_the_counts_and_the_link(
@@ -205,7 +209,7 @@ def test_clients_are_added_changed_and_removed_without_the_others_noticing(
     third.retry().result(60)
     eventually(lambda: linked(third, "robot3"))
     eventually(lambda: happened(second, EventCode.LINK_REFUSED, "knows no client of the name 'robot2'"))
-    assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server lets robot2 in no more")
+    assert happened(second, EventCode.LINK_CLOSED_BY_PEER, "the server no longer accepts robot2")
     assert {each.name for each in server.snapshot().links} == {"robot1", "robot3"}
     assert find(server, "/secret") is None
     eventually(lambda: "the server denies /secret to robot1" in route(first, "/secret").reason)
@@ -266,7 +270,7 @@ def test_topics_that_a_server_proposes_follow_its_file(bridge: Bridge, pc: Domai
     pc.publisher("/goal")
     robot1 = Client("robot1", key_file="robot1.key", topics=(Topic("/goal", "receive"), Topic("/old", "receive")))
     server = bridge.server(clients=(robot1,))
-    client = bridge.client()
+    client = bridge.client(allow=("/goal", "/old", "/new"))
     file = Edited(server, tmp_path / "pc.yaml")
     eventually(lambda: find(client, "/goal"))
     since = link(client).since
@@ -286,17 +290,68 @@ def test_topics_that_a_server_proposes_follow_its_file(bridge: Bridge, pc: Domai
     assert server.session.clients == file.session.clients
 
 
+def test_other_changes_wait_for_a_reload_that_is_under_way(
+    bridge: Bridge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What one operator does while the file of another is being read is not undone by it."""
+    client = bridge.client(*(Topic(name, "transmit") for name in ("/kept", "/edited", "/gone")))
+    file = Edited(client, tmp_path / "robot1.yaml")
+    keys = {name: route(client, name).key for name in ("/kept", "/edited", "/gone")}
+    reads, may_read = threading.Event(), threading.Event()
+
+    def held(path: Path) -> Session:
+        reads.set()
+        assert may_read.wait(30.0)
+        return load(path)
+
+    monkeypatch.setattr(engine_module, "load", held)
+    reload = client.reload()
+    assert reads.wait(30.0)
+    others: tuple[Future[Any], ...] = (
+        client.add_topic(Topic("/added", "transmit")),
+        client.edit_topic(keys["/edited"], Topic("/edited", "transmit", max_rate=5.0)),
+        client.pause(keys["/kept"], True),
+        client.remove_topic(keys["/gone"]),
+    )
+    holds(lambda: not any(each.done() for each in others), 0.2)
+    may_read.set()
+    assert reload.result(60).changed == ()
+    for each in others:
+        each.result(60)
+    assert client.session.topics == (
+        Topic("/kept", "transmit", paused=True),
+        Topic("/edited", "transmit", max_rate=5.0),
+        Topic("/added", "transmit"),
+    )
+    assert file.session.topics != client.session.topics
+
+
 def test_a_session_in_no_file_is_not_reloaded(bridge: Bridge) -> None:
     server = bridge.server()
     with pytest.raises(EngineError, match="in no file: save it first"):
         server.reload().result(60)
 
 
+def assert_told(engine: Engine, whose: str, expected: list[tuple[str, str, str]]) -> None:
+    """The log has what an operator of the other side has done, as the words of that side."""
+
+    def told() -> list[tuple[str, str, str]]:
+        return [(each.code, each.old, each.new) for each in engine.events() if each.who == whose]
+
+    eventually(lambda: len(told()) >= len(expected), what=f"{expected} in {told()}")
+    # a topic as the other side has proposed it says what the session file leaves to the defaults
+    assert [code for code, _, _ in told()] == [code for code, _, _ in expected]
+    for (_, old, new), (_, old_there, new_there) in zip(told(), expected, strict=True):
+        assert (bool(old), bool(new)) == (bool(old_there), bool(new_there))
+    assert all(each.from_peer for each in engine.events() if each.who == whose)
+
+
 def test_what_an_operator_does_is_recorded_with_the_old_and_the_new_value(bridge: Bridge) -> None:
-    _, client = bridge.both()
+    server, client = bridge.both()
     who = "anna (uid 1000, pid 7)"
     with acting(who):
         key = client.add_topic(Topic("/chat", "transmit")).result(60)
+        eventually(lambda: find(server, "/chat"))
         client.edit_topic(key, Topic("/chat", "transmit", max_rate=5.0)).result(60)
         client.pause(key, True).result(60)
         client.pause(key, False).result(60)
@@ -316,6 +371,28 @@ def test_what_an_operator_does_is_recorded_with_the_old_and_the_new_value(bridge
         ("operator.retried", f"tried again by {who}", "", "", ""),
         ("operator.stopped", f"told to end by {who}", "", "", ""),
     ]
+    with acting("otto"):
+        other = server.add_topic(Topic("/map", "transmit")).result(60)
+        eventually(lambda: find(client, "/map"))
+        server.pause(other, True).result(60)
+    there = [
+        ("operator.added", "", plain),
+        ("operator.edited", plain, limited),
+        ("operator.paused", "not paused", "paused"),
+        ("operator.resumed", "paused", "not paused"),
+        ("operator.removed", limited, ""),
+    ]
+    assert_told(server, f"robot1 says: {who}", there)
+    plain = plain.replace("/chat", "/map")
+    assert_told(
+        client, "server says: otto", [("operator.added", "", plain), ("operator.paused", "not paused", "paused")]
+    )
+    assert "otto" in route(server, "/map").reason
+    eventually(lambda: "server says: otto" in route(client, "/map").reason)
+    with acting("otto"):
+        server.edit_topic(other, Topic("/map", "transmit", compression="zstd")).result(60)
+    eventually(lambda: [each for each in client.events() if each.code == "operator.edited" and each.from_peer])
+    assert not [each for each in client.events() if each.code == "operator.removed" and each.from_peer]
     with acting(who):
         client.restart().result(60)
         client.shut_down().result(60)

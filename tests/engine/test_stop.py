@@ -7,7 +7,7 @@ import signal
 import socket
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
 import pytest
@@ -24,6 +24,8 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
     from tests.support.program import Programs
@@ -115,6 +117,42 @@ def test_while_calling(bridge: Bridge) -> None:
         stops(other)
         for filler in fillers:
             filler.close()
+
+
+def test_commands_meanwhile(bridge: Bridge) -> None:
+    """Each of them is done or refused, and none of that is an internal error."""
+    for _ in range(2):
+        server = bridge.server()
+        commands: list[Future[None]] = [server.restart()]
+        stopped = threading.Event()
+
+        def give(engine: Engine, given: list[Future[None]], until: threading.Event) -> None:
+            while not until.wait(0.0002):
+                given += [engine.retry(), engine.pause("none", True)]
+
+        with ThreadPoolExecutor(2) as threads:
+            giving = [threads.submit(give, server, commands, stopped) for _ in range(2)]
+            time.sleep(0.2)
+            try:
+                stops(server)
+            finally:
+                stopped.set()
+        assert [thread.exception() for thread in giving] == [None, None]
+        done, left = wait(commands, 1)
+        assert not left
+        assert not any(command.cancelled() for command in done)
+        assert {type(command.exception()) for command in done} == {type(None), EngineError}
+        assert not happened(server, EventCode.ENGINE_ERROR)
+
+
+def test_a_restart_that_waits_fails(bridge: Bridge) -> None:
+    """For a server that is not there."""
+    client = bridge.client()
+    restart = client.restart()
+    assert not wait([restart], 0.3).done
+    stops(client)
+    with pytest.raises(EngineError, match="the engine is not running"):
+        restart.result(0)
 
 
 def test_nothing_is_left(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -33,9 +33,9 @@ def break_subscription(engine: Engine, topic: str) -> None:
         raise RosError(FAILURE)
 
     there = engine._bridge.context.ros._subscriptions  # type: ignore[attr-defined]
-    found = eventually(lambda: [each for each in tuple(there.values()) if each.topic == topic], what="subscribed")
+    found = eventually(lambda: [each for each in there() if each.topic == topic], what="subscribed")
     for subscription in found:
-        subscription.reader.take = fail
+        subscription._take = fail
 
 
 @contextlib.contextmanager

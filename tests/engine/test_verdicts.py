@@ -8,14 +8,12 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from rclpy.context import Context
-from rclpy.node import Node
-from std_msgs.msg import Int32
-from tests.support.bridge import carries, happened, now, route
-from tests.support.domain import BEST_EFFORT, LATCHED, RELIABLE, text
+from tests.support.bridge import carries, happened, now, route, stage
+from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
 
@@ -45,6 +43,23 @@ publisher = node.create_publisher(String, sys.argv[2], 10)
 while True:
     publisher.publish(String(data="alive"))
     time.sleep(0.05)
+"""
+
+_ODD = """
+import sys, rclpy
+from rclpy.qos import qos_profile_sensor_data
+from std_msgs.msg import Int32
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("odd", start_parameter_services=False)
+for words in sys.stdin:
+    match words.split():
+        case ["publish", topic]:
+            node.create_publisher(Int32, topic, 10)
+        case ["subscribe", topic]:
+            node.create_subscription(Int32, topic, print, qos_profile_sensor_data)
+        case ["leave"]:
+            for each in tuple(node.publishers):
+                node.destroy_publisher(each)
 """
 
 
@@ -81,22 +96,36 @@ def beat() -> Iterator[Callable[..., Beat]]:
         each.stop()
 
 
+class Odd:
+    """A node ``/odd`` in a process of its own: a participant can have one type on a topic.
+
+    Two participants of one process that start together on a busy machine may stay unknown to each other for good.
+
+    Args:
+        domain: it is in this one, and known to its node.
+    """
+
+    def __init__(self, domain: Domain) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _ODD, str(domain.id)], stdin=subprocess.PIPE, text=True, env=os.environ
+        )
+        eventually(lambda: "odd" in domain.node.get_node_names(), what="/odd in the domain")
+
+    def tell(self, words: str) -> None:
+        """Have it ``publish TOPIC``, ``subscribe TOPIC`` or ``leave``, which destroys what it has."""
+        assert self._process.stdin
+        print(words, file=self._process.stdin, flush=True)
+
+    def close(self) -> None:
+        """End it: its standard input ends."""
+        self._process.communicate()
+
+
 @pytest.fixture
-def odd() -> Iterator[Callable[[Domain], Node]]:
-    """Makes a node ``/odd`` in a domain, which is a participant of its own: one can have one type on a topic."""
-    made: list[tuple[Node, Context]] = []
-
-    def make(domain: Domain) -> Node:
-        context = Context()
-        context.init([], domain_id=domain.id)
-        node = Node("odd", context=context, use_global_arguments=False, start_parameter_services=False)
-        made.append((node, context))
-        return node
-
-    yield make
-    for node, context in made:
-        node.destroy_node()
-        context.shutdown()
+def odd() -> Iterator[Callable[[Domain], Odd]]:
+    """Makes such nodes."""
+    with ExitStack() as stack:
+        yield lambda domain: stack.enter_context(closing(Odd(domain)))
 
 
 def verdict(engine: Engine, topic: str) -> tuple[State, str, str]:
@@ -130,6 +159,7 @@ def agree(
         (as_json,) = [each for each in status if each["topic"] == topic]
         assert (as_json["state"], as_json["cause"]) == (state, cause)
         assert shown.reason
+        assert 0.0 <= now(engine).time - shown.since < 300.0
     return found
 
 
@@ -142,7 +172,13 @@ def logged(engine: Engine, cause: Cause) -> str:
 
     def warning() -> str:
         event = happened(engine, EventCode.ROUTE_FAULT)
-        return event.text if event is not None and event.cause == cause else ""
+        if event is None or event.cause != cause:
+            return ""
+        assert event.text.startswith(f"{event.topic}: {event.state.upper()}: ")
+        assert event.from_peer == any(f": {side}: " in event.text for side in ("robot1", "server"))
+        assert event.since is not None
+        assert 0.0 <= event.time - event.since < 300.0
+        return event.text
 
     return eventually(warning, what=f"{cause} in the log")
 
@@ -160,12 +196,14 @@ def test_publishers_that_offer_less_than_the_route_asks(
         assert there.reason == f"robot1: {here.reason}"
         assert (here.from_peer, there.from_peer) == (False, True)
         assert here.publishers == there.publishers == ("/stock",)
+        for engine in (client, server):
+            eventually(lambda engine=engine, topic=topic: stage(engine, topic, "QoS compatible") is False)
     words(logged(client, Cause.QOS_INCOMPATIBLE), "offers")
     words(logged(server, Cause.QOS_INCOMPATIBLE), "robot1: ", "offers")
 
 
 def test_a_subscriber_that_hears_nothing(
-    bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Node], beat: Callable[..., Beat]
+    bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Odd], beat: Callable[..., Beat]
 ) -> None:
     server, client = bridge.both(Topic("/lidar", "transmit"))
     beat(robot.publisher("/lidar", qos=BEST_EFFORT))
@@ -176,7 +214,7 @@ def test_a_subscriber_that_hears_nothing(
     listener = pc.listener("/lidar")
     eventually(lambda: "/stock asks for reliable" in route(client, "/lidar").reason)  # DDS may tell the node later
     here, there = agree(client, server, "/lidar", State.UNHEARD, Cause.QOS_INCOMPATIBLE)
-    words(there.reason, "/stock asks for reliable", "published best_effort")
+    words(there.reason, "/stock asks for reliable", "published with best_effort")
     words(here.reason, "server: ", "/stock asks for reliable")
     assert here.subscribers == there.subscribers == ("/stock",)
 
@@ -186,7 +224,7 @@ def test_a_subscriber_that_hears_nothing(
     pc.node.destroy_subscription(listener.subscription)
     eventually(lambda: route(client, "/lidar").state == route(server, "/lidar").state == State.OK)
 
-    odd(pc).create_subscription(Int32, "/lidar", lambda _: None, BEST_EFFORT)
+    odd(pc).tell("subscribe /lidar")
     eventually(lambda: "/odd has" in route(client, "/lidar").reason)
     here, there = agree(client, server, "/lidar", State.UNHEARD, Cause.TYPE_CONFLICT)
     words(there.reason, "/odd has std_msgs/msg/Int32", "carries std_msgs/msg/String")
@@ -231,19 +269,22 @@ def test_a_publisher_that_dies_without_goodbye_is_noticed_before_dds_does(
 def test_a_name_that_is_typed_wrong(bridge: Bridge, robot: Domain) -> None:
     robot.publisher("/w_typo")
     server, client = bridge.both(Topic("/w_tpyo", "transmit"))
-    here, there = agree(client, server, "/w_tpyo", State.WAITING, Cause.NO_PUBLISHER)
+    here, there = agree(client, server, "/w_tpyo", State.WAITING, Cause.SIMILAR_NAME)
     for _ in eventually(lambda: [1] * ("did you mean" in route(server, "/w_tpyo").reason)):
         here, there = route(client, "/w_tpyo"), route(server, "/w_tpyo")
     assert here.reason == f"no publisher of /w_tpyo in domain {robot.id}; did you mean /w_typo?"
     assert there.reason == f"robot1: {here.reason}"
+    for engine, reason in ((client, here.reason), (server, there.reason)):
+        event = eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_WAITING))
+        assert (event.text, event.cause) == (f"/w_tpyo: WAITING: {reason}", Cause.SIMILAR_NAME)
 
 
 def test_two_types_on_one_topic(
-    bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Node], beat: Callable[..., Beat]
+    bridge: Bridge, robot: Domain, pc: Domain, odd: Callable[[Domain], Odd], beat: Callable[..., Beat]
 ) -> None:
     listener, out = pc.listener("/mixed"), robot.publisher("/mixed")
-    other_node = odd(robot)
-    other = other_node.create_publisher(Int32, "/mixed", RELIABLE)
+    other = odd(robot)
+    other.tell("publish /mixed")
     server, client = bridge.both(Topic("/mixed", "transmit"))
     # Which state it is depends on whether one of the two was seen before the other.
     expected = ("std_msgs/msg/Int32", "std_msgs/msg/String", "/odd")
@@ -251,11 +292,11 @@ def test_two_types_on_one_topic(
         eventually(lambda engine=engine: all(each in route(engine, "/mixed").reason for each in expected))
         assert route(engine, "/mixed").cause == Cause.TYPE_CONFLICT
     assert "robot1: " in route(server, "/mixed").reason
-    other_node.destroy_publisher(other)
+    other.tell("leave")
     carries([out], server, ["/mixed"])
     beat(out)
     eventually(lambda: route(client, "/mixed").state == route(server, "/mixed").state == State.OK)
-    other_node.create_publisher(Int32, "/mixed", RELIABLE)
+    other.tell("publish /mixed")
     here, _ = agree(client, server, "/mixed", State.UNHEARD, Cause.TYPE_CONFLICT)
     words(here.reason, "std_msgs/msg/Int32 (from /odd) is not bridged", "only std_msgs/msg/String")
     assert listener.payloads

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import resource
@@ -9,7 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
@@ -35,7 +36,7 @@ def disk_of(world: World, folder: Path) -> Disk:
     return Disk(folder, "robot1", "client", world.events, world.recorder, world.clock)
 
 
-def say(world: World, text: str, **fields: str) -> None:
+def say(world: World, text: str, **fields: Any) -> None:
     world.events.add(Level.INFO, EventCode.ROUTE_PAUSED, text, **fields)
 
 
@@ -70,6 +71,13 @@ def test_a_fault_says_its_cause(tmp_path: Path) -> None:
     file.write([fault])
     file.close()
     assert list(event_file.read(tmp_path / "robot1.jsonl", 0.0)) == [fault]
+
+
+def test_each_field_of_an_event_is_kept(tmp_path: Path) -> None:
+    values: dict[str, Any] = {f.name: f"some {f.name}" for f in dataclasses.fields(Event) if f.type == "str"}
+    event = Event(number=0, time=1.0, level=Level.ERROR, since=0.5, from_peer=True, **values)
+    (tmp_path / "robot1.jsonl").write_bytes(event_file.encode(event))
+    assert list(event_file.read(tmp_path / "robot1.jsonl", 0.0)) == [event]
 
 
 def test_a_peers_text_is_clean_and_bounded(tmp_path: Path) -> None:
@@ -111,6 +119,14 @@ def test_a_torn_line_costs_no_other(tmp_path: Path) -> None:
     file.write([Event(2, 3.0, Level.INFO, "x.y", "after")])
     file.close()
     assert [event.text for event in event_file.read(path, 0.0)] == ["whole", "after"]
+
+
+@pytest.mark.parametrize("damage", [b'{"text": "\xa6"}', b'{"a":' + b"[" * 100_000, b"[]", b"\0"], ids=range(4))
+def test_a_damaged_line_costs_no_other(tmp_path: Path, damage: bytes) -> None:
+    path = tmp_path / "robot1.jsonl"
+    before, after = (event_file.encode(Event(1, 1.0, Level.INFO, "x.y", text)) for text in ("before", "after"))
+    path.write_bytes(before + damage + b"\n" + after)
+    assert [event.text for event in event_file.read(path, 0.0)] == ["before", "after"]
 
 
 def test_a_file_that_is_moved_away_is_begun_anew(tmp_path: Path) -> None:
@@ -291,6 +307,8 @@ def test_it_is_saved_soon_after_something_happened_else_seldom(tmp_path: Path) -
         (zstandard.compress(msgspec.msgpack.encode({"version": 0})), "an older version"),
         (zstandard.compress(msgspec.msgpack.encode({"version": 99})), "a newer version"),
         (zstandard.compress(msgspec.msgpack.encode({"version": 1, "name": 3})), "damaged"),
+        (zstandard.compress(b"\xa1\xa6"), "damaged"),
+        (b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0", "too large"),
     ],
 )
 def test_a_bad_file_is_set_aside_with_a_warning(tmp_path: Path, content: bytes, why: str) -> None:

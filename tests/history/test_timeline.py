@@ -69,10 +69,51 @@ def test_what_opens_at_once_or_is_paused_is_no_outage() -> None:
     world.go(290)
     world.put("/scan", State.PAUSED)
     world.go(300)
-    (outage,) = world.outages()
-    assert (outage.topic, outage.seconds) == ("/map", 600), "one that does not open is out from its beginning"
+    assert world.outages() == ()
     scan = world.track("/scan")
-    assert (scan.up, scan.out) == (290, 0)
+    assert (scan.up, scan.out, scan.waiting, scan.waits_for) == (290, 0, 10, "")
+
+
+def test_one_that_does_not_open_is_out_from_its_beginning() -> None:
+    world = World()
+    world.begin("/map", State.DOWN, "refused")
+    world.go(600)
+    (outage,) = world.outages()
+    assert (outage.topic, outage.seconds) == ("/map", 600)
+    assert (world.track("/map").out, world.track("/map").waiting) == (600, 0)
+
+
+def test_a_topic_without_a_first_message_waits_and_is_not_out() -> None:
+    world = World()
+    world.begin("/map", State.WAITING, "no publisher of /map")
+    world.go(600)
+    assert world.outages() == ()
+    track = world.track("/map")
+    assert (track.up, track.out, track.waiting, track.up_ratio) == (0, 0, 600, None)
+    assert track.waits_for == "no publisher of /map"
+    world.put("/map", State.OK)
+    world.go(300)
+    track = world.track("/map")
+    assert (track.up, track.waiting, track.up_ratio, track.waits_for) == (300, 600, 1.0, "")
+    restored = Timeline.restore(world.recorder.save(), "robot1", "client")
+    assert restored.report(world.clock.wall, HOUR, running=False).tracks[-1].waiting == 600
+
+
+def test_a_short_wait_after_an_outage_belongs_to_it_and_a_long_one_ends_it() -> None:
+    world = World("/scan")
+    world.go(100)
+    world.put("/scan", State.DOWN, "refused")
+    world.go(50)
+    world.put("/scan", State.WAITING, "asking the peer")
+    world.go(10)
+    world.put("/scan", State.DOWN, "refused")
+    world.go(40)
+    assert brief(world.outages()) == [("/scan", 100, "down", "refused")]
+    world.put("/scan", State.WAITING, "no publisher of /scan")
+    world.go(200)
+    assert brief(world.outages()) == [("/scan", 130, "down", "refused")]
+    track = world.track("/scan")
+    assert (track.up, track.out, track.waiting) == (100, 130, 170)
 
 
 def test_a_topic_that_nobody_hears_is_not_out() -> None:
@@ -109,14 +150,14 @@ def test_topics_that_go_down_and_come_back_with_their_link_say_so() -> None:
     )
 
 
-def test_a_topic_that_never_opened_is_not_out_because_of_its_link() -> None:
+def test_a_topic_that_waits_is_not_out_because_of_its_link() -> None:
     world = World()
     world.begin("/scan", State.WAITING, "no publisher")
     world.link = replace(world.link, state=State.DOWN, reason="no answer")
     world.go(20)
     world.link = replace(world.link, state=State.OK)
     world.go(12)
-    assert [(each.topic, each.with_link) for each in world.outages()] == [("/scan", False), ("", False)]
+    assert [(each.topic, each.with_link) for each in world.outages()] == [("", False)]
 
 
 def test_a_removed_topic_keeps_its_history_for_a_day() -> None:
@@ -154,7 +195,7 @@ def test_a_day_is_kept_and_no_more() -> None:
         world.put("/scan", State.OK)
         world.go(HOUR - 60, step=5)
     assert len(world.outages(KEPT_FOR)) == 24
-    kept = world.recorder._timeline._subjects["robot1", "/scan", False]
+    kept = world.recorder._timeline._subjects["robot1", "topic", "/scan", False]
     assert len(kept.outages) <= 25
     assert len(kept.series) <= 1500
     track = world.track("/scan", KEPT_FOR)
@@ -210,10 +251,27 @@ def test_what_a_peer_can_name_is_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
     for number in range(100):
         world.routes = World(f"/t{number}", clock=world.clock).routes
         world.go(1)
-    assert len(world.recorder._timeline._subjects) == 20
+    assert len(world.recorder._timeline._subjects) == 11
     world.routes = World(*(f"/more{number}" for number in range(50)), clock=world.clock).routes
     world.go(1)
-    assert len(world.recorder._timeline._subjects) == 20
+    assert len(world.recorder._timeline._subjects) == 11
+
+
+def test_one_link_that_makes_up_names_displaces_nobody_elses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a robot's topic did stays known, and its next topic is recorded, whatever another client is called for."""
+    monkeypatch.setattr(timeline, "SUBJECTS", 20)
+    world = World("/scan", "/gone")
+    world.go(1)
+    robot = {"/scan": world.routes["/scan"]}
+    for number in range(30):
+        made_up = World(f"/t{number}", clock=world.clock).routes
+        world.routes = robot | {topic: replace(each, link="rogue") for topic, each in made_up.items()}
+        world.go(1)
+    world.routes |= World("/map", clock=world.clock).routes
+    world.go(1)
+    subjects = world.recorder._timeline._subjects
+    assert {topic for link, _, topic, _ in subjects if link != "rogue" and topic} == {"/scan", "/gone", "/map"}
+    assert len(subjects) <= 20
 
 
 def test_operators_actions_are_remembered() -> None:

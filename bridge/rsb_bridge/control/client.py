@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import threading
 import time
 from concurrent.futures import Future
@@ -13,54 +12,28 @@ from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineApi, EngineError
-from rsb_bridge.control import protocol
+from rsb_bridge.control import commands, protocol, requests
+from rsb_bridge.control.arming import RemoteArming
 from rsb_bridge.control.folders import ControlError, NotServedError, try_connect
-from rsb_bridge.control.protocol import (
-    AddClient,
-    AddTopic,
-    ChangeClient,
-    Describe,
-    EditTopic,
-    Events,
-    Failed,
-    Follow,
-    Goodbye,
-    Hello,
-    History,
-    Look,
-    Pause,
-    Peek,
-    ProtocolError,
-    Refused,
-    Reload,
-    RemoveClient,
-    RemoveTopic,
-    Reply,
-    Request,
-    Restart,
-    Retry,
-    ShutDown,
-    State,
-    Step,
-    Stop,
-    Topics,
-    Welcome,
-)
+from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.requests import Requests
 from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.peek import PeekedMessage
-from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from rsb_bridge.control.protocol import BridgeInfo, Command, ToBridge, ToConsole
+    from rsb_bridge.control.commands import Command
+    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.snapshot import Event, Snapshot, TopicInfo
 
 T = TypeVar("T")
 ANSWERS_WITHIN = 5.0
@@ -99,14 +72,14 @@ class RemoteEngine(EngineApi):
         self._session: Session
         self._waits_for_operator = False
         self._lost = ""
+        self._lost_at = 0.0
         self._receiver: Receiver
         self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, name="rsb-attached", daemon=True)
         self._loop: asyncio.AbstractEventLoop
         self._ends = asyncio.Event()
         self._writer: asyncio.StreamWriter | None = None
-        self._ids = itertools.count(1)
-        self._requests: dict[int, tuple[Future[object], Callable[[str], None] | None]] = {}
+        self._requests = Requests()
         self._followed = 0
         self._events_before = 0
         self._asked_at: float | None = None
@@ -158,7 +131,8 @@ class RemoteEngine(EngineApi):
         with contextlib.suppress(RuntimeError):  # detached already
             self._loop.call_soon_threadsafe(self._look_soon, delay)
         if self._silent_for > ANSWERS_WITHIN:
-            return out_of_reach(self._shown, "the bridge does not answer", self._clock.time_ns() / 1e9)
+            wall = self._clock.time_ns() / 1e9
+            return out_of_reach(self._shown, "the bridge does not answer", since=wall - self._silent_for, now=wall)
         return self._shown
 
     def events(self, after: int = 0) -> list[Event]:
@@ -177,37 +151,41 @@ class RemoteEngine(EngineApi):
     # --- commands
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._request(AddTopic(topic, link), str)
+        return self._request(commands.AddTopic(topic, link), str)
 
     def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        return self._request(EditTopic(key, topic), str)
+        return self._request(commands.EditTopic(key, topic), str)
 
     def remove_topic(self, key: str) -> Future[None]:
-        return self._request(RemoveTopic(key), _nothing)
+        return self._request(commands.RemoveTopic(key), requests.as_nothing)
 
     def pause(self, key: str, paused: bool) -> Future[None]:
-        return self._request(Pause(key, paused), _nothing)
+        return self._request(commands.Pause(key, paused), requests.as_nothing)
+
+    @property
+    def arming(self) -> RemoteArming:
+        return RemoteArming(lambda command: self._request(command, requests.as_nothing))
 
     def add_client(self, client: Client) -> Future[None]:
-        return self._request(AddClient(client), _nothing)
+        return self._request(commands.AddClient(client), requests.as_nothing)
 
     def change_client(self, client: Client) -> Future[None]:
-        return self._request(ChangeClient(client), _nothing)
+        return self._request(commands.ChangeClient(client), requests.as_nothing)
 
     def remove_client(self, name: str) -> Future[None]:
-        return self._request(RemoveClient(name), _nothing)
+        return self._request(commands.RemoveClient(name), requests.as_nothing)
 
     def retry(self, link: str = "") -> Future[None]:
-        return self._request(Retry(link), _nothing)
+        return self._request(commands.Retry(link), requests.as_nothing)
 
     def shut_down(self) -> Future[None]:
-        return self._request(ShutDown(), _nothing)
+        return self._request(commands.ShutDown(), requests.as_nothing)
 
     def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
-        return self._request(Restart(), _nothing, step)
+        return self._request(commands.Restart(), requests.as_nothing, step)
 
     def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
-        return self._request(Reload(dry_run), _reloaded)
+        return self._request(commands.Reload(dry_run), requests.as_reloaded)
 
     def use_file(self, path: Path | None) -> None:
         return  # the bridge keeps to its own
@@ -216,20 +194,26 @@ class RemoteEngine(EngineApi):
         return  # the bridge records it where it is told
 
     def topics(self, link: str | None = None) -> Future[list[TopicInfo]]:
-        return self._request(Topics(link), _topics)
+        return self._request(commands.Topics(link), requests.as_topics)
 
     def peek(self, key: str, *, kept: bool = False) -> Future[PeekedMessage | None]:
-        return self._request(Peek(key, kept), _peeked)
+        return self._request(commands.Peek(key, kept), requests.as_peeked)
 
     def describe(self, key: str) -> Future[str]:
-        return self._request(Describe(key), str)
+        return self._request(commands.Describe(key), str)
+
+    def template(self, key: str, lane: str = "") -> Future[str]:
+        return self._request(commands.Template(key, lane), str)
+
+    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
+        return self._request(commands.Call(key, request, lane), str)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
-        return self._request(History(seconds), _history)
+        return self._request(commands.History(seconds), requests.as_history)
 
     def stop_bridge(self) -> Future[None]:
         """End the bridge's process, as SIGTERM does; done when it has understood."""
-        return self._request(Stop(), _nothing)
+        return self._request(commands.Stop(), requests.as_nothing)
 
     def _request(
         self, command: Command, convert: Callable[[object], T], step: Callable[[str], None] | None = None
@@ -258,7 +242,7 @@ class RemoteEngine(EngineApi):
     def _run(self) -> None:
         with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
             runner.run(self._main())
-        self._fail_requests("detached from the bridge")
+        self._requests.fail("detached from the bridge")
 
     async def _main(self) -> None:
         ends = asyncio.create_task(self._ends.wait())
@@ -295,7 +279,7 @@ class RemoteEngine(EngineApi):
         reader, writer = await self._open()
         try:
             self._writer = writer
-            self._send(Hello(protocol.VERSION, __version__, self.read_only))
+            self._send(protocol.Hello(protocol.VERSION, __version__, self.read_only))
             frames = protocol.frames_to_console()
             complete = False
             while True:
@@ -304,7 +288,7 @@ class RemoteEngine(EngineApi):
                 if not data:
                     return "the bridge's process has ended, or has closed the connection"
                 for message in frames.feed(data):
-                    if isinstance(message, (Goodbye, Refused)):
+                    if isinstance(message, (protocol.Goodbye, protocol.Refused)):
                         return message.reason
                     complete = self._handle(message) or complete
         finally:
@@ -327,23 +311,19 @@ class RemoteEngine(EngineApi):
     def _handle(self, message: ToConsole) -> bool:
         """Take a message; whether it completes a state."""
         match message:
-            case Welcome():
+            case protocol.Welcome():
                 self._welcome(message.bridge)
-            case State():
+            case protocol.State():
                 if self._receiver.take(message):
                     self._show()
                     return True
-            case Events():
+            case protocol.Events():
                 for event in message.events:
                     self._log.append(event)
                 self._followed = message.events[-1].number
-            case Step():
-                _, step = self._requests.get(message.id, (None, None))
-                if step is not None:
-                    step(message.text)
-            case Reply() | Failed():
-                self._answered(message)
-            case Refused() | Goodbye():
+            case protocol.Step() | protocol.Reply() | protocol.Failed():
+                self._requests.take(message)
+            case protocol.Refused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False
 
@@ -357,7 +337,7 @@ class RemoteEngine(EngineApi):
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, f"attached to {bridge.name} again{what}")
         self._receiver = Receiver(bridge)
         self._look()
-        self._send(Follow(self._followed))
+        self._send(protocol.Follow(self._followed))
 
     def _show(self) -> None:
         received = self._receiver
@@ -374,13 +354,14 @@ class RemoteEngine(EngineApi):
 
     def _lose(self, reason: str) -> None:
         self._asked_at = None
-        self._fail_requests(reason)
+        self._requests.fail(reason)
         if not self._lost:
             text = f"not attached to {self.bridge.name} any more: {reason}; trying again"
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
+            self._lost_at = self._clock.time_ns() / 1e9
         if reason != self._lost:
             self._lost = reason
-            self._shown = out_of_reach(self._shown, reason, self._clock.time_ns() / 1e9)
+            self._shown = out_of_reach(self._shown, reason, since=self._lost_at, now=self._clock.time_ns() / 1e9)
 
     def _send(self, message: ToBridge) -> None:
         if self._writer is not None and not self._writer.is_closing():
@@ -397,7 +378,7 @@ class RemoteEngine(EngineApi):
         self._look_is_due = False
         if self._writer is not None and self._asked_at is None:
             self._asked_at = time.monotonic()
-            self._send(Look())
+            self._send(protocol.Look())
 
     # --- requests
 
@@ -405,44 +386,8 @@ class RemoteEngine(EngineApi):
         if self._writer is None:
             answered.set_exception(EngineError(f"not attached: {self._lost}"))
             return
-        number = next(self._ids)
-        self._requests[number] = (answered, step)
-        self._send(Request(number, command))
-
-    def _answered(self, answer: Reply | Failed) -> None:
-        answered, _ = self._requests.pop(answer.id, (None, None))
-        if answered is None:
-            raise ProtocolError("an answer without a request")
-        if isinstance(answer, Failed):
-            answered.set_exception(EngineError(answer.reason))
+        request = self._requests.new(command, answered, step)
+        if (size := len(protocol.encode(request))) > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
+            self._requests.take(protocol.Failed(request.id, f"it is too long: {size:,} bytes"))
         else:
-            answered.set_result(answer.reloaded or answer.history or answer.value)
-
-    def _fail_requests(self, reason: str) -> None:
-        requests, self._requests = self._requests, {}
-        for answered, _ in requests.values():
-            answered.set_exception(EngineError(f"no answer: {reason}"))
-
-
-def _nothing(_: object) -> None:
-    return None
-
-
-def _peeked(value: object) -> PeekedMessage | None:
-    assert value is None or isinstance(value, PeekedMessage)
-    return value
-
-
-def _reloaded(value: object) -> Reloaded:
-    assert isinstance(value, Reloaded)
-    return value
-
-
-def _history(value: object) -> HistoryReport:
-    assert isinstance(value, HistoryReport)
-    return value
-
-
-def _topics(value: object) -> list[TopicInfo]:
-    assert isinstance(value, tuple)
-    return list(value)
+            self._send(request)

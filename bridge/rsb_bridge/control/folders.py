@@ -6,7 +6,6 @@ import contextlib
 import errno
 import fcntl
 import os
-import pwd
 import socket
 import stat
 import struct
@@ -179,16 +178,6 @@ def peer_of(connection: socket.socket) -> tuple[int, int, int]:
     """The pid, uid and gid of a Unix socket's other side, as the kernel noted them when it connected."""
     pid, uid, gid = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
     return pid, uid, gid
-
-
-def name_of_peer(connection: socket.socket) -> str:
-    """Who is at a Unix socket's other side: ``anna (uid 1000, pid 4711)``."""
-    pid, uid, _ = peer_of(connection)
-    try:
-        name = pwd.getpwuid(uid).pw_name
-    except KeyError:  # a user that this system does not know, as in a container
-        return f"uid {uid} (pid {pid})"
-    return f"{name} (uid {uid}, pid {pid})"
 
 
 @contextlib.contextmanager

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import msgspec
 
+from rsb_bridge.control.commands import Command  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.history import HistoryReport  # noqa: TC001
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.session import Client, Session, Topic  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.session import Session  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
 
 if TYPE_CHECKING:
@@ -118,120 +119,6 @@ class Refused(_Message, frozen=True, tag="refused"):
 
 
 # --- from a console
-
-
-class AddTopic(_Message, frozen=True, tag="add"):
-    """As the methods of `rsb_bridge.api.EngineApi`, likewise those below."""
-
-    topic: Topic
-    link: str = ""
-
-
-class EditTopic(_Message, frozen=True, tag="edit"):
-    """See `AddTopic`."""
-
-    key: str
-    topic: Topic
-
-
-class RemoveTopic(_Message, frozen=True, tag="remove"):
-    """See `AddTopic`."""
-
-    key: str
-
-
-class Pause(_Message, frozen=True, tag="pause"):
-    """See `AddTopic`."""
-
-    key: str
-    paused: bool
-
-
-class AddClient(_Message, frozen=True, tag="add_client"):
-    """See `AddTopic`."""
-
-    client: Client
-
-
-class ChangeClient(_Message, frozen=True, tag="change_client"):
-    """See `AddTopic`."""
-
-    client: Client
-
-
-class RemoveClient(_Message, frozen=True, tag="remove_client"):
-    """See `AddTopic`."""
-
-    name: str
-
-
-class Retry(_Message, frozen=True, tag="retry"):
-    """See `AddTopic`."""
-
-    link: str = ""
-
-
-class ShutDown(_Message, frozen=True, tag="shut_down"):
-    """See `AddTopic`."""
-
-
-class Restart(_Message, frozen=True, tag="restart"):
-    """See `AddTopic`. Its steps come as `Step`."""
-
-
-class Reload(_Message, frozen=True, tag="reload"):
-    """See `AddTopic`."""
-
-    dry_run: bool = False
-
-
-class Topics(_Message, frozen=True, tag="topics"):
-    """See `AddTopic`."""
-
-    link: str | None = None
-
-
-class Peek(_Message, frozen=True, tag="peek"):
-    """See `AddTopic`."""
-
-    key: str
-    kept: bool = False
-
-
-class Describe(_Message, frozen=True, tag="describe"):
-    """See `AddTopic`."""
-
-    key: str
-
-
-class History(_Message, frozen=True, tag="history"):
-    """See `AddTopic`."""
-
-    seconds: float
-
-
-class Stop(_Message, frozen=True, tag="stop"):
-    """End the bridge's process, as SIGTERM does."""
-
-
-Command: TypeAlias = (
-    AddTopic
-    | EditTopic
-    | RemoveTopic
-    | Pause
-    | AddClient
-    | ChangeClient
-    | RemoveClient
-    | Retry
-    | ShutDown
-    | Restart
-    | Reload
-    | Topics
-    | Peek
-    | Describe
-    | History
-    | Stop
-)
 
 
 class Request(_Message, frozen=True, tag="request"):
@@ -358,12 +245,6 @@ class Goodbye(_Message, frozen=True, tag="goodbye"):
 
 ToConsole: TypeAlias = Welcome | Refused | State | Events | Step | Reply | Failed | Goodbye
 
-CHANGING = (
-    AddTopic, EditTopic, RemoveTopic, Pause, AddClient, ChangeClient, RemoveClient,
-    Retry, ShutDown, Restart, Reload, Stop,
-)  # fmt: skip
-"""The commands that are refused to those who only watch."""
-
 _encoder = msgspec.msgpack.Encoder()
 _to_bridge: msgspec.msgpack.Decoder[ToBridge] = msgspec.msgpack.Decoder(ToBridge)
 _to_console: msgspec.msgpack.Decoder[ToConsole] = msgspec.msgpack.Decoder(ToConsole)
@@ -436,7 +317,7 @@ def frames_to_console() -> Frames[ToConsole]:
 def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> M:
     try:
         return decoder.decode(body)
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(f"an invalid message: {error}") from None
 
 

@@ -5,54 +5,29 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.folders import is_trusted, name_of_peer
-from rsb_bridge.control.protocol import (
-    AddClient,
-    AddTopic,
-    ChangeClient,
-    Describe,
-    EditTopic,
-    Events,
-    Failed,
-    Follow,
-    Goodbye,
-    Hello,
-    History,
-    Look,
-    Pause,
-    Peek,
-    ProtocolError,
-    Refused,
-    Reload,
-    RemoveClient,
-    RemoveTopic,
-    Reply,
-    Request,
-    Restart,
-    Retry,
-    ShutDown,
-    Step,
-    Stop,
-    Topics,
-    Welcome,
-)
+from rsb_bridge.control.commands import CHANGING, ArmTopic
+from rsb_bridge.control.folders import is_trusted, peer_of
+from rsb_bridge.control.identity import identify
+from rsb_bridge.control.performing import perform
+from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.model.consoles import on_console
+from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.operators import acting
+from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.tasks import Tasks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from concurrent.futures import Future
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.folders import Listener
+    from rsb_bridge.control.performing import Answer
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
-    from rsb_bridge.model.peek import PeekedMessage
-    from rsb_bridge.model.snapshot import TopicInfo
 
 _TICK = 0.25
 _HELLO_WITHIN = 5.0
@@ -68,8 +43,6 @@ _TURNS_TO_ACCEPT = 10
 """Turns of the loop: what was accepted last has become a console then, which can be told of the end."""
 _SAID_WITHIN = 0.25
 _READ_SIZE = 64 << 10
-
-T = TypeVar("T")
 
 
 class ControlServer:
@@ -117,7 +90,7 @@ class ControlServer:
         self._thread.join(3 * _SAID_WITHIN)
 
     def stop_process(self) -> None:
-        """Do what `rsb_bridge.control.protocol.Stop` asks for."""
+        """Do what `rsb_bridge.control.commands.Stop` asks for."""
         self._on_stop()
 
     # --- on the thread
@@ -201,6 +174,7 @@ class _Console:
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
         self._requests = 0
+        self._has_armed = False
         self._born = self._taken_at = self._loop.time()
         self._waiting = 0
 
@@ -218,6 +192,9 @@ class _Console:
                     self._handle(message)
         finally:
             self._tasks.cancel()
+            if self._has_armed:
+                with acting(self._operator), on_console(self):
+                    self._engine.arming.release()
 
     def send(self, message: ToConsole) -> None:
         """Hand a message to the kernel, or keep it until that takes it."""
@@ -234,7 +211,7 @@ class _Console:
     def end(self, reason: str) -> None:
         """Say the last events, and why this is the end; then close."""
         self._send_events()
-        self.send(Goodbye(reason))
+        self.send(protocol.Goodbye(reason))
         self._writer.close()
 
     @property
@@ -244,106 +221,65 @@ class _Console:
     # --- what it says
 
     def _handle(self, message: ToBridge) -> None:
-        if isinstance(message, Hello):
+        if isinstance(message, protocol.Hello):
             self._greet(message)
         elif not self._welcomed:
             raise ProtocolError("no hello")
-        elif isinstance(message, Look):
+        elif isinstance(message, protocol.Look):
             self._looking = True
             self._looked_at = self._loop.time()
             self._tasks.spawn(self._show())
-        elif isinstance(message, Follow):
+        elif isinstance(message, protocol.Follow):
             self._after = message.after
             self._send_events()
         else:
             self._request(message)
 
-    def _greet(self, hello: Hello) -> None:
+    def _greet(self, hello: protocol.Hello) -> None:
         info = self._server.info
         versions = protocol.version_problem((protocol.VERSION, info.program), (hello.version, hello.program))
         if problem := self._refusal or versions:
-            self.send(Refused(problem))
+            self.send(protocol.Refused(problem))
             self._writer.close()
             return
         self._welcomed = True
-        self._operator = name_of_peer(self._writer.get_extra_info("socket"))
+        pid, uid, _ = peer_of(self._writer.get_extra_info("socket"))
+        self._operator = identify(pid, uid)
         self._read_only = hello.read_only
-        self.send(Welcome(info, hello.read_only))
+        self.send(protocol.Welcome(info, hello.read_only))
 
-    def _request(self, request: Request) -> None:
-        if self._read_only and isinstance(request.command, protocol.CHANGING):
-            self.send(Failed(request.id, "attached read-only: nothing can be changed"))
+    def _request(self, request: protocol.Request) -> None:
+        if self._read_only and isinstance(request.command, CHANGING):
+            self.send(protocol.Failed(request.id, "attached read-only: nothing can be changed"))
         elif self._requests >= protocol.REQUESTS_WAITING:
-            self.send(Failed(request.id, f"{protocol.REQUESTS_WAITING} requests wait for an answer already"))
+            self.send(protocol.Failed(request.id, f"{protocol.REQUESTS_WAITING} requests wait for an answer already"))
         else:
             self._requests += 1
+            self._has_armed |= isinstance(request.command, ArmTopic)
             self._tasks.spawn(self._answer(request))
 
-    async def _answer(self, request: Request) -> None:
+    async def _answer(self, request: protocol.Request) -> None:
         try:
-            with acting(self._operator):
-                reply: ToConsole = await self._reply(request)
+            with acting(self._operator), on_console(self):
+                answer = await perform(
+                    request.command,
+                    self._engine,
+                    step=lambda text: self._step(request.id, text),
+                    stop_process=self._server.stop_process,
+                )
+            reply: ToConsole = _reply(request.id, answer)
         except EngineError as error:
-            reply = Failed(request.id, str(error))
+            reply = protocol.Failed(request.id, str(error))
         finally:
             self._requests -= 1
-        if isinstance(request.command, protocol.CHANGING) and self._sender.sent is not None and self._buffered == 0:
+        if isinstance(request.command, CHANGING) and self._sender.sent is not None and self._buffered == 0:
             await self._send_state()  # whoever waits for the command wants to see its effect
         self.send(reply)
-
-    async def _reply(self, request: Request) -> Reply:
-        if isinstance(request.command, Reload):
-            reloaded = await _done(self._engine.reload(dry_run=request.command.dry_run))
-            return Reply(request.id, reloaded=reloaded)
-        if isinstance(request.command, History):
-            history = await _done(self._engine.history(request.command.seconds))
-            return Reply(request.id, history=history)
-        return Reply(request.id, await self._run(request))
-
-    async def _run(self, request: Request) -> str | tuple[TopicInfo, ...] | PeekedMessage | None:
-        """Have the engine do it.
-
-        Raises:
-            EngineError: it does not.
-        """
-        engine, command = self._engine, request.command
-        match command:
-            case AddTopic():
-                return await _done(engine.add_topic(command.topic, command.link))
-            case EditTopic():
-                return await _done(engine.edit_topic(command.key, command.topic))
-            case RemoveTopic():
-                await _done(engine.remove_topic(command.key))
-            case Pause():
-                await _done(engine.pause(command.key, command.paused))
-            case AddClient():
-                await _done(engine.add_client(command.client))
-            case ChangeClient():
-                await _done(engine.change_client(command.client))
-            case RemoveClient():
-                await _done(engine.remove_client(command.name))
-            case Retry():
-                await _done(engine.retry(command.link))
-            case ShutDown():
-                await _done(engine.shut_down())
-            case Topics():
-                found = await _done(engine.topics(command.link))
-                return tuple(found)
-            case Peek():
-                return await asyncio.wrap_future(engine.peek(command.key, kept=command.kept))
-            case Describe():
-                return await asyncio.wrap_future(engine.describe(command.key))
-            case Restart():
-                await _done(engine.restart(lambda text: self._step(request.id, text)))
-            case Stop():
-                engine.told_to_stop()
-                self._server.stop_process()
-        return None
 
     def _step(self, request: int, text: str) -> None:
         """Tell a step of a restart; called on the engine's thread."""
         with contextlib.suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self.send, Step(request, text))
+            self._loop.call_soon_threadsafe(self.send, protocol.Step(request, text))
 
     # --- what it is told
 
@@ -377,7 +313,7 @@ class _Console:
             if not events:
                 return
             self._after = events[-1].number
-            self.send(Events(tuple(events)))
+            self.send(protocol.Events(tuple(events)))
 
     async def _show(self) -> None:
         """Send the state if it is a new one; or if it has been looked for long enough to wonder what is wrong."""
@@ -399,6 +335,9 @@ class _Console:
             encoded.keep_only(snapshot)
 
 
-async def _done(future: Future[T]) -> T:
-    """Wait for the engine, which finishes what it has begun even if nobody waits any more."""
-    return await asyncio.shield(asyncio.wrap_future(future))
+def _reply(request: int, answer: Answer) -> protocol.Reply:
+    if isinstance(answer, Reloaded):
+        return protocol.Reply(request, reloaded=answer)
+    if isinstance(answer, HistoryReport):
+        return protocol.Reply(request, history=answer)
+    return protocol.Reply(request, answer)

@@ -143,23 +143,30 @@ class Receiver:
         return True
 
 
-def out_of_reach(shown: Snapshot, reason: str, now: float) -> Snapshot:
-    """What to show of a bridge that is out of reach: nothing is known to flow."""
+def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> Snapshot:
+    """What to show of a bridge that is out of reach: nothing is known to flow.
+
+    Args:
+        shown: what was shown last.
+        reason: why it is out of reach.
+        since: s since the epoch, when it was reached last.
+        now: s since the epoch.
+    """
     return replace(
         shown,
         time=now,
         running=False,
         links=tuple(
             replace(
-                link, state=model.State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=now,
+                link, state=model.State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=since,
                 retry_in=None, rtt=None, rx_bytes_per_second=0.0, tx_bytes_per_second=0.0,
             )
             for link in shown.links
         ),
         routes=tuple(
             replace(
-                route, state=model.State.DOWN, cause=Cause.LINK_DOWN, reason=reason, from_peer=False, rate=0.0,
-                bytes_per_second=0.0,
+                route, state=model.State.DOWN, cause=Cause.LINK_DOWN, reason=reason, from_peer=False, since=since,
+                rate=0.0, bytes_per_second=0.0,
             )
             for route in shown.routes
         ),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.model.snapshot import Event, Level
+from rsb_bridge.model.snapshot import Event
 from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
@@ -20,24 +20,8 @@ FILES = 5
 """Files kept: the newest, and older ones with a number, ``NAME.1.jsonl`` and so on."""
 _TEXT_LENGTH = 2000
 
-
-class _Line(msgspec.Struct, omit_defaults=True):
-    """An event in a file; the keys are those of ``--log-format json``."""
-
-    time: float
-    level: Level
-    code: str
-    source: str
-    text: str
-    link: str = ""
-    topic: str = ""
-    who: str = ""
-    old: str = ""
-    new: str = ""
-    cause: str = ""
-
-
-_decoder = msgspec.json.Decoder(_Line)
+_EMPTY = ("", None, False)
+_line = msgspec.json.Decoder(dict[str, object])
 
 
 class EventFile:
@@ -116,11 +100,16 @@ def numbered(path: Path, number: int) -> Path:
 
 
 def encode(event: Event) -> bytes:
-    """An event as one line."""
-    text = sanitize_text(event.text, _TEXT_LENGTH)
-    fields = (event.link, event.topic, event.who, event.old, event.new, event.cause)
-    names = (sanitize_text(each) for each in fields)
-    return msgspec.json.encode(_Line(event.time, event.level, event.code, event.source, text, *names)) + b"\n"
+    """An event as one line, with the keys of ``--log-format json``; what is empty is left out."""
+    fields = msgspec.to_builtins(event).items()
+    line = {name: _sanitized(name, value) for name, value in fields if value not in _EMPTY and name != "number"}
+    return msgspec.json.encode({**line, "source": event.source}) + b"\n"
+
+
+def _sanitized(name: str, value: object) -> object:
+    if not isinstance(value, str):
+        return value
+    return sanitize_text(value, _TEXT_LENGTH) if name == "text" else sanitize_text(value)
 
 
 def read(path: Path, since: float) -> Iterator[Event]:
@@ -133,10 +122,7 @@ def read(path: Path, since: float) -> Iterator[Event]:
     for number in range(FILES - 1, -1, -1):
         with contextlib.suppress(OSError), numbered(path, number).open("rb") as file:
             for line in file:
-                with contextlib.suppress(msgspec.DecodeError):
-                    found = _decoder.decode(line)
-                    if found.time >= since:
-                        yield Event(
-                            0, found.time, found.level, found.code, found.text, found.link, found.topic, found.who,
-                            found.old, found.new, found.cause,
-                        )  # fmt: skip
+                with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                    event = msgspec.convert({**_line.decode(line), "number": 0}, Event)
+                    if event.time >= since:
+                        yield event

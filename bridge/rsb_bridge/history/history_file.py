@@ -53,11 +53,13 @@ def read(path: Path) -> Saved:
     if len(packed) > _FILE_BYTES:
         raise HistoryFileError("it is too large")
     try:
+        if zstandard.frame_content_size(packed) > _BYTES:  # it is taken at its word, and so much memory is allocated
+            raise HistoryFileError("it is too large")
         content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=_BYTES)
         version = msgspec.msgpack.decode(content, type=_Versioned).version
         if version != VERSION:
             age = "an older" if version < VERSION else "a newer"
             raise HistoryFileError(f"it is of {age} version of rsb-console")
         return msgspec.msgpack.decode(content, type=Saved)
-    except (zstandard.ZstdError, msgspec.DecodeError) as error:
+    except (zstandard.ZstdError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise HistoryFileError(f"it is damaged ({error})") from None

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.history import event_file, history_file
 from rsb_bridge.history.history_file import HistoryFileError
-from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.history.timeline import FROM_THE_FUTURE, Timeline
+from rsb_bridge.model.history import KEPT_FOR
 
 if TYPE_CHECKING:
     from rsb_bridge.history.folders import Files
@@ -31,5 +32,8 @@ def report(files: Files, now: float, seconds: float) -> HistoryReport:
         raise HistoryFileError(f"{files.history}: there is no such file") from None
     except (HistoryFileError, ValueError) as error:
         raise HistoryFileError(f"{files.history}: {error}") from None
-    timeline.go_on(event_file.read(files.events, saved.time))
-    return timeline.report(max(now, saved.time), seconds, running=False)
+    if saved.time - now > KEPT_FOR:
+        raise HistoryFileError(f"{files.history}: {FROM_THE_FUTURE}")
+    end = max(now, saved.time)
+    timeline.go_on(event for event in event_file.read(files.events, saved.time) if event.time <= end)
+    return timeline.report(end, seconds, running=False)

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.history.axis import Axis
-from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.history.timeline import FROM_THE_FUTURE, Timeline
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.snapshot import Level
@@ -137,7 +137,7 @@ class Recorder:
         """
         wall = self._clock.time_ns() / 1e9
         if saved.time - wall > KEPT_FOR:
-            raise ValueError("it is from the future: the clock was wrong then, or it is now")
+            raise ValueError(FROM_THE_FUTURE)
         self._timeline = Timeline.restore(saved, self._name, self._role)
         self._timeline.go_on(each for each in events if each.time - wall <= KEPT_FOR)
         self._axis = Axis(self._clock.steady(), wall, floor=self._timeline.last)

@@ -1,4 +1,4 @@
-"""One link's or topic's figures of each minute of the last 24 hours, in six bytes a minute."""
+"""One link's or topic's figures of each minute of the last 24 hours, in seven bytes a minute."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ MINUTES = round(KEPT_FOR / MINUTE)
 _TRIMMED_AT = MINUTES + 60
 """Minutes that are kept before the oldest go: not each minute, because that moves all of them."""
 _STEPS = 4
-"""Parts of a second in which a minute's up and out times are kept: 0.25 s fits 60 s into a byte."""
+"""Parts of a second in which a minute's times are kept: 0.25 s fits 60 s into a byte."""
 _UNKNOWN = math.nan
 
 
 class Series:
-    """Rates, and how long it was fine and not fine, minute by minute. A minute's number is its time divided by 60 s.
+    """Rates, and how long it was fine, not fine, or waiting, minute by minute.
+
+    A minute's number is its time divided by 60 s.
 
     Attributes:
         first: number of the first minute kept.
@@ -32,6 +34,7 @@ class Series:
         self._rates = array("f")
         self._up = bytearray()
         self._out = bytearray()
+        self._waiting = bytearray()
 
     def __len__(self) -> int:
         return len(self._rates)
@@ -41,7 +44,7 @@ class Series:
         """Number of the minute after the last one."""
         return self.first + len(self)
 
-    def add(self, minute: int, rate: float, up: float, out: float) -> None:
+    def add(self, minute: int, rate: float, up: float, out: float, waiting: float) -> None:
         """Append a minute's figures, or add to those of the last one if it is the same.
 
         Args:
@@ -49,26 +52,32 @@ class Series:
             rate: mean over the time that is known of it.
             up: s in which it was fine.
             out: s in which it was not.
+            waiting: s in which it waited for its first message.
         """
         if len(self) and minute == self.end - 1:  # the machine slept, or the clock was set, within it
             self._rates[-1] = rate if math.isnan(self._rates[-1]) else (self._rates[-1] + rate) / 2
-            self._up[-1] = min(255, self._up[-1] + round(up * _STEPS))
-            self._out[-1] = min(255, self._out[-1] + round(out * _STEPS))
+            for kept, seconds in zip(self._times, (up, out, waiting), strict=True):
+                kept[-1] = min(255, kept[-1] + round(seconds * _STEPS))
             return
         if not len(self) or minute - self.end >= MINUTES:
             self._cut(len(self))
             self.first = minute
         self._insert(len(self), minute - self.end)
         self._rates.append(rate)
-        self._up.append(min(255, round(up * _STEPS)))
-        self._out.append(min(255, round(out * _STEPS)))
+        for kept, seconds in zip(self._times, (up, out, waiting), strict=True):
+            kept.append(min(255, round(seconds * _STEPS)))
         if len(self) > _TRIMMED_AT:
             self._cut(len(self) - MINUTES)
 
-    def times(self, start: int, end: int) -> tuple[float, float]:
-        """Seconds up, and seconds out, in the minutes from `start` to before `end`."""
+    @property
+    def _times(self) -> tuple[bytearray, bytearray, bytearray]:
+        return self._up, self._out, self._waiting
+
+    def times(self, start: int, end: int) -> tuple[float, float, float]:
+        """Seconds up, out, and waiting, in the minutes from `start` to before `end`."""
         begin, stop = max(0, start - self.first), max(0, end - self.first)
-        return sum(self._up[begin:stop]) / _STEPS, sum(self._out[begin:stop]) / _STEPS
+        up, out, waiting = (sum(kept[begin:stop]) / _STEPS for kept in self._times)
+        return up, out, waiting
 
     def rates(self, start: int, end: int, parts: int) -> Iterator[float | None]:
         """The mean rate in each of `parts` parts of the minutes from `start` to before `end`; None: not known."""
@@ -96,17 +105,16 @@ class Series:
                 self._insert(at, minutes)
                 self._cut(max(0, len(self) - MINUTES))
         else:
-            del self._rates[max(0, at + minutes) : at]
-            del self._up[max(0, at + minutes) : at]
-            del self._out[max(0, at + minutes) : at]
+            for figures in (self._rates, *self._times):
+                del figures[max(0, at + minutes) : at]
             self.first += min(0, at + minutes)
 
-    def dump(self) -> tuple[int, bytes, bytes, bytes]:
+    def dump(self) -> tuple[int, bytes, bytes, bytes, bytes]:
         """All of it, for `load`."""
-        return self.first, self._rates.tobytes(), bytes(self._up), bytes(self._out)
+        return self.first, self._rates.tobytes(), bytes(self._up), bytes(self._out), bytes(self._waiting)
 
     @classmethod
-    def load(cls, first: int, rates: bytes, up: bytes, out: bytes) -> Series:
+    def load(cls, first: int, rates: bytes, up: bytes, out: bytes, waiting: bytes) -> Series:
         """The inverse of `dump`.
 
         Raises:
@@ -115,20 +123,19 @@ class Series:
         series = cls()
         series.first = first
         series._rates.frombytes(rates)
-        series._up, series._out = bytearray(up), bytearray(out)
-        if not len(series) == len(up) == len(out) <= _TRIMMED_AT:
-            raise ValueError(f"{len(series)} rates, {len(up)} and {len(out)} times")
+        series._up, series._out, series._waiting = bytearray(up), bytearray(out), bytearray(waiting)
+        if not len(series) == len(up) == len(out) == len(waiting) <= _TRIMMED_AT:
+            raise ValueError(f"{len(series)} rates, {len(up)}, {len(out)} and {len(waiting)} times")
         return series
 
     def _insert(self, at: int, minutes: int) -> None:
         """Put minutes in of which nothing is known."""
         self._rates[at:at] = array("f", [_UNKNOWN]) * minutes
-        self._up[at:at] = bytes(minutes)
-        self._out[at:at] = bytes(minutes)
+        for kept in self._times:
+            kept[at:at] = bytes(minutes)
 
     def _cut(self, minutes: int) -> None:
         """Forget the oldest minutes."""
-        del self._rates[:minutes]
-        del self._up[:minutes]
-        del self._out[:minutes]
+        for figures in (self._rates, *self._times):
+            del figures[:minutes]
         self.first += minutes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from rsb_bridge.history.series import MINUTE, Series
 from rsb_bridge.model.history import Outage, Track
@@ -14,14 +14,16 @@ from rsb_bridge.model.text import sanitize_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rsb_bridge.model.session import Kind
+
 UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
-FINE = (*UP, State.PAUSED)
-"""A pause is wanted; it counts neither as up nor as out."""
+FINE = (*UP, State.PAUSED, State.DISARMED)
+"""A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
 """Outages kept of each, so that one that flaps displaces nobody else's."""
 _OPENS_WITHIN = 30.0
-"""s in which a new topic or link may open; only then is it an outage."""
+"""s in which a new topic or link may open, and one that was out may open again; only then is it an outage, or waits."""
 _FOLLOWS_WITHIN = 15.0
 """s after a link's outage in which its topics may open again."""
 _CAUSE_LENGTH = 250
@@ -65,12 +67,13 @@ class _Open:
 
 
 class Subject:
-    """A link, or a topic in one direction over it.
+    """A link, or what it carries in one direction: a topic, a service, an action, or parameters of a node.
 
     All times are s on the axis of `rsb_bridge.history.axis.Axis`.
 
     Args:
         link: the peer's name.
+        kind: `rsb_bridge.model.history.LINK`, or a `rsb_bridge.model.session.Kind`.
         topic: its name on this side; empty: the link itself.
         outgoing: this side sends it.
 
@@ -81,8 +84,8 @@ class Subject:
         outages: that are over, oldest first.
     """
 
-    def __init__(self, link: str, topic: str, outgoing: bool) -> None:
-        self.link, self.topic, self.outgoing = link, topic, outgoing
+    def __init__(self, link: str, kind: Kind | Literal["link"], topic: str, outgoing: bool) -> None:
+        self.link, self.kind, self.topic, self.outgoing = link, kind, topic, outgoing
         self.live = False
         self.turn = 0
         self.dropped = 0
@@ -92,9 +95,11 @@ class Subject:
         self._state = State.OK
         self._seen = self._born = 0.0
         self._opening = False
+        self._waits_since: float | None = None
+        self._waits_for = ""
         self._open: _Open | None = None
         self._minute = 0
-        self._known = self._up = self._out = self._amount = 0.0
+        self._known = self._up = self._out = self._waiting = self._amount = 0.0
         self._count = 0
         self._rate = 0.0
 
@@ -123,11 +128,20 @@ class Subject:
         else:
             self._pass(now)
         self._state, self._rate = state, rate
+        if state is not State.WAITING:
+            self._waits_since = None
+        elif self._waits_since is None:
+            self._waits_since = now
         if state in FINE:
             self._opening = False
             self._end(now, link)
+        elif self._waits(now):
+            self._born = now
+            self._waits_for = reason
+            self._end(now, link)
         elif self._open is not None:
-            self._open.go_on(state, reason)
+            if state is not State.WAITING:  # it opens again: what it waits for is not why it was out
+                self._open.go_on(state, reason)
         elif not self._opening:
             self._open = _Open(now, state, reason, with_link=_follows(link, now))
         elif now - self._born >= _OPENS_WITHIN:
@@ -135,8 +149,14 @@ class Subject:
             self._out += now - self._born
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
+    def _waits(self, now: float) -> bool:
+        """Whether it waits for its first message. One that opens again after an outage is still out for a while."""
+        if self._waits_since is None:
+            return False
+        return self._open is None or now - self._waits_since >= _OPENS_WITHIN
+
     def count(self, total: int) -> None:
-        """Take note of how many messages there were so far; fewer than before: they are counted anew.
+        """Take note of how many messages or calls there were so far; fewer than before: they are counted anew.
 
         To be called before `observe`, which ends a minute.
         """
@@ -164,7 +184,9 @@ class Subject:
         self._amount += self._rate * passed
         if self._state in UP:
             self._up += passed
-        elif self._state is not State.PAUSED and not self._opening:
+        elif self._state is State.WAITING and self._open is None:
+            self._waiting += passed
+        elif self._state not in (State.PAUSED, State.DISARMED) and not self._opening:
             self._out += passed
         if int(now // MINUTE) != self._minute:
             self._close_minute()
@@ -172,8 +194,8 @@ class Subject:
 
     def _close_minute(self) -> None:
         if self._known:
-            self.series.add(self._minute, self._amount / self._known, self._up, self._out)
-        self._known = self._up = self._out = self._amount = 0.0
+            self.series.add(self._minute, self._amount / self._known, self._up, self._out, self._waiting)
+        self._known = self._up = self._out = self._waiting = self._amount = 0.0
 
     def _end(self, now: float, link: Subject | None, *, cut_off: bool = False) -> None:
         if self._open is not None:
@@ -212,6 +234,8 @@ class Subject:
         )
         self._seen += seconds
         self._born += seconds
+        if self._waits_since is not None:
+            self._waits_since += seconds
         self._minute = int(self._seen // MINUTE)
         if self._open is not None:
             self._open.start += seconds
@@ -246,16 +270,21 @@ class Subject:
             parts: how many rates to give.
         """
         begin, end = int(start // MINUTE), int(now // MINUTE)
-        up, out = self.series.times(begin, end + 1)
+        up, out, waiting = self.series.times(begin, end + 1)
+        waits_for = ""
         if self.live:
-            up, out = up + self._up, out + self._out
-        rates = tuple(self.series.rates(begin, end, parts))
-        return Track(self.link, self.topic, self.outgoing, up, out, outages + self.dropped_in(start), rates)
+            up, out, waiting = up + self._up, out + self._out, waiting + self._waiting
+            if self._waits(now):
+                waits_for = sanitize_text(self._waits_for[:_CAUSE_LENGTH])
+        return Track(
+            self.link, self.topic, self.outgoing, up, out, outages + self.dropped_in(start),
+            tuple(self.series.rates(begin, end, parts)), waiting, waits_for, self.kind,
+        )  # fmt: skip
 
     def _outage(self, ended: Ended, *, ongoing: bool = False) -> Outage:
         return Outage(
             ended.start, ended.seconds, self.link, self.topic, self.outgoing, ended.state, ended.cause,
-            ongoing, ended.cut_off, ended.with_link,
+            ongoing, ended.cut_off, ended.with_link, self.kind,
         )  # fmt: skip
 
 

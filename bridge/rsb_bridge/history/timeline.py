@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
 from rsb_bridge.history.series import Series
 from rsb_bridge.history.subject import OUTAGES_OF_ONE, Ended, Subject
 from rsb_bridge.model import history as model
-from rsb_bridge.model.history import KEPT_FOR, Gap, HistoryReport
+from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
+from rsb_bridge.model.session import Kind
 from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- msgspec resolves the hints
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot, State
 
 VERSION = 1
+FROM_THE_FUTURE = "it is from the future: the clock was wrong then, or it is now"
 SUBJECTS = 2000
 """Links and topics kept, those that are gone included."""
 OUTAGES = 10_000
@@ -32,11 +34,16 @@ _TIDIED_EVERY = 60.0
 _SHORT_GAP = 5.0
 """s between two runs that are not worth a word."""
 
-Key = tuple[str, str, bool]
+Key = tuple[str, Kind | Literal["link"], str, bool]
+"""Of a subject: link, kind, topic, outgoing."""
 
 
 class SavedSubject(msgspec.Struct, frozen=True, array_like=True):
-    """A `Subject` as it is kept on disk: its name, its series, its outages."""
+    """A `Subject` as it is kept on disk: its name, its series, its outages.
+
+    Attributes:
+        kind: of what it is. A file from before anything but topics crossed says none.
+    """
 
     link: str
     topic: str
@@ -45,7 +52,9 @@ class SavedSubject(msgspec.Struct, frozen=True, array_like=True):
     rates: bytes
     up: bytes
     out: bytes
+    waiting: bytes
     outages: tuple[Ended, ...]
+    kind: Kind | Literal["link"] = "topic"
 
 
 class Saved(msgspec.Struct, frozen=True):
@@ -100,9 +109,10 @@ class Timeline:
         self._turn += 1
         for link in snapshot.links:
             traffic = link.rx_bytes_per_second + link.tx_bytes_per_second
-            self._observe((link.name, "", False), now, link.state, link.reason, rate=traffic)
+            self._observe(_key_of(link.name), now, link.state, link.reason, rate=traffic)
         for route in snapshot.routes:
-            key, total = (route.link, route.topic, route.outgoing), route.ledger.delivered
+            key = (route.link, route.spec.kind, route.topic, route.outgoing)
+            total = route.ledger.delivered if route.calls is None else route.calls.asked
             self._observe(key, now, route.state, route.reason or route.last_error, total=total)
         for subject in [each for each in self._subjects.values() if each.live and each.turn != self._turn]:
             self.changes += subject.is_out
@@ -113,7 +123,7 @@ class Timeline:
     def _observe(self, key: Key, now: float, state: State, reason: str, *, rate: float = 0.0, total: int = 0) -> None:
         subject = self._subjects.get(key)
         if subject is None:
-            if not self._has_room():
+            if not self._has_room(key):
                 return
             subject = self._subjects[key] = Subject(*key)
         subject.turn = self._turn
@@ -178,15 +188,21 @@ class Timeline:
         return now + self.last - self._run[0] if self._run else self.last
 
     def _link_of(self, subject: Subject) -> Subject | None:
-        return self._subjects.get((subject.link, "", False)) if subject.topic else None
+        return self._subjects.get(_key_of(subject.link)) if subject.topic else None
 
-    def _has_room(self) -> bool:
-        if len(self._subjects) < SUBJECTS:
+    def _has_room(self, key: Key) -> bool:
+        """Make room for a new subject: no link has more topics than it leaves to the others.
+
+        Those that are gone give way, of the link that has most, but not of one that has fewer than the new one's.
+        """
+        topics = Counter(link for link, kind, _, _ in self._subjects if kind != LINK)
+        own = topics[key[0]]
+        if key[1] == LINK or own <= SUBJECTS - len(self._subjects):
             return True
-        gone = [key for key, each in self._subjects.items() if not each.live]
+        gone = [each for each, subject in self._subjects.items() if not subject.live and topics[each[0]] >= own]
         if not gone:
             return False
-        del self._subjects[min(gone, key=lambda key: self._subjects[key].series.end)]
+        del self._subjects[min(gone, key=lambda each: (-topics[each[0]], self._subjects[each].series.end))]
         return True
 
     def _tidy(self, now: float) -> None:
@@ -219,11 +235,12 @@ class Timeline:
         start = now - span
         tracks: list[Track] = []
         outages: list[Outage] = []
-        for subject in sorted(self._subjects.values(), key=lambda each: (each.link, each.topic, each.outgoing)):
+        subjects = self._subjects.values()
+        for subject in sorted(subjects, key=lambda each: (each.link, each.topic, each.kind, each.outgoing)):
             found = list(subject.outages_in(start, now, self._link_of(subject)))
             outages += found
             track = subject.track(start, now, len(found), model.RATES_AT_ONCE)
-            if subject.live or found or track.up or track.out:
+            if subject.live or found or track.up or track.out or track.waiting:
                 tracks.append(track)
         dropped = sum(each.dropped_in(start) for each in self._subjects.values())
         outages.sort(key=lambda each: each.start)
@@ -254,7 +271,7 @@ class Timeline:
         subjects = tuple(
             SavedSubject(
                 each.link, each.topic, each.outgoing, *each.series.dump(),
-                tuple(each.present(now, self._link_of(each))),
+                tuple(each.present(now, self._link_of(each))), each.kind,
             )
             for each in self._subjects.values()
         )  # fmt: skip
@@ -270,11 +287,17 @@ class Timeline:
         """
         timeline = cls(name, role)
         for each in saved.subjects[:SUBJECTS]:
-            subject = Subject(each.link, each.topic, each.outgoing)
-            subject.series = Series.load(each.first, each.rates, each.up, each.out)
+            key: Key = (each.link, each.kind, each.topic, each.outgoing) if each.topic else _key_of(each.link)
+            subject = Subject(*key)
+            subject.series = Series.load(each.first, each.rates, each.up, each.out, each.waiting)
             subject.outages.extend(each.outages[-OUTAGES_OF_ONE:])
-            timeline._subjects[each.link, each.topic, each.outgoing] = subject
+            timeline._subjects[key] = subject
         timeline._runs.extend(saved.runs)
         for event in saved.actions:
             timeline.did(event, event.time)
         return timeline
+
+
+def _key_of(link: str) -> Key:
+    """A link's own."""
+    return link, LINK, "", False

@@ -1,0 +1,337 @@
+"""Actions over a bridge: an rclpy action server in the robot's domain, an rclpy action client in the PC's."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+
+pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
+
+from action_msgs.msg import GoalStatus, GoalStatusArray
+from rclpy.qos import qos_profile_action_status_default
+from rclpy.serialization import deserialize_message
+from tests.support.bridge import linked, route
+from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciProcess, FibonacciServer, fibonacci, id_of
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+FIBONACCI = Topic(ACTION, "receive", kind="action")
+"""The robot provides it."""
+
+
+def test_a_goal_its_feedback_and_its_result_cross(
+    bridge: Bridge, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    bridge.both(FIBONACCI)
+    goal = client.send(5)
+    assert goal.handle().accepted
+    goal.ask()
+    server.feedback(0, 1)
+    server.feedback(0, 1, 1)
+    eventually(lambda: len(goal.feedbacks) == 2)
+    server.finish(0, 1, 1, 2, 3)
+    assert goal.result() == ("succeeded", [0, 1, 1, 2, 3])
+    assert goal.feedbacks == [[0, 1], [0, 1, 1]]
+    assert server.orders == [5]
+
+
+def test_goals_of_many_clients_at_once(
+    bridge: Bridge, server: FibonacciServer, client: FibonacciClient, pc: Domain
+) -> None:
+    bridge.both(FIBONACCI)
+    other = FibonacciClient(pc.id)
+    goals = [who.send(number) for number in range(4) for who in (client, other)]
+    assert all(goal.handle().accepted for goal in goals)
+    for goal in goals:
+        goal.ask()
+    by_id = {id_of(goal.handle()): goal for goal in goals}
+    for number in reversed(range(8)):
+        handle = server.goal(number)
+        server.feedback(number, number=number)
+        eventually(lambda handle=handle: by_id[id_of(handle)].feedbacks)
+        server.finish(number, number, number=number)
+    assert [by_id[id_of(server.goal(number))].result() for number in range(8)] == [
+        ("succeeded", [number, number]) for number in range(8)
+    ]
+    assert all(by_id[id_of(server.goal(number))].feedbacks == [[number]] for number in range(8))
+    other.close()
+
+
+def test_a_goal_is_cancelled(bridge: Bridge, server: FibonacciServer, client: FibonacciClient) -> None:
+    bridge.both(FIBONACCI)
+    goal = client.send(5)
+    goal.ask()
+    answer = goal.cancel()
+    eventually(answer.done)
+    assert [id_of(each) for each in answer.result().goals_canceling] == [id_of(goal.handle())]
+    server.finish(1, state="canceled")
+    assert goal.result() == ("canceled", [1])
+
+
+def test_a_goal_that_is_not_accepted_harms_nobody(bridge: Bridge, client: FibonacciClient, robot: Domain) -> None:
+    """zenoh-plugin-ros2dds #326: the caller's node died of it."""
+    unwilling = FibonacciServer(robot.id, accepts=False)
+    pc_engine, robot_engine = bridge.both(FIBONACCI)
+    goals = [client.send(number) for number in range(3)]
+    assert [goal.handle().accepted for goal in goals] == [False] * 3
+    assert unwilling.orders == [0, 1, 2]
+    for engine in (pc_engine, robot_engine):
+        eventually(lambda engine=engine: states(engine) == ["rejected"] * 3)
+    unwilling.close()
+    eventually(lambda: not client.ready)
+    willing = FibonacciServer(robot.id)
+    assert client.send(3).handle().accepted
+    willing.close()
+
+
+def test_a_result_may_take_longer_than_any_call(
+    bridge: Bridge, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    """zenoh-plugin-ros2dds #210: the result was lost, though feedback had come."""
+    pc_engine, robot_engine = bridge.both(msgspec.structs.replace(FIBONACCI, timeout=0.5))
+    goal = client.send(5).ask()
+    began = time.monotonic()
+    while time.monotonic() < began + 2.0:
+        server.feedback(len(goal.feedbacks))
+        time.sleep(0.1)
+    server.finish(1, 2, 3)
+    assert goal.result() == ("succeeded", [1, 2, 3])
+    for engine in (pc_engine, robot_engine):
+        calls = route(engine, ACTION).calls
+        assert calls is not None
+        assert calls.expired == 0
+
+
+def test_both_consoles_show_goals_and_their_states(
+    bridge: Bridge, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    engines = bridge.both(FIBONACCI)
+    goal, other = client.send(1).ask(), client.send(2)
+    for engine in engines:
+        eventually(lambda engine=engine: states(engine) == ["executing", "executing"])
+    server.feedback(1)
+    server.feedback(2)
+    other.cancel()
+    for engine in engines:
+        eventually(lambda engine=engine: states(engine) == ["canceling", "executing"])
+        second, first = route(engine, ACTION).goals
+        assert (first.id, second.id) == (id_of(goal.handle()), id_of(other.handle()))
+        assert (first.result_awaited, second.result_awaited) == (True, False)
+        eventually(lambda engine=engine: [each.feedbacks for each in route(engine, ACTION).goals] == [0, 2])
+    server.finish(1)
+    server.finish(1, number=1, state="canceled")
+    assert goal.result() == ("succeeded", [1])
+    for engine in engines:
+        eventually(lambda engine=engine: states(engine) == ["canceled", "succeeded"])
+
+
+def test_who_comes_late_gets_the_status(
+    bridge: Bridge, server: FibonacciServer, client: FibonacciClient, pc: Domain
+) -> None:
+    bridge.both(FIBONACCI)
+    client.send(1)
+    server.goal()
+    late = pc.listener(f"{ACTION}/_action/status", GoalStatusArray, qos_profile_action_status_default)
+    eventually(lambda: [each.status for each in newest_status(late)] == [GoalStatus.STATUS_EXECUTING])
+
+
+def test_a_server_that_is_started_again_serves_again(bridge: Bridge, client: FibonacciClient, robot: Domain) -> None:
+    """Goals of the one that is gone are unknown: that is what the new one answers."""
+    engines = bridge.both(FIBONACCI)
+    with FibonacciProcess(robot.id):
+        goal = client.send(10_000).ask()
+        eventually(lambda: states(engines[0]) == ["executing"])
+    eventually(lambda: not client.ready)
+    for engine in engines:
+        eventually(lambda engine=engine: states(engine) == ["unknown"])
+    with FibonacciProcess(robot.id):
+        assert goal.result() == ("unknown", [])
+        assert client.send(2).ask().result() == ("succeeded", fibonacci(2))
+
+
+def test_a_server_that_was_killed_and_started_again_serves_at_once(
+    bridge: Bridge, client: FibonacciClient, robot: Domain
+) -> None:
+    """zenoh-plugin-ros2dds #367, #413: it was dead for good. DDS still sees the old one."""
+    _, robot_engine = bridge.both(FIBONACCI)
+    with FibonacciProcess(robot.id) as server:
+        assert client.send(10_000).handle().accepted
+        server.kill()
+    with FibonacciProcess(robot.id):
+        eventually(lambda: servers(robot_engine) == 2, what="the new server is seen, too")
+        for order in range(3):
+            assert client.send(order).ask().result() == ("succeeded", fibonacci(order))
+
+
+# --- the link drops
+
+
+def test_a_goal_outlives_a_silent_cut_and_its_result_comes_though_its_server_has_forgotten_it(
+    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain, pc: Domain
+) -> None:
+    server = FibonacciServer(robot.id, result_timeout=0.2)
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5).ask()
+    server.feedback(0)
+    eventually(lambda: goal.feedbacks)
+    relay.stall(new=True)
+    eventually(lambda: not any(linked(engine) for engine in engines))
+    eventually(lambda: not client.ready, 1.5, "no server while the link is down")
+    server.feedback(0, 1)
+    server.finish(0, 1, 1)
+    eventually(lambda: server.forgot, what="the server has forgotten the goal")
+    assert not goal.has_result
+    relay.stall(False)
+    assert goal.result() == ("succeeded", [0, 1, 1])
+    assert goal.feedbacks == [[0]]
+    for engine in engines:
+        eventually(lambda engine=engine: states(engine) == ["succeeded"])
+        calls = route(engine, ACTION).calls
+        assert calls is not None
+        assert (calls.in_flight, calls.expired, calls.refused) == (0, 0, {})
+        eventually(lambda engine=engine: route(engine, ACTION).state == State.OK, what="it is called")
+    late = pc.listener(f"{ACTION}/_action/status", GoalStatusArray, qos_profile_action_status_default)
+    second = client.send(2).ask()
+    server.finish(2, number=1)
+    assert second.result() == ("succeeded", [2])
+    eventually(lambda: newest_status(late))
+    server.close()
+
+
+def test_a_result_that_was_on_its_way_when_the_link_went_comes(
+    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
+) -> None:
+    """It was sent into a connection that nobody reads, and is forgotten by its server before the link is back."""
+    server = FibonacciServer(robot.id, result_timeout=0.2)
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5).ask()
+    relay.stall(new=True)
+    server.finish(0, 1, 1)
+    eventually(lambda: server.forgot)
+    relay.cut()
+    eventually(lambda: not any(linked(engine) for engine in engines))
+    relay.stall(False)
+    assert goal.result() == ("succeeded", [0, 1, 1])
+    server.close()
+
+
+def test_who_asks_for_a_result_first_after_the_server_has_forgotten_it_gets_it(
+    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
+) -> None:
+    server = FibonacciServer(robot.id, result_timeout=0.2)
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5)
+    assert goal.handle().accepted
+    down(relay, *engines)
+    server.finish(0, 1, 1)
+    eventually(lambda: server.forgot)
+    goal.ask()
+    relay.stall(False)
+    assert goal.result() == ("succeeded", [0, 1, 1])
+    server.close()
+
+
+def test_a_cancel_while_the_link_is_down_is_delivered_when_it_is_up(
+    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    """Ahead of all else, which only simulated worlds can tell: a node takes from its services in its own order."""
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5).ask()
+    goal.handle()
+    down(relay, *engines)
+    eventually(lambda: not client.ready)
+    answer = goal.cancel()
+    relay.stall(False)
+    eventually(answer.done)
+    assert [id_of(each) for each in answer.result().goals_canceling] == [id_of(goal.handle())]
+    client.send(6).handle()
+    assert server.log == ["goal 5", f"cancel {id_of(goal.handle())}", "goal 6"]
+    server.finish(1, state="canceled")
+    assert goal.result() == ("canceled", [1])
+
+
+def test_a_cancel_that_the_cut_has_swallowed_is_delivered(
+    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    """The five seconds until a dead link is noticed are when somebody is most likely to cancel."""
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5)
+    goal.handle()
+    relay.stall(new=True)
+    answer = goal.cancel()
+    eventually(lambda: not any(linked(engine) for engine in engines))
+    relay.stall(False)
+    eventually(answer.done)
+    assert server.cancels == [id_of(goal.handle())]
+    server.finish(state="canceled")
+
+
+def test_a_goal_that_the_cut_has_swallowed_is_rejected_and_never_begins(
+    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    engines = bridge.both(FIBONACCI)
+    eventually(lambda: client.ready)
+    relay.stall(new=True)
+    goal = client.send(5)
+    eventually(lambda: states(engines[0]) == ["asked"])
+    down(relay, *engines)
+    relay.stall(False)
+    assert not goal.handle().accepted
+    assert states(engines[0]) == ["rejected"]
+    assert client.send(6).handle().accepted
+    assert server.orders == [6]
+
+
+def test_a_goal_that_is_accepted_while_the_link_is_down_is_known_to_its_client_afterwards(
+    bridge: Bridge, relay: Relay, client: FibonacciClient, robot: Domain
+) -> None:
+    server = FibonacciServer(robot.id, result_timeout=0.2, hesitates=True)
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5)
+    eventually(lambda: server.orders == [5])
+    down(relay, *engines)
+    server.hesitates.clear()
+    server.finish(0, 1)
+    eventually(lambda: server.forgot)
+    assert not goal.answered
+    relay.stall(False)
+    assert goal.handle().accepted
+    assert goal.ask().result() == ("succeeded", [0, 1])
+    server.close()
+
+
+def states(engine: Engine) -> list[str]:
+    """Of an engine's goals, in the order of its snapshot."""
+    return [goal.state for goal in route(engine, ACTION).goals]
+
+
+def servers(engine: Engine) -> int:
+    """How many nodes serve the action in an engine's domain, as its route knows."""
+    assert engine._bridge is not None
+    (found,) = (each for link in engine._bridge.links() for each in link.routes.values())
+    return len({each.gid for each in found.endpoints}) // 3
+
+
+def newest_status(listener: Listener) -> Any:
+    """The goals of the last status message."""
+    payloads = listener.payloads
+    return deserialize_message(payloads[-1], GoalStatusArray).status_list if payloads else ()
+
+
+def down(relay: Relay, *engines: Engine) -> None:
+    """End the link, and let none come."""
+    relay.stall(new=True)
+    relay.cut()
+    eventually(lambda: not any(linked(engine) for engine in engines))

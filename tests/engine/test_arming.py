@@ -1,0 +1,190 @@
+"""Topics that have to be armed, between two real domains: what crosses, and what never does."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.bridge import balance, carries, happened, heard, linked, route
+from tests.support.consoles import Consoles
+from tests.support.domain import LATCHED, RELIABLE, text
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.arming import Disarmed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+COMMANDS = Topic("/cmd", "receive", arm=True, deadman=0.0)
+
+
+def armed(*engines: Engine) -> list[bool]:
+    found = [route(engine, "/cmd").arming for engine in engines]
+    return [each is not None and each.armed for each in found]
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    made = Consoles()
+    yield made
+    made.close()
+
+
+def is_set_up(*engines: Engine) -> bool:
+    return all(route(engine, "/cmd").state == "disarmed" for engine in engines)
+
+
+def publish_for(out: Publisher, words: str, done: Callable[[], object]) -> None:
+    """Publish on until something has come of it."""
+
+    def once_more() -> object:
+        out.publish(text(words))
+        return done()
+
+    eventually(once_more)
+
+
+def publish_until_heard(out: Publisher, words: str, listener: Listener) -> None:
+    publish_for(out, words, lambda: words in listener.texts(100))
+
+
+@pytest.mark.parametrize("operator", ["client", "server"])
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_nothing_crosses_until_it_is_armed_nor_after(
+    protocol: str, operator: str, bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
+    topic = Topic("/cmd", "receive", protocol="udp" if protocol == "udp" else "tcp", arm=True, deadman=0.0)
+    server, client = bridge.both(topic)
+    engine = client if operator == "client" else server
+    eventually(lambda: is_set_up(server, client))
+    for _ in range(20):
+        joystick.publish(text("before"))
+    holds(lambda: not motors.payloads and not joystick.get_subscription_count(), 0.5)
+
+    for number, words in enumerate(("first", "second")):
+        consoles.arm(engine)
+        assert armed(server, client) == [True, True]
+        publish_until_heard(joystick, words, motors)
+        engine.arming.disarm(route(engine, "/cmd").key).result(30)
+        assert armed(engine) == [False]
+        eventually(lambda: is_set_up(server, client))
+        for _ in range(20):
+            joystick.publish(text("while it is disarmed"))
+        for side in (server, client):
+            assert len([each for each in side.events() if each.code == EventCode.OPERATOR_DISARMED]) == number + 1
+    holds(lambda: not {"before", "while it is disarmed"} & set(motors.texts(1000)), 0.5)
+    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).in_flight else None)
+    assert balance(ledger) == ledger.offered
+
+
+def test_what_was_on_its_way_when_it_disarms_reaches_no_robot_after_it_is_armed_again(
+    bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    """The network holds the commands back, and lets them go when both sides are armed anew."""
+    motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
+    server, client = bridge.both(COMMANDS)
+    eventually(lambda: is_set_up(server, client))
+    consoles.arm(server)
+    carries([joystick], client, ["/cmd"])
+    relay.stall()
+    for _ in range(50):
+        joystick.publish(text("old"))
+    eventually(lambda: route(server, "/cmd").ledger.offered >= 50)
+    server.arming.disarm(route(server, "/cmd").key).result(30)
+    relay.stall(False)
+    eventually(lambda: is_set_up(server, client) and linked(client))
+    crossed = len(motors.payloads)  # what arrived before its sender's word that it is disarmed was armed on both sides
+    consoles.arm(server)
+    publish_until_heard(joystick, "new", motors)
+    assert set(motors.texts(1000)[crossed:]) == {"new"}
+    ledger = eventually(lambda: ledger if not (ledger := route(server, "/cmd").ledger).in_flight else None)
+    lost = ledger.dropped.get("disarmed", 0) + ledger.dropped.get("link lost", 0)  # a slow machine may lose the link
+    assert lost + crossed == 50
+    assert balance(ledger) == ledger.offered
+
+
+def test_the_history_of_a_latched_topic_does_not_cross_on_arming(
+    bridge: Bridge, robot: Domain, pc: Domain, consoles: Consoles
+) -> None:
+    motors, planner = robot.listener("/cmd"), pc.publisher("/cmd", qos=LATCHED)
+    planner.publish(text("latched long ago"))
+    server, client = bridge.both(COMMANDS)
+    eventually(lambda: is_set_up(server, client))
+    consoles.arm(client)
+    carries([planner], client, ["/cmd"])
+    holds(lambda: not motors.payloads, 0.5)
+    planner.publish(text("now"))
+    assert heard(motors, 1) == [text("now")]
+    client.arming.disarm(route(client, "/cmd").key).result(30)
+    late = robot.listener("/cmd", qos=RELIABLE)
+    holds(lambda: not late.payloads, 0.5)
+
+
+@pytest.fixture
+def both_armed(bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, consoles: Consoles) -> tuple[Engine, Engine]:
+    robot.listener("/cmd")
+    pc.publisher("/cmd")
+    server, client = bridge.both(COMMANDS)
+    eventually(lambda: is_set_up(server, client))
+    consoles.arm(server)
+    return server, client
+
+
+def test_a_link_that_drops_disarms_and_comes_back_disarmed(both_armed: tuple[Engine, Engine], relay: Relay) -> None:
+    server, client = both_armed
+    relay.cut()
+    for side in (server, client):
+        event = eventually(lambda side=side: happened(side, EventCode.ROUTE_DISARMED))
+        assert event.cause in (Disarmed.LINK_LOST, Disarmed.CHANNEL_LOST)
+    eventually(lambda: linked(client) and is_set_up(server, client))
+    holds(lambda: armed(server, client) == [False, False], 0.5)
+
+
+def test_a_restart_and_a_reload_disarm(both_armed: tuple[Engine, Engine], bridge: Bridge, consoles: Consoles) -> None:
+    server, client = both_armed
+    path = bridge.folder / "server.yaml"
+    save(server.session, path)
+    server.use_file(path)
+    server.reload(dry_run=True).result(30)
+    assert armed(server, client) == [True, True]
+    server.reload().result(30)
+    assert armed(server) == [False]
+    assert (event := happened(client, EventCode.ROUTE_DISARMED)) is None or event.cause == Disarmed.RELOADED
+    eventually(lambda: is_set_up(server, client))
+    consoles.arm(server)
+    client.restart().result(60)
+    eventually(lambda: is_set_up(server, client))
+
+
+def test_the_robot_publishes_nothing_of_its_own_marked_topic_that_its_peer_sends_unarmed(
+    bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The control PC's bridge is made to hold everything for armed."""
+    motors, joystick = robot.listener("/cmd"), pc.publisher("/cmd")
+    server, client = bridge.both(COMMANDS)
+    eventually(lambda: is_set_up(server, client))
+    assert server._bridge is not None
+    (liar,) = [each for link in server._bridge.links() for each in link.routes.values()]
+    monkeypatch.setattr(type(liar.arming), "passes", lambda arming, now: arming is liar.arming or not arming.required)
+    server._bridge.context.call(liar.advance)
+    publish_for(joystick, "forged", lambda: route(client, "/cmd").ledger.dropped.get("disarmed", 0) >= 5)
+    assert not motors.payloads
+
+
+def test_what_is_not_marked_cannot_be_armed(bridge: Bridge, consoles: Consoles) -> None:
+    server, client = bridge.both(Topic("/cmd", "receive", type="String"))
+    with pytest.raises(EngineError, match="need not be"):
+        consoles.arm(server)
+    assert route(client, "/cmd").arming is None

@@ -1,0 +1,173 @@
+"""An action that is paused or has to be armed: no goal may begin, and nobody is kept from stopping one that runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+
+pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
+
+from tests.support.bridge import linked, route
+from tests.support.consoles import Consoles
+from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.session import Topic
+from rsb_bridge.transport.tcp import Tcp
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.relay import Relay
+
+    from rsb_bridge.engine import Engine
+
+FIBONACCI = Topic(ACTION, "receive", kind="action")
+ARMED = msgspec.structs.replace(FIBONACCI, arm=True, deadman=0.0)
+
+
+@pytest.fixture
+def consoles() -> Iterator[Consoles]:
+    made = Consoles()
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("who", [0, 1])
+@pytest.mark.parametrize("how", ["paused", "disarmed"])
+def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
+    who: int, how: str, bridge: Bridge, server: FibonacciServer, client: FibonacciClient, consoles: Consoles
+) -> None:
+    engines = bridge.both(ARMED if how == "disarmed" else FIBONACCI)
+    if how == "disarmed":
+        eventually(lambda: states(*engines) == {"disarmed"})
+        consoles.arm(engines[1 - who], ACTION)
+    first, second = client.send(1).ask(), client.send(2).ask()
+    number, other = server.number_of(first), server.number_of(second)
+    hold(engines[who], how)
+    eventually(lambda: states(*engines) == {how})
+    for engine in engines:
+        eventually(lambda engine=engine: [goal.state for goal in route(engine, ACTION).goals] == ["executing"] * 2)
+    eventually(lambda: not client.ready, what="no goal can be sent")
+    server.feedback(7, number=other)
+    eventually(lambda: second.feedbacks == [[7]])
+    answer = first.cancel()
+    eventually(answer.done, what="the cancel passes")
+    assert server.cancels == [id_of(first.handle())]
+    server.finish(1, number=number, state="canceled")
+    server.finish(2, number=other)
+    assert first.result() == ("canceled", [1])
+    assert second.result() == ("succeeded", [2])
+    for engine in engines:
+        eventually(
+            lambda engine=engine: [goal.state for goal in route(engine, ACTION).goals] == ["succeeded", "canceled"]
+        )
+    assert states(*engines) == {how}
+    assert server.orders == [1, 2]
+    if how == "disarmed":
+        consoles.arm(engines[who], ACTION)
+    else:
+        engines[who].pause(route(engines[who], ACTION).key, False).result(30)
+    assert client.send(3).handle().accepted
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("how", ["paused", "disarmed"])
+def test_a_goal_that_runs_is_cancelled_by_hand_where_nobody_was_ever_let_send_one(
+    how: str, shared: bool, bridge: Bridge, server: FibonacciServer, robot: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The goal is another client's, beside the robot; the operator sits at the other end.
+
+    Where routes share the link's own stream, as on Bluetooth, the status is sent as soon as the other side can take it.
+    """
+    monkeypatch.setattr(Tcp, "multiplexed", shared)
+    local = FibonacciClient(robot.id)
+    goal = local.send(5)
+    goal.handle()
+    changes = {"paused": True} if how == "paused" else {"arm": True}
+    engines = bridge.both(msgspec.structs.replace(FIBONACCI, **changes))
+    eventually(lambda: states(*engines) == {how})
+    pc = engines[0]
+    if how == "disarmed":
+        for engine in engines:
+            with pytest.raises(EngineError):
+                engine.call(route(engine, ACTION).key, "{}", "send_goal").result(30)
+    assert server.orders == [5]
+    eventually(lambda: [each.state for each in route(pc, ACTION).goals] == ["executing"])
+    pc.call(route(pc, ACTION).key, "{}", "cancel_goal").result(30)
+    eventually(lambda: server.cancels == [id_of(goal.handle())])
+    server.finish(state="canceled")
+    local.close()
+
+
+def test_a_goal_that_waits_for_its_server_when_it_is_paused_is_accepted(
+    bridge: Bridge, client: FibonacciClient, robot: Domain
+) -> None:
+    server = FibonacciServer(robot.id, hesitates=True)
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5)
+    eventually(lambda: server.orders == [5])
+    hold(engines[0], "paused")
+    eventually(lambda: states(*engines) == {"paused"})
+    late = client.send(6)
+    assert not late.handle().accepted
+    server.hesitates.clear()
+    assert goal.handle().accepted
+    eventually(lambda: not client.ready, what="no goal can be sent")
+    eventually(goal.cancel().done)
+    assert server.orders == [5]
+    server.finish(state="canceled")
+    server.close()
+
+
+def test_a_goal_that_waits_for_its_server_when_it_is_disarmed_is_accepted(
+    bridge: Bridge, client: FibonacciClient, robot: Domain, consoles: Consoles
+) -> None:
+    server = FibonacciServer(robot.id, hesitates=True)
+    engines = bridge.both(ARMED)
+    eventually(lambda: states(*engines) == {"disarmed"})
+    consoles.arm(engines[1], ACTION)
+    goal = client.send(5)
+    eventually(lambda: server.orders == [5])
+    hold(engines[0], "disarmed")
+    server.hesitates.clear()
+    assert goal.handle().accepted
+    eventually(lambda: states(*engines) == {"disarmed"})
+    eventually(goal.cancel().done)
+    server.finish(state="canceled")
+    server.close()
+
+
+def test_a_cancel_while_the_link_is_down_is_delivered_though_it_is_paused(
+    bridge: Bridge, relay: Relay, server: FibonacciServer, client: FibonacciClient
+) -> None:
+    engines = bridge.both(FIBONACCI)
+    goal = client.send(5).ask()
+    goal.handle()
+    hold(engines[1], "paused")
+    eventually(lambda: states(*engines) == {"paused"})
+    relay.stall(new=True)
+    relay.cut()
+    eventually(lambda: not any(linked(engine) for engine in engines))
+    answer = goal.cancel()
+    relay.stall(False)
+    eventually(answer.done)
+    server.finish(1, state="canceled")
+    assert goal.result() == ("canceled", [1])
+    eventually(lambda: states(*engines) == {"paused"})
+
+
+def hold(engine: Engine, how: str) -> None:
+    """Pause or disarm the action."""
+    key = route(engine, ACTION).key
+    (engine.pause(key, True) if how == "paused" else engine.arming.disarm(key)).result(30)
+
+
+def states(*engines: Engine) -> set[str]:
+    """Of the action, on all of them."""
+    return {route(engine, ACTION).state for engine in engines}

@@ -1,0 +1,59 @@
+"""A service that is bridged already is not bridged a second time, whoever asks for it while the bridge runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.support.bridge import find, route
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from tests.support.bridge import Bridge
+
+NODE = Topic("/n", "transmit", kind="parameters")
+SETTER = Topic("/n/set_parameters", "transmit", kind="service")
+DOCK = Topic("/dock", "transmit", kind="action")
+GOAL = Topic("/dock/_action/send_goal", "transmit", kind="service")
+
+
+@pytest.mark.parametrize("who", [0, 1])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(NODE, SETTER), (SETTER, NODE), (SETTER, msgspec.structs.replace(SETTER, direction="receive"))],
+)
+def test_it_is_not_added_on_either_side(who: int, first: Topic, second: Topic, bridge: Bridge) -> None:
+    engines = bridge.both(first)
+    for engine in engines:
+        eventually(lambda engine=engine: find(engine, first.topic))
+    with pytest.raises(EngineError) as refusal:
+        engines[who].add_topic(second, link="robot1").result(30)
+    assert first.topic in str(refusal.value)
+    assert second.topic in str(refusal.value)
+    assert all(len(engine.snapshot().routes) == 1 for engine in engines)
+
+
+def test_nor_by_an_edit(bridge: Bridge) -> None:
+    other = Topic("/m/set_parameters", "transmit", kind="service")
+    server, client = bridge.both(NODE, other)
+    eventually(lambda: find(server, other.topic))
+    with pytest.raises(EngineError) as refusal:
+        client.edit_topic(route(client, other.topic).key, SETTER).result(30)
+    assert NODE.topic in str(refusal.value)
+    assert {each.topic for each in client.snapshot().routes} == {NODE.topic, other.topic}
+    eventually(lambda: {each.topic for each in server.snapshot().routes} == {NODE.topic, other.topic})
+
+
+def test_both_sides_say_so_where_each_has_its_own_entry(bridge: Bridge) -> None:
+    """Neither knew of the other's when it took its own."""
+    server = bridge.server()
+    server.add_topic(SETTER, link="robot1").result(30)
+    client = bridge.client(NODE)
+    for engine, own, others in ((server, SETTER, NODE), (client, NODE, SETTER)):
+        eventually(lambda engine=engine, own=own: route(engine, own.topic).cause == "refused")
+        assert others.topic in route(engine, own.topic).reason
+        assert own.topic in route(engine, own.topic).reason
