@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from textual.pilot import Pilot
 
 PICTURES = Path(__file__).parent / "pictures"
-FLOWING = 4  # topics of the demo
+FLOWING = 6  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
 WIDE, NARROW = (120, 36), (80, 24)
 
@@ -56,7 +56,12 @@ async def main() -> None:
                 await take(pilot, "main", "g")
                 await take(pilot, "add-topic", "a")
                 await take(pilot, "help", "escape", "question_mark")
-                await pilot.press("escape", "t", "t")
+                await pilot.press("escape", "slash", *"set_light", "enter", "C")
+                await until(lambda: "data" in app.screen.form.values.get("request", ""), pilot)  # type: ignore[attr-defined]
+                await pilot.press("f9", "y")
+                await take(pilot, "call")
+                await take(pilot, "service", "escape")
+                await pilot.press("escape", "g", "t", "t")
                 await take(pilot, "light")
                 await pilot.press("t", "t")
                 await pilot.resize_terminal(*NARROW)

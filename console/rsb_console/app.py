@@ -18,6 +18,7 @@ from rsb_console.actions.registry import BY_ID, Action, Group, bindings
 from rsb_console.look import themes
 from rsb_console.look.glyphs import AsciiFilter, ControlFilter
 from rsb_console.operations.bridge import BridgeOperations
+from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.sessions import SessionOperations
 from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
@@ -99,6 +100,7 @@ class ConsoleApp(App[None]):
         self.preferences = Preferences(self.config, theme)
         self.shutdown_reason = ShutdownReason.QUIT
         self.input_queue = InputQueue(self, {Group.OPERATE, Group.SESSION})
+        self.deadman = Deadman()
         self.terminal = 1
         """File descriptor of the terminal."""
         console: Console = self
@@ -303,7 +305,9 @@ class ConsoleApp(App[None]):
         events = [] if self.engine is None else self.engine.events(self._last_event)
         if events:
             self._last_event = events[-1].number
-        self.main.show(self.snapshot(), events)
+        snapshot = self.snapshot()
+        self.deadman.keep(self.engine, snapshot)
+        self.main.show(snapshot, events)
 
     def change_refresh_rate(self, step: int) -> None:
         index = REFRESH_RATES.index(self.refresh_rate) + step
@@ -360,6 +364,7 @@ class ConsoleApp(App[None]):
 
     async def on_event(self, event: events.Event) -> None:
         """Handle an event as Textual does, but input only when it is its turn."""
+        self.deadman.saw(event)
         if not self.input_queue.takes(event):
             await super().on_event(event)
 

@@ -92,11 +92,14 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         return FAILURE
     from platformdirs import user_state_path
 
+    from rsb_console.terminal.shutdown import owner_only
+
     log = user_state_path("rsb-console") / "crash.log"
     message = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
-        with log.open("a", encoding="utf-8") as file:
+        with open(log, "a", encoding="utf-8", opener=owner_only) as file:
+            os.fchmod(file.fileno(), 0o600)  # one of before may be open to others
             file.writelines(traceback.format_exception(error))
     except OSError:
         print_error(f"{message} (details: again with --debug)")

@@ -16,6 +16,7 @@ from tests.console.scripted import LINK, ScriptedEngine
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import dump, load, parse, save
 from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.snapshot import State
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -91,10 +92,27 @@ def test_a_running_server_is_told(path: Path, run: Run, machine: Machine) -> Non
     assert ran.json["session"] == str(path)
     assert "it lets the client in from now on" in ran.json["running"]
     assert "pid" in run("rekey", "robot2", str(path)).err
-    assert "the client's link is closed" in run("remove", "robot1", str(path)).err
+    assert "robot1 is no longer accepted, and its link is closed" in run("remove", "robot1", str(path)).err
     assert engine.commands == [("add client", ROBOT2), ("change client", ROBOT2), ("remove client", "robot1")]
     assert load(path).clients == (ROBOT2,)
     assert path.with_name("robot1.key").exists()
+
+
+def test_nothing_is_closed_of_a_client_that_was_not_linked(path: Path, run: Run, machine: Machine) -> None:
+    engine = ScriptedEngine(SERVER)
+    engine.now = dataclasses.replace(
+        engine.now, links=(LINK, dataclasses.replace(LINK, name="robot2", state=State.WAITING))
+    )
+    machine.serve(engine, file=path)
+    run("add", "robot2", str(path))
+    assert "only the new key counts now, and the link is closed" in run("rekey", "robot1", str(path)).err
+    for command, words in (
+        ("rekey", "only the new key counts now\n"),
+        ("remove", "robot2 is no longer accepted, and was not linked"),
+    ):
+        said = run(command, "robot2", str(path)).err
+        assert words in said
+        assert "link is closed" not in said
 
 
 def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) -> None:
@@ -113,6 +131,81 @@ def test_a_key_is_renewed(path: Path, run: Run) -> None:
     assert now != before
     assert ran.json["fingerprint"] == fingerprint(now)
     assert path.read_text() == TEXT
+
+
+def test_a_key_is_replaced_while_both_count(path: Path, run: Run, machine: Machine) -> None:
+    old = read_key(path.with_name("robot1.key"))
+    engine = ScriptedEngine(SERVER)
+    machine.serve(engine, file=path)
+
+    begun = run("rekey", "robot1", str(path), "--keep-old")
+    new = read_key(path.with_name("robot1-next.key"))
+    both = replace(ROBOT1, next_key_file="robot1-next.key")
+    assert begun.code == 0
+    assert path.read_text() == TEXT.replace("robot1.key", "robot1.key, next_key_file: robot1-next.key")
+    assert read_key(path.with_name("robot1.key")) == old
+    assert path.with_name("robot1-next.key").stat().st_mode & 0o777 == 0o600
+    assert "both keys count from now on, and the link stays" in begun.err
+    assert f"scp -p {path.with_name('robot1-next.key')} USER@ROBOT:robot1.key" in begun.err
+    assert "rsb-console client rekey robot1 --finish" in begun.err
+    assert (run("rekey", "robot1", str(path), "--keep-old").code, load(path).clients) == (2, (both,))
+
+    used = dataclasses.replace(LINK, fingerprint=fingerprint(old), next_fingerprint=fingerprint(new))
+    engine.now = dataclasses.replace(engine.now, links=(used,))
+    refused = run("rekey", "robot1", str(path), "--finish")
+    assert (refused.code, "is linked with its old key" in refused.err) == (1, True)
+    assert load(path).clients == (both,)
+    (row,) = run("list", str(path), "--json").json["clients"]
+    assert (row["fingerprint"], row["next_fingerprint"], row["problem"]) == (fingerprint(old), fingerprint(new), "")
+
+    engine.now = dataclasses.replace(engine.now, links=(dataclasses.replace(used, fingerprint=fingerprint(new)),))
+    finished = run("rekey", "robot1", str(path), "--finish", "--json")
+    assert (finished.code, finished.json["fingerprint"]) == (0, fingerprint(new))
+    assert path.read_text() == TEXT
+    assert read_key(path.with_name("robot1.key")) == new
+    assert not path.with_name("robot1-next.key").exists()
+    assert engine.commands == [("change client", both), ("change client", ROBOT1)]
+    again = run("rekey", "robot1", str(path), "--finish")
+    assert (again.code, "robot1 has no next key" in again.err) == (2, True)
+
+
+def test_a_finish_that_was_cut_off_is_done_again(path: Path, run: Run) -> None:
+    """The new key was put in place, and the session was not saved."""
+    run("rekey", "robot1", str(path), "--keep-old")
+    new = path.with_name("robot1-next.key")
+    path.with_name("robot1.key").write_bytes(new.read_bytes())
+    assert run("rekey", "robot1", str(path), "--finish").code == 0
+    assert path.read_text() == TEXT
+    assert not new.exists()
+
+
+def test_a_key_that_others_share_stays_theirs(path: Path, run: Run) -> None:
+    shared = write_key(path.with_name("all.key"))
+    save(replace(SERVER, key_file="all.key", shared_keys=True, clients=(Client("robot1"), Client("robot2"))), path)
+    assert run("rekey", "robot2", str(path), "--keep-old").code == 0
+    own = read_key(path.with_name("all-next.key"))
+    assert run("rekey", "robot2", str(path), "--finish").code == 0
+    assert load(path).clients == (Client("robot1"), Client("robot2", "all-next.key"))
+    assert read_key(path.with_name("all.key")) == shared
+    assert read_key(path.with_name("all-next.key")) == own
+
+
+def test_a_new_key_gives_up_the_next_one(path: Path, run: Run) -> None:
+    run("rekey", "robot1", str(path), "--keep-old")
+    assert run("rekey", "robot1", str(path)).code == 0
+    assert path.read_text() == TEXT
+
+
+def test_the_next_key_of_a_whole_server_is_replaced_by_hand(tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "robot1.yaml"
+    for name in ("robot1.key", "new.key"):
+        write_key(tmp_path / name)
+    save(replace(SERVER, name="robot1", key_file="robot1.key", next_key_file="new.key", clients=()), path)
+    text = path.read_text()
+    for options in ((), ("--finish",)):
+        ran = run("rekey", "robot1", str(path), *options)
+        assert (ran.code, "take next_key_file out" in ran.err) == (2, True)
+    assert path.read_text() == text
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
@@ -169,10 +262,17 @@ def test_the_list_says_who_is_linked_and_which_key_is_missing(path: Path, run: R
         (("add", "robot2", "--key-file", "gone/robot2.key"), 1, "gone/robot2.key: cannot be written"),
         (("add", ""), 2, "client 2, name: '' is not a name"),
         (("add", "robot2", "--allow", "scan"), 2, "client robot2, allow[0]: 'scan' matches no topic"),
+        (
+            ("add", "robot2", "--allow", "{topics: /a, may: write}"),
+            2,
+            "may: 'write' is not one of publish, read, call, serve",
+        ),
         (("remove", "robot1"), 2, "robot1 is the server's only client: add another one first"),
         (("remove", "robto1"), 2, "robto1 is no client of this server; did you mean robot1?"),
         (("rekey", "x"), 2, "x is no client of this server; there are robot1"),
         (("show", "x"), 2, "x is no client of this server"),
+        (("rekey", "robot1", "--finish"), 2, "robot1 has no next key"),
+        (("rekey", "robot1", "--keep-old", "-o", "x.yaml"), 2, "leave out --output and --address"),
     ],
 )
 def test_refusals_are_in_words_and_change_nothing(

@@ -4,6 +4,7 @@ import json
 import os
 import pty
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ import pytest
 from tests.support.locks import alone
 
 from rsb_bridge.config.session_file import load
+from rsb_console.command.arguments import parser_and_commands
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 MOST_MODULES = 300
@@ -111,12 +113,93 @@ def test_check_says_what_would_be_bridged_and_warns() -> None:
     assert "others may read this key (mode 0644)" in run.stdout
 
 
+def test_check_says_whose_keys_there_are_since_when_and_warns_of_two() -> None:
+    for name in ("old.key", "new.key"):
+        rsb_console("keygen", name)
+    Path("pc.yaml").write_text(
+        "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nclients:\n"
+        "  - {name: a, key_file: old.key, next_key_file: new.key}\n"
+    )
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, "warning" in run.stdout) == (0, False)
+    lines = [line for line in run.stdout.splitlines() if line.startswith("key ")]
+    assert [line.partition(": ")[0] for line in lines] == ["key old.key, for a", "key new.key, for a (next)"]
+    assert all("(just now)" in line or "minute" in line for line in lines)
+    long_ago = time.time() - 30 * 86400
+    os.utime("new.key", (long_ago, long_ago))
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, "warning: a: two keys have been valid since" in run.stdout) == (0, True)
+    Path("new.key").write_bytes(Path("old.key").read_bytes())
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, "hold the same key" in run.stdout) == (0, True)
+    Path("new.key").unlink()
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, "warning: new.key: no such key file" in run.stdout) == (3, True)
+
+
 def test_check_looks_once_at_each_key() -> None:
     """So what it says and how it exits agree, whatever happens to the file meanwhile."""
     rsb_console("keygen")
     heard = "sys.addaudithook(lambda name, what: name == 'open' and str(what[0]) == 'key.txt' and print('opened'))"
     run = in_process(heard, "check", "robot1.yaml")
     assert (run.returncode, run.stdout.count("opened")) == (0, 1)
+
+
+@pytest.mark.parametrize("second", ["key.txt", "copy.txt", "gone.txt"])
+def test_check_refuses_clients_that_share_a_key(second: str) -> None:
+    rsb_console("keygen")
+    Path("copy.txt").write_bytes(Path("key.txt").read_bytes())
+    server = "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nkey_file: {first}\n"
+    first = "gone.txt" if second == "gone.txt" else "key.txt"
+    Path("pc.yaml").write_text(
+        server.format(first=first) + f"clients: [{{name: a}}, {{name: b, key_file: {second}}}]\n"
+    )
+    run = rsb_console("check", "pc.yaml")
+    assert run.returncode == 2
+    assert "a and b have one key: whoever has it may take each of these names, and its rights" in run.stderr
+    assert "shared_keys: true" in run.stderr
+    Path("pc.yaml").write_text(Path("pc.yaml").read_text() + "shared_keys: true\n")
+    assert rsb_console("check", "pc.yaml").returncode == (3 if second == "gone.txt" else 0)
+
+
+def test_check_lists_what_each_client_may_do_and_what_moves_a_robot() -> None:
+    Path("fleet.yaml").write_text(
+        "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nuse_encryption: false\nports: [12001]\n"
+        "clients:\n"
+        "  - {name: open}\n  - {name: named, use_name: true}\n"
+        "  - {name: still, deny: [/cmd_vel, /joint_*, /tf, /clock]}\n"
+        "  - {name: visitor, allow: [/camera/*, /tf], deny: [/camera/raw]}\n"
+        "  - name: driver\n"
+        "    allow: [{topics: /cmd_vel, may: publish, protocol: udp, max_rate: 10}, {topics: /odom, may: read}]\n"
+        "  - {name: deaf, deny: [{topics: /*, may: read}, {topics: /cmd_vel, may: publish}]}\n"
+    )
+    lines = rsb_console("check", "fleet.yaml").stdout.splitlines()
+    table = [line.split() for line in lines[lines.index(next(line for line in lines if "may do here" in line)) + 1 :]]
+    anything = ["tcp,", "udp", "any", "12001"]
+    assert ["open", "publish,", "read", "all", *anything] in table
+    assert ["named", "publish,", "read", "/named/*", *anything] in table
+    assert ["visitor", "publish,", "read", "/camera/*", "and", "/tf,", "not", "/camera/raw", *anything] in table
+    assert ["driver", "publish", "/cmd_vel", "udp", "10", "Hz", "12001"] in table
+    assert ["driver", "read", "/odom", *anything] in table
+    assert ["deaf", "publish", "all,", "not", "/cmd_vel", *anything] in table
+    assert ["deaf", "read", "all,", "not", "/*", *anything] in table
+    assert [line.strip() for line in lines if "moves a robot" in line] == [
+        "nothing forbids open to publish what moves a robot: /cmd_vel, /joint_*, /tf, /clock",
+        "nothing forbids visitor to publish what moves a robot: /tf",
+        "nothing forbids driver to publish what moves a robot: /cmd_vel",
+        "nothing forbids deaf to publish what moves a robot: /joint_*, /tf, /clock",
+    ]
+    assert [line.strip() for line in lines if "move or change" in line] == [
+        f"nothing forbids {name} to call what may move or change a robot: any service, action and parameter"
+        for name in ("open", "still", "deaf")
+    ]
+    assert "  any ROS node of this domain may shut the bridge down, on /shutdown" in lines
+    client = rsb_console("check", "robot1.yaml").stdout
+    assert ["the", "server", "publish", "nothing", "-", "-"] in [line.split() for line in client.splitlines()]
+    assert ["the", "server", "read", "all", "tcp,", "udp", "any"] in [line.split() for line in client.splitlines()]
+    assert "moves a robot" not in client
+    assert "nothing forbids the server to shut this bridge down" in client
+    assert "ports of its own" not in client
 
 
 def test_check_leaves_out_nothing_that_a_topic_says() -> None:
@@ -134,8 +217,8 @@ def test_check_leaves_out_nothing_that_a_topic_says() -> None:
     )
     fleet = rsb_console("check", "fleet.yaml").stdout
     assert "prefix /<name>" in fleet
-    assert "accepts robot1: all topics\n" in fleet
-    assert "accepts robot2: all topics, not /map, no prefix" in fleet
+    assert "accepts robot1: everything\n" in fleet
+    assert "accepts robot2: everything, not /map, no prefix" in fleet
 
 
 def test_a_key_file_that_is_none_is_warned_of_and_never_shown() -> None:
@@ -290,6 +373,39 @@ def test_bad_arguments_are_refused_in_words() -> None:
         assert "Traceback" not in run.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("client add robot2 --prefix pc.yaml", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
+        ("client add --prefix robot2 pc.yaml", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
+        ("client add robot2 pc.yaml --prefix", {"name": "robot2", "use_name": True, "session": Path("pc.yaml")}),
+        ("client add robot2", {"name": "robot2", "use_name": None, "session": None}),
+        ("add /scan --link a transmit qos=1 --json depth=2", {"direction": "transmit", "keys": ["qos=1", "depth=2"]}),
+        ("add --service /dock --provider client", {"topic": "/dock", "kind": "service", "keys": [], "direction": None}),
+        ("call --json /dock --link a {a: 1}", {"topic": "/dock", "link": "a", "request": "{a:1}"}),
+        ("param set /node --json speed -5", {"topic": "/node", "parameter": "speed", "value": "-5"}),
+        ("param set /node speed -- -x", {"parameter": "speed", "value": "-x"}),
+        ("status --json robot1", {"bridge": "robot1", "json": True}),
+        ("status --bridge robot1", {"bridge": "robot1"}),
+        ("status", {"bridge": None}),
+        ("keygen --force", {"path": Path("key.txt"), "force": True}),
+        ("wait --for flowing /scan --timeout 3", {"wanted": ["flowing", "/scan"], "timeout": 3.0}),
+        ("run --no-ui a.yaml --debug", {"session": Path("a.yaml"), "debug": True}),
+    ],
+)
+def test_options_stand_anywhere(words: str, expected: dict[str, object]) -> None:
+    arguments = words.replace("{a: 1}", "{a:1}").split()
+    found = vars(parser_and_commands()[0].parse_args(arguments))
+    assert {key: found[key] for key in expected} == expected
+
+
+@pytest.mark.parametrize("words", ["status a b", "client add a b c", "remove /scan --what", "param get /node", "wait"])
+def test_what_no_command_takes_is_refused_beside_options(words: str) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parser_and_commands()[0].parse_args(words.split())
+    assert caught.value.code == 2
+
+
 def test_a_session_named_like_a_command_is_reached_by_its_path() -> None:
     Path("checks").write_text(SESSION.replace("udp", "tpc"))
     assert "checks:7: topic /scan, protocol" in rsb_console("checks").stderr
@@ -308,6 +424,7 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
     assert run.returncode == 1
     assert run.stderr == f"rsb-console: unexpected RuntimeError: sprocket (details: {log})\n"
     assert "Traceback" in log.read_text()
+    assert stat.S_IMODE(log.stat().st_mode) == 0o600
     for arguments in (("--debug", "check", "robot1.yaml"), ("check", "--debug", "robot1.yaml")):
         assert "Traceback" in in_process(broken, *arguments).stderr
     (folder / "state").rename(folder / "elsewhere")
@@ -347,7 +464,7 @@ def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     [
         ("rsb-console ke", {"keygen"}),
         ("rsb-console run --lo", {"--log-format"}),
-        ("rsb-console c", {"check", "client", "control.yaml", "configs/"}),
+        ("rsb-console c", {"call", "check", "client", "control.yaml", "configs/"}),
         ("rsb-console check configs/", {"configs/a.yml"}),
         ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
         ("rsb-console control.yaml --log-format ", {"text", "json"}),

@@ -76,7 +76,7 @@ def test_it_prints_a_message_as_yaml(ran: Any, engine: ScriptedEngine) -> None:
 
 def test_for_programs_it_prints_one_object_a_message(ran: Any, engine: ScriptedEngine) -> None:
     shows(engine, *(peeked(odometry(NOW), outgoing=True) for _ in range(2)))
-    done = ran("echo", "robot1", "/scan", "--count", "2", "--json", "--no-arr")
+    done = ran("echo", "/scan", "--bridge", "robot1", "--count", "2", "--json", "--no-arr")
     assert done.code == 0
     (first, second) = map(json.loads, done.out.splitlines())
     assert first == second

@@ -21,8 +21,9 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.snapshot import Ledger, State
+from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.remote import COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
+LINK = ScriptedEngine().now.links[0]
 SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", max_rate=5.0))
 
 
@@ -74,10 +76,75 @@ def test_status_says_how_it_is_and_whether_something_is_wrong(ran: Any, engine: 
     assert (status["name"], status["pid"], status["running"]) == ("robot1", os.getpid(), True)
     assert status["links"]["robot1"]["state"] == "ok"
     assert status["routes"][0]["topic"] == "/scan"
+    assert (status["ok"], status["wrong"], status["waiting"]) == (True, [], [])
     engine.now = replace(engine.now, routes=ROUTES)
     faulty = ran("status")
     assert faulty.code == 1
     assert "← /robot2/scan DOWN: no publisher of /scan in domain 4" in faulty.out
+
+
+def test_what_is_wrong_with_a_link_is_said_once_and_not_of_each_topic(ran: Any, engine: ScriptedEngine) -> None:
+    reason = "the keys of 'robot1' differ"
+    down = replace(LINK, state=State.DOWN, cause="wrong_key", reason=reason)
+    topics = (SCAN, route("/map", outgoing=True))
+    routes = tuple(replace(each, state=State.DOWN, cause="link_down", reason=reason) for each in topics)
+    engine.now = replace(engine.now, links=(down,), routes=routes)
+    status = ran("status")
+    assert status.code == 1
+    assert status.out.count(reason) == 1
+    assert "2 topics wait for it: /scan and /map" in status.out
+
+
+def test_status_says_who_paused(ran: Any, engine: ScriptedEngine) -> None:
+    paused = replace(SCAN, state=State.PAUSED, cause="paused", reason="paused (anna on pts/3)")
+    engine.now = replace(engine.now, routes=(paused,))
+    status = ran("status")
+    assert status.code == 0
+    assert "anna on pts/3" in status.out
+
+
+def test_status_says_when_a_link_that_is_shut_down_asks_again(ran: Any, engine: ScriptedEngine) -> None:
+    down = replace(LINK, state=State.DOWN, cause="shut_down", reason="shut down by anna on pts/3", retry_in=26.3)
+    engine.now = replace(engine.now, links=(down,))
+    status = ran("status")
+    assert status.code == 1
+    assert "anna on pts/3; asks again in 27 s" in status.out
+
+
+WAITS = replace(SCAN, state=State.WAITING, cause="no_publisher", reason="no publisher of /scan", age=None)
+
+
+@pytest.mark.parametrize(
+    ("what", "code", "short"),
+    [
+        (SCAN, 0, "nothing is wrong"),
+        (WAITS, 0, "nothing is wrong, 1 waits"),
+        (replace(WAITS, reason="no publisher of /scna; did you mean /scan?"), 0, "nothing is wrong, 1 waits"),
+        (replace(WAITS, state=State.STALE), 0, "nothing is wrong, 1 waits"),
+        (replace(WAITS, state=State.STALE, spec=Topic("/scan", "transmit", stale_after=2.0)), 1, "1 thing wrong"),
+        (replace(SCAN, state=State.STALE, cause="publisher_silent"), 1, "1 thing wrong"),
+        (replace(SCAN, state=State.PAUSED, cause="paused"), 0, "nothing is wrong"),
+        (replace(SCAN, state=State.UNHEARD, cause="no_subscriber"), 0, "nothing is wrong"),
+        (replace(SCAN, state=State.UNHEARD, cause="qos_incompatible"), 1, "1 thing wrong"),
+        (replace(SCAN, state=State.SLOW, cause="slow"), 1, "1 thing wrong"),
+        (replace(LINK, state=State.WAITING, reason="not connected yet"), 0, "nothing is wrong, 1 waits"),
+        (replace(LINK, state=State.DOWN, reason="no answer"), 1, "1 thing wrong"),
+        (replace(LINK, warning="two machines are called robot1"), 1, "1 thing wrong"),
+    ],
+)
+def test_waiting_is_no_fault(ran: Any, engine: ScriptedEngine, what: Any, code: int, short: str) -> None:
+    if isinstance(what, RouteSnapshot):
+        engine.now = replace(engine.now, routes=(what,))
+    else:  # the topics of a link that is not up are down, and that is said of the link
+        its = SCAN if what.state is State.OK else replace(SCAN, state=State.DOWN, cause="link_down")
+        engine.now = replace(engine.now, links=(what,), routes=(its,))
+    status = ran("status")
+    assert (status.code, status.out.splitlines()[2].strip()) == (code, short)
+    told = ran("status", "--json").json
+    assert told["ok"] is (code == 0)
+    assert len(told["wrong"]) == code
+    assert len(told["waiting"]) == int("waits" in short)
+    assert not what.reason or what.reason in str(told["wrong"] + told["waiting"])
 
 
 def test_topics_lists_what_is_bridged_or_could_be(ran: Any, engine: ScriptedEngine) -> None:
@@ -92,7 +159,7 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
     assert added.json == {"ok": True, "key": "/map"}
     changed = ran("edit", "/scan", "max_rate=", "qos=sensor_data")
     assert (changed.code, changed.out) == (0, "")
-    for command in ("remove", "pause", "resume"):
+    for command in ("remove", "pause", "resume", "disarm"):
         assert ran(command, "/scan").code == 0
     assert ran("retry").code == 0
     restarted = ran("restart")
@@ -103,6 +170,7 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
         ("remove", "/scan"),
         ("pause", "/scan", True),
         ("pause", "/scan", False),
+        ("disarm", "/scan"),
         ("retry", ""),
         ("restart",),
     ]
@@ -111,10 +179,19 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        (("add", "/map", "receive", "prtocol=udp"), "prtocol=udp: not KEY=VALUE with a KEY out of topic,"),
+        (("add", "/map", "receive", "prtocol=udp"), "prtocol=udp: unknown key; did you mean protocol? (keys: topic,"),
+        (("add", "/map", "receive", "udp"), "udp: not KEY=VALUE, as in max_rate=5"),
+        (("add", "/map"), "add /map: the direction is missing. transmit takes it from the client to the server, "),
+        (("add", "/map", "type=String"), "the direction is missing. transmit takes it"),
+        (("edit", "/scan"), "edit /scan: nothing to change; for example: max_rate=5"),
+        (("retry", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
+        (("pause", "/scan", "--link", "robot7"), "robot1 has no link 'robot7', only robot1"),
+        (("add", "/map", "recieve"), "'recieve' is no direction; did you mean receive? transmit takes it from"),
         (("add", "/map", "receive", "max_rate=fast"), "max_rate: "),
         (("add", "/scan", "transmit"), "topic: "),
         (("pause", "/scna"), "/scna is not bridged; did you mean /scan?"),
+        (("wait", "--for", "flowing", "/scna"), "/scna is not bridged; did you mean /scan?"),
+        (("wait", "--for", "linked", "robot7"), "robot1 has no link 'robot7', only robot1"),
         (("wait", "--for", "happy"), "not one of flowing TOPIC, linked [CLIENT], stopped"),
     ],
 )
@@ -157,6 +234,18 @@ def test_a_topic_that_goes_both_ways_has_to_be_named_with_its_direction(ran: Any
     assert engine.commands == [("pause", "back", True)]
 
 
+def test_a_topic_of_a_server_has_two_names(ran: Any, engine: ScriptedEngine) -> None:
+    """The one on the server's screen, and the client's; in every command."""
+    engine.now = replace(engine.now, routes=(route("/robot1/scan", key="k", spec=SCAN.spec),))
+    for name in ("/robot1/scan", "/scan"):
+        assert ran("pause", name).code == 0
+        assert ran("edit", name, "max_rate=2").code == 0
+        assert ran("remove", name).code == 0
+        assert ran("wait", "--for", "flowing", name, "--timeout", "0").code == 0
+    changed = ("edit", "k", Topic("/scan", "transmit", max_rate=2.0))
+    assert engine.commands == [("pause", "k", True), changed, ("remove", "k")] * 2
+
+
 def test_events_prints_what_is_remembered(ran: Any, engine: ScriptedEngine) -> None:
     texts = [json.loads(line)["text"] for line in ran("events", "--json").out.splitlines()]
     assert texts == [event.text for event in EVENTS]
@@ -166,12 +255,76 @@ def test_events_prints_what_is_remembered(ran: Any, engine: ScriptedEngine) -> N
 def test_wait_waits(ran: Any, engine: ScriptedEngine) -> None:
     assert ran("wait", "--for", "flowing", "/scan", "--timeout", "10").code == 0
     assert ran("wait", "--for", "linked", "robot1", "--json").json["ok"]
-    late = ran("wait", "--for", "flowing", "/map", "--timeout", "0.1")
-    assert (late.code, late.err) == (1, "rsb-console: not flowing /map within 0.1 s: /map is not bridged\n")
     engine.now = replace(
         engine.now, routes=(replace(SCAN, state=State.WAITING, reason="no publisher", ledger=Ledger()),)
     )
-    assert "/scan WAITING: no publisher" in ran("wait", "--for", "flowing", "/scan", "--timeout", "0.1").err
+    late = ran("wait", "--for", "flowing", "/scan", "--timeout", "0.1")
+    assert late.code == 1
+    assert "/scan WAITING: no publisher" in late.err
+
+
+def test_a_server_waits_for_a_topic_that_a_client_may_bring(ran: Any, machine: Machine) -> None:
+    machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, role="server"), routes=(SCAN,)))
+    late = ran("wait", "--for", "flowing", "/scna", "--timeout", "0")
+    assert late.code == 1
+    assert "not flowing /scna within 0 s: no client has brought /scna so far; did you mean /scan?" in late.err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--link", "robot1", "/map", "receive", "max_rate=5"),
+        ("/map", "--link", "robot1", "receive", "max_rate=5"),
+        ("/map", "receive", "--link", "robot1", "max_rate=5"),
+        ("/map", "receive", "max_rate=5", "--link", "robot1"),
+    ],
+)
+def test_options_stand_anywhere(ran: Any, engine: ScriptedEngine, words: tuple[str, ...]) -> None:
+    assert ran("add", *words).code == 0
+    assert engine.commands == [("add", Topic("/map", "receive", max_rate=5.0), "robot1")]
+
+
+def test_what_is_not_understood_is_refused_with_the_commands_own_usage(
+    ran: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        ran("echo", "robot1", "/scan")
+    refused = capsys.readouterr().err
+    assert refused.startswith("usage: rsb-console echo ")
+    assert refused.endswith("unrecognized arguments: /scan\n")
+
+
+def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Machine) -> None:
+    engine = ScriptedEngine(msgspec.structs.replace(SESSION, role="server"))
+    engine.now = replace(engine.now, links=(LINK, replace(LINK, name="robot2")))
+    machine.serve(engine)
+    refused = ran("add", "/map", "receive")
+    assert (refused.code, refused.err) == (
+        2, "rsb-console: add /map: with which client? --link robot1 or --link robot2\n"
+    )  # fmt: skip
+    assert ran("add", "/map", "receive", "--link", "robot2").code == 0
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machine, name: str) -> None:
+    needed = {"wait": ("--for", "stopped"), "add": ("/scan", "transmit")}
+    about_topic = ("edit", "remove", "pause", "resume", "arm", "disarm", "echo")
+    arguments = ("/scan",) if name in about_topic else needed.get(name, ())
+    refused = ran(name, *arguments, "--bridge", "robot7", "--json")
+    assert refused.code == 3
+    machine.serve()
+    assert "no bridge 'robot7' runs here; these do:" in ran(name, *arguments, "--bridge", "robot7").err
+    if not arguments:
+        assert ran(name, "robot7").code == 3
+
+
+def test_on_a_server_a_topic_may_be_called_as_on_the_client(ran: Any, machine: Machine) -> None:
+    shown = route("/robot1/scan", spec=Topic("/scan", "transmit"))
+    engine = ScriptedEngine(routes=(shown,))
+    machine.serve(engine)
+    for name in ("/scan", "/robot1/scan"):
+        assert ran("pause", name).code == 0
+    assert engine.commands == [("pause", "/robot1/scan", True)] * 2
 
 
 def test_without_a_bridge_they_say_so(ran: Any, machine: Machine) -> None:
@@ -192,6 +345,21 @@ def test_of_several_bridges_one_has_to_be_named(ran: Any, machine: Machine) -> N
     assert "several bridges run here; say which:\n  robot1: " in several.err
     assert ran("topics", "robot2").code == 0
     assert ran("topics", "--control", str(machine.folder / "robot2.sock")).code == 0
+
+
+def test_of_two_bridges_of_one_name_the_sockets_are_named(
+    ran: Any, machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    services = tmp_path / "services"
+    services.mkdir(mode=0o700)
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(services))
+    machine.serve()
+    machine.serve(environ={"RUNTIME_DIRECTORY": str(services)})
+    both = ran("status", "--bridge", "robot1")
+    assert both.code == 2
+    for folder in (machine.folder, services):
+        assert f"--control {folder / 'robot1.sock'}" in both.err
+        assert ran("topics", "--control", str(folder / "robot1.sock")).code == 0
 
 
 # --- with real processes

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,11 @@ from tests.command.test_remote import Ran
 from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
 from tests.history.world import World
 
-from rsb_bridge.history import history_file
-from rsb_bridge.model.history import Gap
-from rsb_bridge.model.snapshot import State
-from rsb_console.session.history import csv_report, length, parse_span, percent, text_report
+from rsb_bridge.history import event_file, history_file
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.history import Gap, Track
+from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_console.session.history import csv_report, did, length, parse_span, percent, text_report
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,8 +55,8 @@ def test_a_hand_over_begins_with_the_totals(ran: Any, machine: Machine) -> None:
         "The bridge ran all the time.",
         "robot1: linked 93.6 % of the time; 1 outage, 3 min 50 s in all.",
         "2 topics: 0 without an outage, 2 with.",
-        "  robot1 ← /robot1/map: up 86.1 % of the time; 2 outages, 8 min 20 s in all.",
-        "  robot1 ← /robot1/scan: up 93.6 % of the time; 1 outage, 3 min 50 s in all.",
+        "  robot1 ← /robot1/map: up 86.1 % of the time; 2 outages (1 with the link), 8 min 20 s in all.",
+        "  robot1 ← /robot1/scan: up 93.6 % of the time; 1 outage (1 with the link), 3 min 50 s in all.",
         "",
     ]
     outages = [line.strip() for line in lines[7:]]
@@ -79,7 +81,7 @@ def test_for_programs_and_for_a_spreadsheet(ran: Any, machine: Machine) -> None:
     assert (rows[4]["who"], rows[4]["old"], rows[4]["new"]) == ("anna", "max_rate: 5", "max_rate: 2")
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@x", "\t=1"])
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@x", "\t=1", "\r=1", "\n=1", "＝1+1"])
 def test_a_cell_is_never_a_formula(text: str) -> None:
     outage = replace(REMEMBERED.outages[0], cause=text)
     (row, *_) = csv.DictReader(io.StringIO(csv_report(replace(REMEMBERED, outages=(outage,)))))
@@ -126,7 +128,70 @@ def test_words() -> None:
     assert [length(seconds) for seconds in (0.2, 12, 60, 220, 3600, 28320)] == [
         "under 1 s", "12 s", "1 min", "3 min 40 s", "1 h", "7 h 52 min",
     ]  # fmt: skip
-    assert [percent(ratio) for ratio in (None, 1.0, 0.99999, 0.5)] == ["not known", "100 %", "99.9 %", "50.0 %"]
+    assert [percent(ratio) for ratio in (None, 1.0, 0.99999, 0.5)] == ["—", "100 %", "99.9 %", "50.0 %"]
+
+
+def test_what_only_waited_was_neither_up_nor_out() -> None:
+    track = Track("robot1", "/map", True, 0.0, 0.0, 0, (), 3600.0, "no publisher of /map")
+    later = replace(track, topic="/scan", up=1200.0, waiting=2400.0, waits_for="")
+    robot2 = replace(track, link="robot2", topic="", waits_for="not connected yet")
+    report = replace(REMEMBERED, outages=(), actions=(), tracks=(track, later, robot2))
+    assert list(text_report(report))[2:5] == [
+        "robot2: waited 1 h (not connected yet).",
+        "2 topics: 1 without an outage, 1 without any message yet.",
+        "  robot1 → /map: waited 1 h (no publisher of /map).",
+    ]
+    assert percent(track.up_ratio) == "—"
+    out = replace(later, out=1200.0, outages=1)
+    words = "  robot1 → /scan: up 50.0 % of the time, waited 40 min; 1 outage, 20 min in all."
+    assert words in list(text_report(replace(report, tracks=(out,))))
+    short = replace(out, waiting=5.0)
+    assert "waited" not in "".join(text_report(replace(report, tracks=(short,))))
+
+
+def test_the_day_is_said_where_it_is_another_one() -> None:
+    began = NOW - 10 * 3600
+    night = replace(REMEMBERED, span=12 * 3600.0, outages=(replace(REMEMBERED.outages[0], start=began),))
+    lines = list(text_report(night))
+    assert lines[0].endswith(time.strftime(" to %a %Y-%m-%d %H:%M:%S", time.gmtime(NOW)))
+    hour = next(text_report(REMEMBERED))
+    assert hour.endswith(f"{time.strftime('%a %Y-%m-%d %H:%M:%S', time.gmtime(NOW - 3600))} to {_time(NOW)}")
+    assert time.gmtime(began).tm_yday != time.gmtime(NOW).tm_yday
+    (line,) = (line for line in lines if "DOWN" in line)
+    assert line.strip().startswith(time.strftime("%a %H:%M:%S  DOWN", time.gmtime(began)))
+    event = REMEMBERED.actions[0]
+    assert f"  {_time(event.time)}  anna: {event.text}" in lines
+
+
+def _time(moment: float) -> str:
+    return time.strftime("%H:%M:%S", time.gmtime(moment))
+
+
+def test_values_are_said_once() -> None:
+    paused = replace(REMEMBERED.actions[0], code=EventCode.OPERATOR_PAUSED, text="/scan: paused by anna")
+    assert did(replace(paused, old="not paused", new="paused")) == "/scan: paused by anna"
+    edited = replace(paused, code=EventCode.OPERATOR_EDITED, text="/scan: edited by anna", old="5", new="2")
+    assert did(edited) == "/scan: edited by anna (5 → 2)"
+    assert did(replace(edited, text="/scan: added by anna", old="")) == "/scan: added by anna (2)"
+    assert did(replace(edited, text="/scan: removed by anna", new="")) == "/scan: removed by anna (was 5)"
+
+
+def test_files_from_the_future_say_so_and_one_event_from_the_future_moves_nothing(
+    ran: Any, state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = World("/scan")
+    world.go(60)
+    history_file.write(state / "robot1.history", world.recorder.save())
+    monkeypatch.setattr("time.time", lambda: world.clock.wall + 600)
+    event = Event(1, world.clock.wall + 1e8, Level.INFO, EventCode.ROUTE_PAUSED, "paused by anna", who="anna")
+    (state / "robot1.jsonl").write_bytes(event_file.encode(event))
+    report = ran("report", "robot1", "--last", "1h")
+    assert report.code == 0
+    assert "The bridge ran for 1 min of it (1.7 %)" in report.out
+    assert "anna" not in report.out
+    monkeypatch.setattr("time.time", lambda: world.clock.wall - 1e6)
+    report = ran("report", "robot1")
+    assert (report.code, "it is from the future: the clock was wrong then, or it is now" in report.err) == (3, True)
 
 
 def test_a_quiet_night_is_short() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.systemd import exposure
 
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session
@@ -177,3 +178,5 @@ def test_systemd_takes_the_units(tmp_path: Path, system: bool, name: str) -> Non
         env={"XDG_RUNTIME_DIR": str(tmp_path), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
     )
     assert [line for line in run.stderr.splitlines() if unit.name in line] == []
+    if system:
+        assert exposure(unit) < 3

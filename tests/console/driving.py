@@ -78,6 +78,25 @@ async def shown(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
     await until(pilot, lambda: words in text(pilot.app), f"{words!r} on the screen", seconds)
 
 
+async def shown_at_the_end(pilot: Pilot[None], words: str, key: str = "G", seconds: float = 60.0) -> None:
+    """Go to the end, which may still move, until `words` stand on the screen."""
+    deadline = time.monotonic() + seconds
+    while words not in text(pilot.app):
+        assert time.monotonic() < deadline, f"not within {seconds} s: {words!r} at the end\n{text(pilot.app)}"
+        await pilot.press(key)
+        await pilot.pause(0.05)
+
+
+async def told_to_add(pilot: Pilot[None], app: ConsoleApp) -> tuple[object, ...]:
+    """Wait until the engine is told to add a topic; the form may ask for the graph even after that."""
+
+    def told() -> tuple[object, ...] | None:
+        return next((command for command in engine_of(app).commands if command[0] == "add"), None)
+
+    await until(pilot, told, "a command to add")
+    return told() or ()
+
+
 async def gone(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
     """Wait until `words` stand on the screen no more."""
     await until(pilot, lambda: words not in text(pilot.app), f"{words!r} gone", seconds)

@@ -8,20 +8,26 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from tests.support.locks import two_domains
 from tests.support.ports import free_port
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic
 
-HERE, THERE = 60, 61  # ROS domains
+HERE = two_domains()
+THERE = HERE + 1
+ELSEWHERE = two_domains()
+"""ROS domains of this run's own: other tests' topics would stand in the lists that are searched."""
 COMMAND = Path(sys.executable).with_name("rsb-console")
 
 
 class Pair:
     """Two session files with one key: a client's, for the console under test, and a server's."""
 
-    def __init__(self, folder: Path, *topics: Topic) -> None:
+    def __init__(
+        self, folder: Path, *topics: Topic, domains: tuple[int, int] = (HERE, THERE), stale_after: float = 1.0
+    ) -> None:
         write_key(folder / "robot1.key")
         common: dict[str, Any] = {
             "name": "robot1",
@@ -29,10 +35,11 @@ class Pair:
             "server_port": free_port(),
             "key_file": "robot1.key",
         }
-        self.client = Session(role="client", domain_id=HERE, stale_after=1.0, topics=topics, **common)
+        here, there = domains
+        self.client = Session(role="client", domain_id=here, stale_after=stale_after, topics=topics, **common)
         self.client_path, self.server_path = folder / "client.yaml", folder / "server.yaml"
         save(self.client, self.client_path)
-        save(Session(role="server", domain_id=THERE, **common), self.server_path)
+        save(Session(role="server", domain_id=there, **common), self.server_path)
 
     @contextlib.contextmanager
     def server(self) -> Iterator[subprocess.Popen[bytes]]:

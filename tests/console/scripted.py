@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.history import HistoryReport, Outage, Track
+from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.reloaded import Reloaded
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.session import Client, Kind, Session, Topic
 from rsb_bridge.model.snapshot import (
     Event,
     Ledger,
@@ -164,6 +166,54 @@ REMEMBERED = HistoryReport(
     ),
 )  # fmt: skip
 
+CALL_STAGES = (
+    "server seen", "type known", "link up", "peer accepted", "offered", "called", "answered",
+)  # fmt: skip
+CALLS = CallsSnapshot(
+    asked=120, answered=115, expired=1, refused={"calls under way": 2}, lost=1, in_flight=1, late=1,
+    node_p50=0.012, node_p99=0.04, way_p50=0.0008, way_p99=0.0021,
+    last_failure="the call of 02:31:07: no answer within 30 s",
+)  # fmt: skip
+
+
+def call_stages(failed: int | None = None, detail: str = "") -> tuple[Stage, ...]:
+    """As `stages`, of what has calls."""
+    if failed is None:
+        return tuple(Stage(name, done=True) for name in CALL_STAGES)
+    return tuple(
+        Stage(name, done=True if i < failed else False if i == failed else None, detail=detail if i == failed else "")
+        for i, name in enumerate(CALL_STAGES)
+    )
+
+
+def call_route(kind: Kind, name: str, state: State = State.OK, **changes: Any) -> RouteSnapshot:
+    """A route of calls, from this side to the server's, with `changes`."""
+    lanes = tuple(lane.name for lane in LANES[kind] if not lane.is_topic)
+    calls = {
+        "key": f"{kind} {name}", "spec": Topic(name, "transmit", kind=kind), "outgoing": True, "transport": "tcp",
+        "type_name": "std_srvs/srv/SetBool", "qos": None, "publisher_qos": None, "ledger": Ledger(),
+        "stages": call_stages(), "calls": CALLS, "lanes": lanes, "rate": 0.4, "expected_rate": None,
+        "bytes_per_second": 120.0, "bytes_total": 35_000, "latency_p50": None, "latency_p99": None, "jitter": None,
+        "latency_uncertainty": None, "age": 1.4, "history": tuple(int(i % 3 == 0) for i in range(120)),
+    }  # fmt: skip
+    return route(name, state, **{**calls, **changes})
+
+
+GOALS = (
+    GoalSnapshot("3f2a91c07be411d8a1b2c3d4e5f60718", "executing", NOW - 42, 130, result_awaited=True),
+    GoalSnapshot("91c03f2a7be411d8a1b2c3d4e5f60718", "canceling", NOW - 3, 12),
+    GoalSnapshot("7be411d83f2a91c0a1b2c3d4e5f60718", "aborted", NOW - 320, 96),
+)
+CALL_ROUTES = (
+    call_route("service", "/robot1/set_mode"),
+    call_route("service", "/robot1/map_server/load_map", State.DOWN, reason="no server of /map_server/load_map",
+               stages=call_stages(0, "no server of /map_server/load_map in domain 4"), type_name="", rate=0.0, age=None,
+               calls=CallsSnapshot(), history=()),
+    call_route("action", "/navigate_to_pose", type_name="nav2_msgs/action/NavigateToPose", goals=GOALS, rate=1.2),
+    call_route("parameters", "/controller_server", type_name="", outgoing=False, rate=0.0, age=640.0, history=(),
+               spec=Topic("/controller_server", "receive", kind="parameters"), calls=replace(CALLS, in_flight=0)),
+)  # fmt: skip
+
 
 class ScriptedEngine:
     """An `EngineApi` that answers from what it was given, and records the commands."""
@@ -176,10 +226,13 @@ class ScriptedEngine:
         self.happened = list(EVENTS)
         self.remembered = REMEMBERED
         self.commands: list[tuple[object, ...]] = []
+        self.kept: list[bool] = []
         self.running = False
         self.unreachable = ""
         self.peeked: list[PeekedMessage] = []
         self.described: str | None = None
+        self.called: Future[str] = Future()
+        self.templates: dict[str, str] = {}
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
         self.looking: Future[PeekedMessage | None] = Future()
 
@@ -219,6 +272,10 @@ class ScriptedEngine:
 
     def pause(self, key: str, paused: bool) -> "Future[None]":
         return self._done(None, "pause", key, paused)
+
+    @property
+    def arming(self) -> "ScriptedArming":
+        return ScriptedArming(self)
 
     def add_client(self, client: Client) -> "Future[None]":
         return self._done(None, "add client", client)
@@ -265,9 +322,42 @@ class ScriptedEngine:
         self.looking = Future()  # until a message comes
         return self.looking
 
+    def template(self, key: str, lane: str = "") -> Future[str]:
+        if lane in self.templates:
+            return self._done(self.templates[lane], "template", key, lane)
+        future: Future[str] = Future()
+        future.set_exception(EngineError("std_srvs is not installed here: apt install ros-jazzy-std-srvs"))
+        return future
+
+    def call(self, key: str, request: str, lane: str = "") -> Future[str]:
+        self.commands.append(("call", key, request, lane))
+        return self.called
+
     def describe(self, key: str) -> "Future[str]":
         if self.described is not None:
             return self._done(self.described, "describe", key)
         future: Future[str] = Future()
         future.set_exception(EngineError("neither side knows it"))
         return future
+
+
+class ScriptedArming:
+    """Notes what a console does about arming, with the engine's other commands; signs of life are not noted."""
+
+    def __init__(self, engine: ScriptedEngine) -> None:
+        self._engine = engine
+
+    def arm(self, key: str) -> "Future[None]":
+        return self._engine._done(None, "arm", key)
+
+    def disarm(self, key: str) -> "Future[None]":
+        return self._engine._done(None, "disarm", key)
+
+    def keep(self, *, pressed: bool) -> "Future[None]":
+        self._engine.kept.append(pressed)
+        future: Future[None] = Future()
+        future.set_result(None)
+        return future
+
+    def release(self) -> "Future[None]":
+        return self._engine._done(None, "release")

@@ -1,107 +1,321 @@
-"""What is wrong stands in words on the screens of both sides, in real terminals."""
+"""A row for each cause that keeps a topic from being heard: what both screens and both JSON streams say of it.
+
+One pair of consoles, in real terminals, bridges a topic for each row; real nodes publish and subscribe as the row says.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import os
+import re
 import shutil
-from typing import TYPE_CHECKING
+import sys
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import pytest
-from tests.console.live import COMMAND, Pair, talker
-from tests.console.tmux import Tmux
+from tests.console.live import Pair, running
+from tests.console.nodes import Spec, encoded
+from tests.console.side import Side, every_so_often
+from tests.support.log_lines import check_lines
+from tests.support.waiting import eventually
 
-from rsb_bridge.config.keys import fingerprint, read_key, write_key
-from rsb_bridge.config.session_file import load, save
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    import subprocess
+    from collections.abc import Callable, Iterator
     from pathlib import Path
-
-    from tests.support.control import Machine
 
 pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs tmux (apt install tmux)")
 
-CHATTER = f"/console_{os.getpid()}/both"
 
-
-@dataclasses.dataclass
-class Screens:
-    """The consoles of both sides.
+class Row(NamedTuple):
+    """A cause, and what is said of it.
 
     Attributes:
-        client: the robot's.
-        server: the control PC's.
+        name: of the cause.
+        topic: the client's entry.
+        robot: nodes on the client's side.
+        pc: nodes on the server's side.
+        state: of the topic, on both sides.
+        cause: in both JSON streams.
+        client: words on the client's screen, in this order, with " … " between them.
+        server: likewise on the server's.
+        logged: both logs warn of it.
+        comes: the node that starts last, when all is fine.
+        leaves: the node that ends first, after all was fine: a subscriber in order, a publisher by ``kill -9``.
     """
 
-    client: Tmux
-    server: Tmux
+    name: str
+    topic: Topic
+    robot: tuple[Spec, ...]
+    pc: tuple[Spec, ...]
+    state: State
+    cause: Cause
+    client: str
+    server: str
+    logged: bool = True
+    comes: str = ""
+    leaves: str = ""
 
-    def say(self, client: str, server: str) -> None:
-        """Wait until both say so; a sentence may be broken at the end of a line, and is cut where it has no room."""
-        self.client.wait_for(client)
-        self.server.wait_for(server)
+
+ROWS = (
+    Row(
+        "a best-effort publisher on a reliable route",
+        Topic("/lidar", "transmit", qos="default"),
+        (Spec("laser", "/lidar", 20, best_effort=True),),
+        (Spec("mapper", "/lidar"),),
+        State.DOWN,
+        Cause.QOS_INCOMPATIBLE,
+        "/laser offers best_effort … asks for reliable … set qos: auto",
+        "robot1: /laser offers best_effort … asks for reliable … set qos: auto",
+    ),
+    Row(
+        "a volatile publisher on a latched route",
+        Topic("/map", "transmit", qos="latched"),
+        (Spec("surveyor", "/map", 5),),
+        (Spec("mapper", "/map"),),
+        State.DOWN,
+        Cause.QOS_INCOMPATIBLE,
+        "/surveyor offers volatile … asks for transient_local … set qos: auto",
+        "robot1: /surveyor offers volatile … asks for transient_local … set qos: auto",
+    ),
+    Row(
+        "a far subscriber that asks for reliable",
+        Topic("/imu", "transmit"),
+        (Spec("gyro", "/imu", 20, best_effort=True),),
+        (Spec("planner", "/imu"),),
+        State.UNHEARD,
+        Cause.QOS_INCOMPATIBLE,
+        "server: /planner asks for reliable … with best_effort … the subscribers of /imu there receive nothing",
+        "/planner asks for reliable … is published with best_effort",
+    ),
+    Row(
+        "a far subscriber with another type",
+        Topic("/gps", "transmit"),
+        (Spec("receiver", "/gps", 20),),
+        (Spec("odd", "/gps", type="Int32"),),
+        State.UNHEARD,
+        Cause.TYPE_CONFLICT,
+        "server: /odd has std_msgs/msg/Int32 … carries std_msgs … the subscribers of /gps there receive nothing",
+        "/odd has std_msgs/msg/Int32, but /gps carries std_msgs/msg/String … the subscribers of /gps in domain",
+    ),
+    Row(
+        "2 Hz of 20 expected",
+        Topic("/odom", "transmit", expected_rate=20.0),
+        (Spec("wheels", "/odom", 2),),
+        (Spec("mapper", "/odom"),),
+        State.SLOW,
+        Cause.SLOW,
+        "Hz of 20 expected, for … that is all that /wheels publishes",
+        "robot1: … Hz of 20 expected, for … that is all that /wheels publishes",
+    ),
+    Row(
+        "a name that is typed wrong",
+        Topic("/w_tpyo", "transmit"),
+        (Spec("typist", "/w_typo", 5),),
+        (),
+        State.WAITING,
+        Cause.SIMILAR_NAME,
+        "no publisher of /w_tpyo in domain … did you mean /w_typo?",
+        "robot1: no publisher of /w_tpyo in domain … did you mean /w_typo?",
+    ),
+    Row(
+        "two types on one topic",
+        Topic("/mixed", "transmit"),
+        (Spec("one", "/mixed", 5), Spec("other", "/mixed", 5, type="Int32", alone=True)),
+        (Spec("mapper", "/mixed"),),
+        State.UNHEARD,
+        Cause.TYPE_CONFLICT,
+        "std_msgs/msg/Int32 (from /other) is not bridged, only std_msgs/msg/String (from /one)",
+        "robot1: … std_msgs/msg/Int32 (from /other) is not bridged, only std_msgs/msg/String (from /one)",
+        comes="other",
+    ),
+    Row(
+        "throttled on purpose",
+        Topic("/pose", "transmit", max_rate=5.0),
+        (Spec("locator", "/pose", 25),),
+        (Spec("mapper", "/pose"),),
+        State.OK,
+        Cause.THROTTLED,
+        "limit 5 Hz, set on purpose … delivered … 100.0 % … throttled … limit 5 Hz",
+        "limit 5 Hz, set on purpose … delivered … 100.0 % … throttled … limit 5 Hz",
+        logged=False,
+    ),
+    Row(
+        "too large for UDP",
+        Topic("/picture", "transmit", protocol="udp"),
+        (Spec("camera", "/picture", 1, size=9 << 20, alone=True),),
+        (Spec("mapper", "/picture"),),
+        State.DOWN,
+        Cause.TOO_LARGE,
+        "none of the last … for … larger than its transport carries … use protocol: tcp",
+        "robot1: none of the last … for … larger than its transport carries … use protocol: tcp",
+    ),
+    Row(
+        "no far subscriber any more",
+        Topic("/lonely", "transmit"),
+        (Spec("hermit", "/lonely", 20),),
+        (Spec("visitor", "/lonely", alone=True),),
+        State.UNHEARD,
+        Cause.NO_SUBSCRIBER,
+        "server: nobody subscribes to /lonely in domain",
+        "nobody subscribes to /lonely in domain",
+        leaves="visitor",
+    ),
+    Row(  # the last: DDS notices it, too, after 20 s
+        "a publisher that is killed",
+        Topic("/battery", "transmit"),
+        (Spec("mortal", "/battery", 20, alone=True),),
+        (Spec("mapper", "/battery"),),
+        State.STOPPED,
+        Cause.PUBLISHER_SILENT,
+        "nothing for … Hz expected: /mortal has stopped publishing, or died",
+        "robot1: nothing for … Hz expected: /mortal has stopped publishing, or died",
+        leaves="mortal",
+    ),
+)
+_FINE_FOR = 100
+"""Messages, in 5 s."""
+_RATE_IS_KNOWN = re.compile(r" [\d.]+/(19|20)")
 
 
-@pytest.fixture
-def pair(tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Pair:
+class World:
+    """Both consoles, the nodes beside them, and what both sides said when they were last asked.
+
+    Attributes:
+        sides: the client's and the server's.
+    """
+
+    def __init__(self, folder: Path, domains: tuple[int, int], nodes: contextlib.ExitStack) -> None:
+        pair = Pair(folder, *(row.topic for row in ROWS), domains=domains, stale_after=120.0)
+        self._starts: dict[str, Callable[[], subprocess.Popen[bytes]]] = {}
+        for domain, specs in zip(domains, ([row.robot for row in ROWS], [row.pc for row in ROWS]), strict=True):
+            flat = [spec for each in specs for spec in each]
+            nodes.enter_context(_nodes(domain, [spec for spec in flat if not spec.alone]))
+            for spec in (spec for spec in flat if spec.alone):
+                self._starts[spec.node] = partial(nodes.enter_context, _nodes(domain, [spec]))
+        late = {row.comes for row in ROWS}
+        self._alone = {node: start() for node, start in self._starts.items() if node not in late}
+        paths = {"server": pair.server_path, "client": pair.client_path}
+        made = {role: Side(folder / role, folder / f"{role}.sock", "run", str(path)) for role, path in paths.items()}
+        self.sides = made["client"], made["server"]
+        for side in self.sides:
+            nodes.callback(side.close)
+        self._statuses: list[dict[str, Any]] = [{"routes": []}, {"routes": []}]
+        self._events: list[list[dict[str, Any]]] = [[], []]
+
+    def routes(self, row: Row, *, anew: bool = False) -> list[dict[str, Any]]:
+        """What the JSON of both sides says of a topic, as soon as both have its state and cause; asked anew or not."""
+        if anew:
+            self._statuses = [side.status() for side in self.sides]
+
+        def shown() -> list[dict[str, Any]]:
+            every = [each for status in self._statuses for each in status["routes"] if each["topic"] == row.topic.topic]
+            found = [each for each in every if (each["state"], each["cause"]) == (row.state, row.cause)]
+            if len(found) < 2:
+                self._statuses = [side.status() for side in self.sides]
+            return found if len(found) == 2 else []
+
+        found: list[dict[str, Any]] = every_so_often(shown, f"{row.state} and {row.cause} on both sides")
+        return found
+
+    def warnings(self, row: Row) -> list[dict[str, Any]]:
+        """The events of both sides that name a topic's cause."""
+
+        def shown() -> list[dict[str, Any]]:
+            waits = row.state is State.WAITING
+            about = (EventCode.ROUTE_WAITING if waits else EventCode.ROUTE_FAULT, row.topic.topic, row.cause)
+            found = [
+                [event for event in events if (event["code"], event["topic"], event["cause"]) == about]
+                for events in self._events
+            ]
+            if not all(found):
+                self._events = self.events()
+            return [event for events in found for event in events] if all(found) else []
+
+        found: list[dict[str, Any]] = every_so_often(shown, f"{row.cause} in both logs")
+        return found
+
+    def events(self) -> list[list[dict[str, Any]]]:
+        """All events of both sides."""
+        return [side.events() for side in self.sides]
+
+    def act(self, row: Row) -> None:
+        """Wait until the topic is fine, and start or end a node."""
+        fine = row._replace(state=State.OK, cause=Cause.NONE)
+        if row.comes:
+            self.routes(fine)
+            self._starts[row.comes]()
+        if row.leaves:
+            self._end(row, fine)
+
+    def _end(self, row: Row, fine: Row) -> None:
+        before = self.routes(fine)
+        every_so_often(
+            lambda: all(
+                new["offered"] >= old["offered"] + _FINE_FOR
+                for new, old in zip(self.routes(fine, anew=True), before, strict=True)
+            ),
+            "it flows",
+        )
+        for side in self.sides:
+            side.choose(row.topic.topic)
+            eventually(lambda side=side: _RATE_IS_KNOWN.search(side.screen.picture), what="its rate is known")
+        process = self._alone[row.leaves]
+        if any(spec.node == row.leaves for spec in row.robot):
+            process.kill()
+        else:
+            process.terminate()
+        process.wait()
+
+
+def _nodes(domain: int, specs: list[Spec]) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
+    return running(sys.executable, "-m", "tests.console.nodes", str(domain), encoded(specs))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory, _domains: int) -> Iterator[World]:
     pytest.importorskip("rclpy", reason="needs ROS 2")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    return Pair(tmp_path, Topic(CHATTER, "transmit"))
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as nodes:
+        folder = tmp_path_factory.mktemp("world")
+        patch.setenv("XDG_STATE_HOME", str(folder))
+        yield World(folder, (_domains, _domains + 1), nodes)
 
 
-@pytest.fixture
-def screens(pair: Pair, tmp_path: Path) -> Iterator[Screens]:
-    with both(pair, tmp_path) as made:
-        yield made
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_both_sides_name_the_cause(world: World, row: Row) -> None:
+    world.act(row)
+    gone = row.leaves if row.cause is Cause.NO_SUBSCRIBER else ""  # DDS lists one that was killed for 20 s
+    publishers = [f"/{spec.node}" for spec in row.robot if spec.topic == row.topic.topic]
+    ends = publishers, [f"/{spec.node}" for spec in row.pc if spec.node != gone]
+
+    def named(routes: list[dict[str, Any]]) -> bool:
+        return all((route["publishers"], route["subscribers"]) == ends for route in routes)
+
+    if not named(world.routes(row)):
+        every_so_often(lambda: named(world.routes(row, anew=True)), f"the nodes {ends} on both sides")
+    for side, words in zip(world.sides, (row.client, row.server), strict=True):
+        side.choose(row.topic.topic)
+        side.says(*(each for each in words.split(" … ") if each))
+        assert f"{STATE_SIGN[row.state]} {STATE_WORD[row.state]}" in side.screen.picture
+    if row.logged:
+        for event in world.warnings(row):
+            assert event["level"] == "WARNING"
 
 
-@contextlib.contextmanager
-def both(pair: Pair, folder: Path) -> Iterator[Screens]:
-    """The console of each side, in a terminal of its own."""
-    for role in ("client", "server"):
-        (folder / role).mkdir()
-    with (
-        Tmux(folder / "server", str(COMMAND), "run", str(pair.server_path)) as server,
-        Tmux(folder / "client", str(COMMAND), "run", str(pair.client_path)) as client,
-    ):
-        yield Screens(client, server)
+def test_the_first_screen_counts_what_is_wrong(world: World) -> None:
+    states = [row.state for row in ROWS]
+    for side in world.sides:
+        for state in set(states):
+            side.screen.wait_for(f"{STATE_SIGN[state]} {states.count(state)} {STATE_WORD[state].lower()}")
 
 
-def test_nobody_listens_and_then_the_publisher_stops(screens: Screens) -> None:
-    screens.say("● LINKED", "● LINKED")
-    screens.say("◌ 1 wait", "◌ 1 wait")
-    screens.say("no publisher of", "robot1: no publisher")
-    with talker(CHATTER):
-        screens.say("◇ 1 unheard", "◇ 1 unheard")
-        screens.say("server: nobody subscribes to", "nobody subscribes to")
-    screens.say("1 topic ", "1 topic ")
-    screens.say("▲ 1 stale", "▲ 1 stale")
-    screens.say("no publisher of", "robot1: nothing for")
-
-
-def test_two_clients_of_one_name(screens: Screens, pair: Pair, tmp_path: Path) -> None:
-    screens.say("● LINKED", "● LINKED")
-    other = pair.client_path.with_name("other.yaml")
-    save(msgspec.structs.replace(load(pair.client_path), topics=()), other)
-    folder = tmp_path / "second"
-    folder.mkdir()
-    control = str(folder / "second.sock")
-    with Tmux(folder, str(COMMAND), "run", str(other), "--control", control) as second:
-        second.wait_for("'robot1' is linked already, since")
-        screens.say("● LINKED", "robot1: a second client, from 127.0.0.1")
-
-
-def test_the_keys_differ(pair: Pair, tmp_path: Path) -> None:
-    ours = fingerprint(read_key(tmp_path / "robot1.key"))
-    write_key(tmp_path / "other.key")
-    theirs = fingerprint(read_key(tmp_path / "other.key"))
-    save(msgspec.structs.replace(load(pair.client_path), key_file="other.key"), pair.client_path)
-    with both(pair, tmp_path) as screens:
-        for screen in (screens.client, screens.server):
-            screen.wait_for("✗ robot1: ")
-            screen.wait_for("the keys of 'robot1' differ")
-            screen.wait_for(f"{theirs} on the client, {ours}")
+def test_every_line_names_its_link(world: World) -> None:
+    for events in world.events():
+        check_lines(events)
+        assert {"link", "route"} <= {event["source"] for event in events}

@@ -20,7 +20,7 @@ def test_what_does_not_flow_says_why_and_stands_first() -> None:
     assert parts(route("/odom", ledger=Ledger()), paused, waiting, stale) == [
         "← /map STALE: nothing for 15 s (3 dropped)",
         "→ /scan WAITING: no publisher of /scan in domain 2",
-        "← /goal PAUSED",
+        "← /goal PAUSED: paused there",
         "← /odom 10.0 Hz",
     ]
 
@@ -34,13 +34,13 @@ def test_what_has_no_room_is_what_flows() -> None:
 
 def test_what_is_wrong_with_a_link_is_said_once() -> None:
     down = replace(LINK, name="robot2", state=State.DOWN, reason="the peer is silent")
-    twice = replace(LINK, warning="a second client, from 10.0.0.9, calls itself 'robot1' too")
+    twice = replace(LINK, warning="a second client at 10.0.0.9 calls itself 'robot1' too")
     routes = [route(f"/t{number}", State.DOWN, link="robot2", reason="the peer is silent") for number in range(5)]
     snapshot = replace(ScriptedEngine().snapshot(), links=(twice, down), routes=(*routes, route("/odom")))
     line = text_status(snapshot)
     assert line.count("the peer is silent") == 1
     assert line.split(" | ")[3:] == [
-        "robot1 a second client, from 10.0.0.9, calls itself 'robot1' too",
+        "robot1 a second client at 10.0.0.9 calls itself 'robot1' too",
         "robot2 DOWN: the peer is silent",
         f"← /odom 10.0 Hz ({route('/odom').ledger.dropped_total} dropped)",
     ]

@@ -7,7 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.console.driving import NARROW, WIDE, drive, engine_as, engine_of, gone, scripted_app, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    WIDE,
+    drive,
+    engine_as,
+    engine_of,
+    gone,
+    scripted_app,
+    shown,
+    shown_at_the_end,
+    text,
+    until,
+)
 from tests.console.scripted import NOW, REMEMBERED, ScriptedEngine
 from tests.support.control import Machine
 from textual.pilot import Pilot
@@ -43,8 +55,8 @@ def test_it_shows_outages_and_actions_with_cause_and_length(size: tuple[int, int
         picture = text(app)
         assert picture.index("▲ STALE") < picture.index("anna") < picture.index("✗ DOWN"), "the newest first"
         await shown(pilot, "=nothing for 15 s")
-        await pilot.press("G")
-        await shown(pilot, "the server does not answer (2 topics with it)")
+        await shown(pilot, "/ filter   x export   esc close")
+        await shown_at_the_end(pilot, "the server does not answer (2 topics with it)")
         await shown(pilot, "rate")
         await pilot.press("k", "k")
         await shown(pilot, "edited (max_rate: 5 → max_rate: 2)")
@@ -52,6 +64,21 @@ def test_it_shows_outages_and_actions_with_cause_and_length(size: tuple[int, int
         await gone(pilot, "What happened")
 
     drive(app, steps, size)
+
+
+def test_one_line_that_has_no_room_is_one_line() -> None:
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        links = [replace(REMEMBERED.tracks[0], link=f"robot{number}") for number in (2, 3)]
+        tracks = (*REMEMBERED.tracks, *links)
+        engine_of(app).remembered = replace(REMEMBERED, tracks=tracks, outages_left_out=1)
+        await pilot.press("h")
+        await shown(pilot, "1 more line: rsb-console report robot1")
+        await shown(pilot, "at least 1 more outage, for")
+
+    drive(app, steps)
 
 
 def test_the_span_the_order_and_the_filter() -> None:

@@ -103,6 +103,50 @@ def test_each_of_a_servers_key_files_and_whose_it_is() -> None:
     }
 
 
+def test_a_key_says_whether_a_link_uses_it_and_when_it_was_written(tmp_path: Path) -> None:
+    key = write_key(tmp_path / "r.key")
+    app = scripted_app(path=tmp_path / "nav2.yaml")
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await pilot.press("K")
+        await shown(pilot, "written ")
+        assert "in use by a link" not in text(app)
+        await pilot.press("escape")
+        await gone(pilot, "Key files")
+        used = replace(LINK, fingerprint=fingerprint(key))
+        engine_of(app).now = replace(engine_of(app).now, links=(used,))
+        await pilot.press("K")
+        await shown(pilot, "in use by a link, written ")
+
+    drive(app, steps)
+
+
+def test_a_link_says_which_of_two_keys_is_in_use() -> None:
+    app = scripted_app()
+    valid = replace(LINK, next_fingerprint="aaaa bbbb cccc dddd")
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).now = replace(engine_of(app).now, links=(valid,))
+        await pilot.press("c")
+        await shown(pilot, "aaaa bbbb cccc dddd  valid too; not in use yet")
+        engine_of(app).now = replace(engine_of(app).now, links=(replace(valid, fingerprint=valid.next_fingerprint),))
+        await shown(pilot, "aaaa bbbb cccc dddd  in use: the old one can be given up")
+
+    drive(app, steps)
+
+
+def test_two_keys_of_a_client_are_listed() -> None:
+    clients = (Client("robot1", "old.key", "new.key"), Client("robot2", "two.key"))
+    server = msgspec.structs.replace(SESSION, role="server", clients=clients)
+    assert key_files(server, Path("/base")) == {
+        Path("/base/old.key"): "robot1",
+        Path("/base/new.key"): "robot1 (next)",
+        Path("/base/two.key"): "robot2",
+    }
+
+
 # -- links -----------------------------------------------------------------------------------------------------------
 
 
@@ -128,6 +172,23 @@ def test_one_row_a_robot_the_worst_first_and_why(size: tuple[int, int]) -> None:
         await gone(pilot, "its clock")
 
     drive(app, steps, size=size)
+
+
+def test_the_cursor_stays_on_its_link_when_that_comes_up() -> None:
+    down = replace(LINK, name="robot2", state=State.DOWN, reason="no answer", rtt=None)
+    app = scripted_app()
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).now = replace(engine_of(app).now, links=(LINK, down))
+        await pilot.press("c")
+        await shown(pilot, "▌✗ DOWN  robot2")
+        engine_of(app).now = replace(engine_of(app).now, links=(LINK, replace(LINK, name="robot2")))
+        await shown(pilot, "▌● ok    robot2")
+        await pilot.press("r")
+        await until(pilot, lambda: engine_of(app).commands == [("retry", "robot2")], "the command")
+
+    drive(app, steps)
 
 
 def test_a_link_in_the_clear_stands_out() -> None:

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.console.driving import NOWHERE, AppSteps, drive, gone, shown, text, until
+from tests.console.driving import NOWHERE, AppSteps, drive, gone, shown, until
 from tests.console.live import Pair, talker
 from textual.pilot import Pilot
 
@@ -60,7 +60,7 @@ def test_a_topics_life(tmp_path: Path) -> None:
         await shown(pilot, "● LINKED")
         with talker(CHATTER):
             await flowing(app, pilot)
-            assert "◇ 1 unheard" in text(app)
+            await shown(pilot, "◇ 1 unheard")
             await shown(pilot, "server: nobody subscribes to")
         await until(pilot, lambda: state(app) is State.STALE, "stale")
         await shown(pilot, "▲ STALE")
@@ -74,7 +74,7 @@ def test_a_topics_life(tmp_path: Path) -> None:
             await shown(pilot, f"Remove {CHATTER}?")
             await pilot.press("enter")  # the focus is on No
             await gone(pilot, "Remove /")
-            assert state(app) is State.UNHEARD
+            await flowing(app, pilot)  # a busy machine lets it go stale for a moment
             await pilot.press("d", "y")
             await shown(pilot, "0 topics")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 from tests.console.driving import drive, fill, shown, until
-from tests.console.live import COMMAND, HERE, Pair, running, talker
+from tests.console.live import COMMAND, ELSEWHERE, HERE, Pair, running, talker
 from tests.console.test_live_dialogs import console, flows
 from textual.pilot import Pilot
 
@@ -59,9 +59,9 @@ def test_a_fleet_grows_and_shrinks_under_its_operators_hands(tmp_path: Path) -> 
             await pilot.press("escape")
             await shown(pilot, "a add a client")
             links = app.screen.query_one("#links")
-            await until(pilot, lambda: "robot2" in getattr(links, "keys", ()), "robot2 in the list")
-            while getattr(links, "cursor_key", "") != "robot2":
-                await pilot.press("j")
+            await until(pilot, lambda: getattr(links, "keys", ()) == ["robot1", "robot2"], "both, none of them worse")
+            await pilot.press("j")
+            await until(pilot, lambda: getattr(links, "cursor_key", "") == "robot2", "robot2 chosen")
             await pilot.press("d")
             await shown(pilot, "Remove the client robot2?")
             await pilot.press("y")
@@ -87,4 +87,4 @@ def write_robot(server: Path, path: Path) -> None:
     """Write the second client's session, in a domain where nobody talks."""
     (changed,) = [each for each in handed_out(open_server(server)) if each.client.name == "robot2"]
     text = robot_file(changed.file.session, changed.client)
-    save(replace(parse(text, path), domain_id=HERE + 2), path)
+    save(replace(parse(text, path), domain_id=ELSEWHERE), path)

@@ -96,3 +96,16 @@ async def test_a_long_line_of_the_log_can_be_read_whole(app: ConsoleApp, pilot: 
     app.pull()
     await pilot.press("enter")
     await shown(pilot, "word39")
+
+
+@on_main(NARROW)
+async def test_a_line_that_is_cut_says_so_and_opens_whole(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    sentence = "/robot1/scan: " + "a reason that goes on " * 6 + "to its end"
+    happen(app, Event(5, NOW, Level.WARNING, "route.stale", sentence, "robot1", "/robot1/scan"))
+    await shown(pilot, "a reason that goes on")
+    line = next(line for line in text(app).splitlines() if "a reason" in line)
+    assert line.rstrip().endswith("…")
+    await pilot.press("l")
+    await shown(pilot, "⏎ whole line")
+    await pilot.press("enter")
+    await shown(pilot, "to its end")

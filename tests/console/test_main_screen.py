@@ -17,10 +17,11 @@ from tests.console.driving import (
     put,
     scripted_app,
     shown,
+    shown_at_the_end,
     text,
     until,
 )
-from tests.console.scripted import FAULTY, LINK, NOW, ScriptedEngine, route
+from tests.console.scripted import CALL_ROUTES, FAULTY, LINK, NOW, ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 from textual.widgets import Button
 
@@ -28,6 +29,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
+from rsb_console.session.export import export_topics
 
 
 @on_main()
@@ -68,8 +70,7 @@ async def test_detail_says_why(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await shown(pilot, "Why it isn't flowing")
     assert "✗ publisher seen" in text(app)
     assert "no publisher of /scan in domain 4" in text(app)
-    await pilot.press("G")
-    await shown(pilot, "all 10 passed")
+    await shown_at_the_end(pilot, "all 10 passed")
     assert "Why it isn't flowing" not in text(app)
     await pilot.press("z")
 
@@ -94,7 +95,7 @@ async def test_even_smaller_it_works(app: ConsoleApp, pilot: Pilot[None]) -> Non
     assert "✗  /robot2/scan" in text(app)
     await pilot.press("l")
     await shown(pilot, "/robot2/scan channel 3")
-    await pilot.press("l")
+    await pilot.press("l", "G")
     await shown(pilot, "/tf")
 
 
@@ -170,9 +171,11 @@ async def test_links_with_a_fault_have_a_line_on_the_main_screen(app: ConsoleApp
     differ = replace(LINK, name="robot2", state=State.DOWN, cause="wrong_key", reason="the keys of 'robot2' differ: …")
     put(app, links=(LINK, differ), role="server")
     await shown(pilot, "✗ robot2: the keys of 'robot2' differ")
-    twice = replace(LINK, cause="name_taken", warning="a second client, from 10.0.0.9, calls itself 'robot1' too")
-    put(app, links=(twice,), role="server")
-    await shown(pilot, "● robot1: a second client, from 10.0.0.9")
+    twice = replace(LINK, cause="name_taken", warning="a second client at 10.0.0.9 calls itself 'robot1' too")
+    for role in ("server", "client"):
+        put(app, links=(twice,), role=role)
+        await shown(pilot, "! robot1: a second client at 10.0.0.9")
+        assert " !1" in text(app).splitlines()[-1]
     put(app, links=(LINK,), role="server")
     await gone(pilot, "a second client")
 
@@ -180,7 +183,7 @@ async def test_links_with_a_fault_have_a_line_on_the_main_screen(app: ConsoleApp
 @on_main()
 async def test_what_is_wrong_is_counted_by_kind(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, *(route(f"/{state}", state) for state in State))
-    await shown(pilot, "8 topics")
+    await shown(pilot, "9 topics")
     for words in (
         "✗ 1 down",
         "▲ 1 stale",
@@ -189,11 +192,18 @@ async def test_what_is_wrong_is_counted_by_kind(app: ConsoleApp, pilot: Pilot[No
         "◇ 1 unheard",
         "◌ 1 wait",
         "‖ 1 paused",
+        "⊘ 1 disarmed",
         "● 1 ok",
     ):
         await shown(pilot, words)
+    await shown(pilot, "f ✗1 ▲1 ■1 ≈1 ◇1 ◌1  ")
     await pilot.press("f")
-    await shown(pilot, "6 of 8")
+    await shown(pilot, "6 of 9")
+    await pilot.resize_terminal(39, 20)
+    await shown(pilot, "9 topics ✗1 ▲1 ■1 ≈1 ◇1 ◌1 ‖1 ⊘1 ●1")
+    await shown(pilot, "f ✗1 ▲1 ■1 ≈1 ◇1 ◌1  ? help  q quit")
+    put(app, *ROUTES, links=(LINK, replace(LINK, name="robot2", state=State.DOWN)))
+    await shown(pilot, "f ✗1 ▲1  c ✗1  ? help  q quit")
 
 
 @on_main(size=(100, 30))
@@ -240,11 +250,26 @@ def test_copy_and_export(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     (table,) = tmp_path.glob("*.csv")
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [row["topic"] for row in rows] == FAULTY
+    assert [row["kind"] for row in rows] == ["topic"] * len(FAULTY)
     assert rows[1]["dropped_total"] == "19"
+    assert rows[1]["asked"] == ""
     (log,) = tmp_path.glob("*.txt")
     lines = log.read_text().splitlines()
     assert len(lines) == 4
     assert lines[-1].startswith("2027-01-15T07:59:55+0000 ERROR route robot1 /robot2/scan")
+
+
+def test_an_export_tells_kinds_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    rows = list(csv.DictReader(export_topics((*CALL_ROUTES, ROUTES[0])).read_text().splitlines()))
+    assert [row["kind"] for row in rows] == ["service", "service", "action", "parameters", "topic"]
+    called = rows[0]
+    calls = CALL_ROUTES[0].calls
+    assert calls is not None
+    figures = {name: str(getattr(calls, name)) for name in ("asked", "answered", "expired", "lost", "in_flight")}
+    assert {name: called[name] for name in figures} == figures
+    assert called["refused"] == str(sum(calls.refused.values()))
+    assert called["offered"] == called["dropped_total"] == ""
 
 
 def test_an_export_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,7 +324,7 @@ def test_the_footer_of_a_narrow_screen_has_the_key_of_the_details() -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "⏎ detail")
         footer = text(app).split("\n")[-1]
-        for words in ("a add", "p pause", "/ filter", "f faults", "? help", "q quit"):
+        for words in ("a add", "p pause", "/ filter", "f ✗1 ▲1", "? help", "q quit"):
             assert words in footer
 
     drive(app, steps, size=NARROW)

@@ -2,12 +2,24 @@
 
 import os
 import shutil
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.console.driving import NARROW, drive, engine_of, gone, put, scripted_app, shown, text, until
+from tests.console.driving import (
+    NARROW,
+    drive,
+    engine_of,
+    gone,
+    put,
+    scripted_app,
+    shown,
+    shown_at_the_end,
+    text,
+    until,
+)
 from tests.console.live import COMMAND, Pair, running, talker
 from tests.console.scripted import NOW, route
 from tests.console.tmux import Tmux
@@ -18,6 +30,7 @@ from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
+from rsb_console.session.reading import ReadMessage, read_message
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -76,6 +89,31 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
     drive(app, steps)
 
 
+def test_keys_do_something_while_a_message_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    app = scripted_app()
+    began, may_go_on = threading.Event(), threading.Event()
+
+    def slow(*arguments: Any, **limits: Any) -> ReadMessage:
+        began.set()
+        assert may_go_on.wait(30), "the screen waits for the message"
+        return read_message(*arguments, **limits)
+
+    monkeypatch.setattr("rsb_console.screens.message.read_message", slow)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        engine_of(app).described = installed_description("nav_msgs/msg/Odometry")
+        engine_of(app).peeked.append(peeked(odometry()))
+        await pilot.press("v")
+        await until(pilot, began.is_set, "a message that is read")
+        await pilot.press("space")
+        await shown(pilot, "HELD")
+        may_go_on.set()
+        await shown(pilot, 'child_frame_id: "base"')
+
+    drive(app, steps)
+
+
 def test_a_message_can_be_held() -> None:
     app = scripted_app(readonly=True)
 
@@ -118,8 +156,7 @@ def test_what_nobody_describes_is_shown_as_hex() -> None:
         await pilot.press("v")
         await shown(pilot, "00000010  10 11 12 13")
         await shown(pilot, "nav_msgs/msg/Odometry")
-        await pilot.press("G")
-        await shown(pilot, "neither side knows it")
+        await shown_at_the_end(pilot, "neither side knows it")
 
     drive(app, steps, NARROW)
 
@@ -147,8 +184,7 @@ def test_a_message_of_many_lines_shows_the_first() -> None:
         engine_of(app).peeked.append(peeked(markers))
         await pilot.press("v")
         await shown(pilot, " of 300 visualization_msgs/msg/Marker")
-        await pilot.press("G")
-        await shown(pilot, "only the first 2 000 lines are shown")
+        await shown_at_the_end(pilot, "only the first 2 000 lines are shown")
 
     drive(app, steps)
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import pytest
 from tests.console.driving import NARROW, WIDE, Steps, scripted_app, settled, shown
 from textual.pilot import Pilot
+from textual.widgets import Input
 
 SnapCompare = Callable[..., bool]
 THEMES = ("dark", "light", "high-contrast", "terminal")
@@ -18,6 +19,8 @@ def after(landmark: str, *keys: str) -> Steps:
         await shown(pilot, "q quit")
         await pilot.press(*keys)
         await shown(pilot, landmark)
+        for field in pilot.app.screen.query(Input):
+            field.cursor_blink = False
         await settled(pilot)
 
     return steps
@@ -26,13 +29,13 @@ def after(landmark: str, *keys: str) -> Steps:
 @pytest.mark.parametrize("theme", THEMES)
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
 def test_main(snap_compare: SnapCompare, theme: str, size: tuple[int, int]) -> None:
-    assert snap_compare(scripted_app(theme=theme), terminal_size=size, run_before=after("● ok      /tf"))
+    assert snap_compare(scripted_app(theme=theme), terminal_size=size, run_before=after("● ok       /tf"))
 
 
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
 def test_ascii(snap_compare: SnapCompare, size: tuple[int, int]) -> None:
     app = scripted_app(theme="terminal", ascii_only=True)
-    assert snap_compare(app, terminal_size=size, run_before=after("o ok      /tf"))
+    assert snap_compare(app, terminal_size=size, run_before=after("o ok       /tf"))
 
 
 def test_detail_on_a_narrow_screen(snap_compare: SnapCompare) -> None:

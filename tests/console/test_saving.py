@@ -9,6 +9,7 @@ from tests.console.driving import NARROW, drive, engine_of, fill, scripted_app, 
 from tests.console.scripted import SESSION
 from textual.pilot import Pilot
 
+from rsb_bridge.config.files import replace_file
 from rsb_bridge.config.keys import read_key, write_key
 from rsb_bridge.config.session_file import dump, load, save
 from rsb_bridge.model.session import Client, Session, Topic
@@ -88,7 +89,7 @@ def test_comments_and_layout_survive_a_save(folder: Path) -> None:
     assert path.read_text() == text.replace("transmit }", "transmit, protocol: udp }")
 
 
-@pytest.mark.parametrize("edited", ["name: [\n", "# mine, later\n{}"])
+@pytest.mark.parametrize("edited", ["name: [\n", "# mine, later\n{}stale_after: 3.0\n"])
 def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path, edited: str) -> None:
     path = folder / "nav2.yaml"
     save(SESSION, path)
@@ -113,6 +114,30 @@ def test_what_somebody_changed_on_disk_meanwhile_is_not_overwritten(folder: Path
         await shown(pilot, "saved: other.yaml")
         assert path.read_text() == edited
         assert load(folder / "other.yaml").topics == (Topic("/new", "transmit"),)
+
+    drive(app, steps)
+
+
+@pytest.mark.parametrize("how", ["touched", "written anew", "commented"])
+def test_a_file_that_says_the_same_as_before_was_changed_by_nobody(folder: Path, how: str) -> None:
+    path = folder / "nav2.yaml"
+    save(SESSION, path)
+    app = scripted_app(path=path)
+    text_now = path.read_text() if how != "commented" else f"# mine, later\n{path.read_text()}"
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        now = changed(app, Topic("/new", "transmit"))
+        if how == "touched":
+            os.utime(path, (1.0, 1.0))
+        else:
+            replace_file(path, text_now.encode(), like=path)
+        await pilot.press("w")
+        await shown(pilot, "Changes: added /new.")
+        await pilot.press("y")
+        await shown(pilot, "saved:")
+        assert load(path) == now
+        assert path.read_text().startswith(text_now.splitlines()[0])
 
     drive(app, steps)
 
@@ -194,8 +219,9 @@ def test_the_difference_is_shown_before_it_is_written(folder: Path) -> None:
         await pilot.press("pagedown")
         await shown(pilot, "-- {topic: /a20, direction: transmit}")
         await shown(pilot, "+- {topic: /a0, direction: transmit, max_rate: 5.0}")
+        await shown(pilot, "Save        No")
 
-    drive(app, steps)
+    drive(app, steps, size=NARROW)
     assert "max_rate" not in path.read_text()
 
 

@@ -260,6 +260,11 @@ def test_a_thesis_file_becomes_a_session(folder: Path) -> None:
         await fill(pilot, domain_id="7")
         await pilot.press("enter")
         await shown(pilot, "Imported. Run robot1.yaml?")
+        await pilot.press("n")
+        await gone(pilot, "Imported. Run robot1.yaml?")
+        assert form_of(app).values["name"] == "robot1", "the form is still there"
+        await pilot.press("enter")
+        await shown(pilot, "Imported. Run robot1.yaml?")
         await pilot.press("y")
         await until(pilot, lambda: app.engine is not None, "an engine")
 

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import termios
@@ -58,6 +59,36 @@ sys.meta_path.insert(0, Later())
 from rsb_console.cli import main
 sys.exit(main(["run", sys.argv[2]]))
 """
+
+
+LATE = """
+import os, signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+try:
+    while True:
+        os.write(1, b"ready ")
+        time.sleep(0.01)
+except OSError:
+    pass
+if len(sys.argv) > 1:
+    os.dup2(os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT, 0o600), 2)
+from rsb_console.cli import main
+sys.exit(main(["run"]))
+"""
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_terminal_that_vanishes_while_the_console_starts_is_no_crash(heard: bool, tmp_path: Path) -> None:
+    """It says so where somebody may still read it."""
+    errors = tmp_path / "errors"
+    command = (sys.executable, "-c", LATE, *([str(errors)] if heard else []))
+    with Terminal(*command, environ={"XDG_STATE_HOME": str(tmp_path / "state")}) as terminal:
+        terminal.wait_for("ready")
+        terminal.hang_up()
+        assert terminal.exit_code() == 2
+    assert not list(tmp_path.rglob("crash*"))
+    if heard:
+        assert errors.read_text().startswith("rsb-console: the console needs a terminal")
 
 
 @pytest.fixture
@@ -211,6 +242,23 @@ def test_a_crash_of_the_console_leaves_the_bridge_running_and_is_told(pair: Pair
             assert terminal.exit_code() == 1
     (crash,) = (tmp_path / "state").rglob("crash.txt")
     assert "ZeroDivisionError" in crash.read_text()
+    assert stat.S_IMODE(crash.stat().st_mode) == 0o600
+
+
+def test_what_is_done_in_a_bridges_own_console_is_done_by_its_user_on_its_terminal(pair: Pair, tmp_path: Path) -> None:
+    control = str(tmp_path / "console.sock")
+    with console(pair, "--control", control) as terminal:
+        terminal.wait_for("/console_")
+        terminal.type("r")
+        command = [str(COMMAND), "events", "--control", control, "--json"]
+        deadline = time.monotonic() + 60.0
+        did: list[dict[str, Any]] = []
+        while not did:
+            assert time.monotonic() < deadline
+            told = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()
+            did = [event for event in map(json.loads, told) if event["code"] == "operator.retried"]
+        name = str(Path(f"/proc/{terminal.pid}/fd/0").readlink()).removeprefix("/dev/")
+        assert f" on {name}" in did[0]["who"]
 
 
 def test_what_libraries_print_is_kept_off_the_picture(tmp_path: Path) -> None:

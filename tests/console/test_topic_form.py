@@ -16,6 +16,7 @@ from tests.console.driving import (
     scripted_app,
     shown,
     text,
+    told_to_add,
     until,
 )
 from tests.console.scripted import SESSION, ScriptedEngine, route
@@ -25,11 +26,35 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_console.screens.topic_suggestions import suggestions_for
-from rsb_console.session.draft import Ends, topic_of, values_of
+from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
 
 SERVER = msgspec.structs.replace(
     SESSION, role="server", clients=(Client("robot1", use_name=True), Client("robot2")), server_ip="0.0.0.0"
 )
+
+
+def test_a_topic_survives_the_form_with_all_its_numbers_and_switches() -> None:
+    topic = Topic(
+        "/cmd_vel",
+        "receive",
+        port=7061,
+        max_rate=2.5,
+        expected_rate=2.0,
+        stale_after=3.0,
+        paused=True,
+        arm=True,
+        deadman=20.0,
+    )
+    assert topic_of(values_of(topic)) == topic
+    assert problems_of(topic_of(values_of(topic)), SESSION, None) == {}
+
+
+@pytest.mark.parametrize(
+    ("word", "on"), [("true", True), ("yes", True), ("false", False), ("No", False), ("off", False)]
+)
+def test_a_switch_is_off_where_the_word_says_so(word: str, on: bool) -> None:
+    topic = topic_of({"topic": "/cmd_vel", "direction": "receive", "arm": word, "paused": word})
+    assert (topic.arm, topic.paused) == (on, on)
 
 
 @pytest.mark.parametrize("size", [(120, 36), NARROW])
@@ -45,9 +70,8 @@ def test_a_topic_is_found_by_a_few_letters_and_comes_with_its_type(size: tuple[i
         await shown(pilot, "sensor_msgs/msg/Image")
         await shown(pilot, "◉ receive")
         await pilot.press("enter")
-        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
         expected = Topic("/camera/depth", "receive", type="sensor_msgs/msg/Image")  # QoS stays auto
-        assert engine_of(app).commands[-1] == ("add", expected, "robot1")
+        assert await told_to_add(pilot, app) == ("add", expected, "robot1")
         await shown(pilot, "/camera/depth: added")
 
     drive(app, steps, size=size)
@@ -61,8 +85,7 @@ def test_a_whole_name_is_taken_as_typed_though_a_longer_one_is_offered() -> None
         await pilot.press("a", *"/camera")
         await shown(pilot, "/camera/depth")
         await pilot.press("enter", "enter")
-        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
-        assert engine_of(app).commands[-1] == ("add", Topic("/camera", "transmit"), "robot1")
+        assert await told_to_add(pilot, app) == ("add", Topic("/camera", "transmit"), "robot1")
 
     drive(app, steps)
 
@@ -161,9 +184,8 @@ def test_a_topic_of_an_ip_link_that_has_a_bluetooth_address_may_go_over_bluetoot
         await shown(pilot, "31 is not a valid RFCOMM channel")
         await fill(pilot, port="5")
         await pilot.press("enter")
-        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
         expected = Topic("/scan", "transmit", protocol="bluetooth", port=5)
-        assert engine_of(app).commands[-1] == ("add", expected, "robot1")
+        assert await told_to_add(pilot, app) == ("add", expected, "robot1")
 
     drive(app, steps, size=size)
 
@@ -255,8 +277,7 @@ def test_on_a_server_the_form_asks_which_client() -> None:
         await until(pilot, lambda: ("topics", "robot2") in engine_of(app).commands, "a look at robot2's graph")
         await fill(pilot, topic="/scan")
         await pilot.press("enter", "enter")
-        await until(pilot, lambda: engine_of(app).commands[-1][:1] == ("add",), "the command")
-        assert engine_of(app).commands[-1] == ("add", Topic("/scan", "transmit"), "robot2")
+        assert await told_to_add(pilot, app) == ("add", Topic("/scan", "transmit"), "robot2")
 
     drive(app, steps)
 

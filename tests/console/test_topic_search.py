@@ -51,7 +51,7 @@ def test_an_answer_that_takes_many_looks_fills_the_list() -> None:
         await shown(pilot, "/robot2/scan")
         await pilot.press("a")
         await shown(pilot, "/camera/depth")  # this side's own
-        await shown(pilot, "waiting for the other side's topics")
+        await shown(pilot, "waiting for what the other side has")
         looks = engine_as(app, SlowPeer).looks
         await until(pilot, lambda: engine_as(app, SlowPeer).looks > looks + 3, "it goes on looking at this side")
         assert len(engine_as(app, SlowPeer).asked) == 1

@@ -9,9 +9,10 @@ from pathlib import Path
 class Tmux:
     """The console in a tmux server of its own: what an operator's terminal multiplexer does to it."""
 
-    def __init__(self, folder: Path, *command: str) -> None:
+    def __init__(self, folder: Path, *command: str, size: tuple[int, int] = (120, 36)) -> None:
         self._socket = str(folder / "tmux")
-        self("new-session", "-d", "-x", "120", "-y", "36", *command)
+        columns, lines = (str(each) for each in size)
+        self("new-session", "-d", "-x", columns, "-y", lines, *command)
         self("set-option", "-g", "mouse", "on")
 
     def __call__(self, *words: str) -> str:
@@ -19,10 +20,15 @@ class Tmux:
         command = ["tmux", "-S", self._socket, "-f", "/dev/null", *words]
         return subprocess.run(command, env=environ, text=True, capture_output=True, check=True, timeout=60).stdout
 
+    @property
+    def picture(self) -> str:
+        """What is on the screen."""
+        return self("capture-pane", "-p")
+
     def wait_for(self, words: str, seconds: float = 120.0, *, there: bool = True) -> str:
         """Wait until `words` are there, or no more."""
         deadline = time.monotonic() + seconds
-        while (words in (picture := self("capture-pane", "-p"))) is not there:
+        while (words in (picture := self.picture)) is not there:
             assert time.monotonic() < deadline, f"{words!r} not {there} within {seconds} s:\n{picture}"
             time.sleep(0.05)
         return picture

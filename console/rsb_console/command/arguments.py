@@ -8,34 +8,52 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console.command import commands
+from rsb_console.command.call_arguments import add_call_commands
 from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands
 from rsb_console.command.shell import print_line
+from rsb_console.command.values import seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 EPILOG = """\
 Without a command: `rsb-console SESSION` bridges that session, `rsb-console` alone opens the console to choose one.
-Exit codes: 0 done, 1 failed, 2 bad arguments or a bad session file, 3 no such bridge runs, 4 the session runs already,
-130 interrupted, 143 terminated before it had started."""
+
+exit codes, of every command:
+  0    done; nothing is wrong
+  1    not done, or something is wrong
+  2    wrong usage: bad arguments, a name that does not exist, a session file with mistakes
+  3    not here: no such bridge runs, or a key file is missing (check)
+  4    the session runs on this machine already
+  130  interrupted (Ctrl-C)
+  143  terminated"""
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     """The parser, and the names of the commands. What it parses has the function to run as `command`."""
-    debug = argparse.ArgumentParser(add_help=False)
+    debug = _CommandParser(add_help=False)
     debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show a failure's traceback")
     parser = argparse.ArgumentParser(
         prog="rsb-console",
-        description="Bridge ROS 2 topics over encrypted sockets, and watch them flow.",
+        description="Bridge ROS 2 topics, services and actions over encrypted sockets, and watch them flow.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         parents=[debug],
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
-    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True, parser_class=_CommandParser)
 
-    def command(name: str, run: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
-        added = subparsers.add_parser(name, help=summary, description=f"{summary}.", parents=[debug])
+    def command(
+        name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
+    ) -> argparse.ArgumentParser:
+        added = subparsers.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            epilog=more,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            parents=[debug],
+        )
         added.set_defaults(command=run)
         return added
 
@@ -53,9 +71,10 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
-    demo.add_argument("--seconds", type=_seconds, metavar="N", help="stop after N s")
+    demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
     _service_arguments(command("service", commands.service, "run a session as a service of systemd"))
     add_remote_commands(command, _complete, commands.attach, _console_options)
+    add_call_commands(command, _complete)
     add_client_commands(command, _complete)
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
@@ -81,7 +100,7 @@ def _run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     parser.add_argument("--log-format", choices=("text", "json"), default="text", help="with --no-ui (%(default)s)")
     parser.add_argument(
-        "--status-every", type=_seconds, default=5.0, metavar="N", help="with --no-ui: a status line every N s (5)"
+        "--status-every", type=seconds, default=5.0, metavar="N", help="with --no-ui: a status line every N s (5)"
     )
     parser.add_argument(
         "--on-hangup", choices=("stop", "continue"), default="stop", help="when the terminal goes away (%(default)s)"
@@ -129,22 +148,28 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace an existing session file")
 
 
-def _seconds(text: str) -> float:
-    """Parse a time from the command line.
+class _CommandParser(argparse.ArgumentParser):
+    """Takes options before, between and behind all else, and shows its own usage when it refuses something."""
 
-    Args:
-        text: in s.
+    _intermixes = False
 
-    Raises:
-        argparse.ArgumentTypeError: it is not a number above 0.
-    """
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
-    return seconds
+    def parse_known_args(  # type: ignore[override]  # argparse's is overloaded, by the kind of namespace
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        if self._intermixes:  # argparse calls this for the options, then for the rest
+            return super().parse_known_args(args, namespace)
+        plain = self._subparsers or not {"-h", "--help"}.isdisjoint(
+            args or ()
+        )  # mixed, the help would leave things out
+        parse = super().parse_known_args if plain else self.parse_known_intermixed_args
+        self._intermixes = True
+        try:
+            found, unknown = parse(args, namespace)
+        finally:
+            self._intermixes = False
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, []
 
 
 class _Version(argparse.Action):

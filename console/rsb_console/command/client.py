@@ -5,25 +5,31 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.clients import ClientError, client_named
+from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.model.session import Client
-from rsb_console.command.remote import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
+from rsb_bridge.model.session import Client, Grant
+from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
+from rsb_console.command.target import ANSWERED_WITHIN, NoBridgeError, UsageError, chosen_bridge, reported
 from rsb_console.session import clients
+from rsb_console.session.rotation import begin_rotation, finish_rotation
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from concurrent.futures import Future
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.model.snapshot import LinkSnapshot
     from rsb_console.session.clients import Changed
 
 
@@ -51,19 +57,94 @@ def _add(arguments: Namespace) -> int:
         name=arguments.name,
         key_file=arguments.key_file,
         use_name=arguments.use_name,
-        allow=tuple(arguments.allow),
-        deny=tuple(arguments.deny),
+        allow=_grants(arguments.allow),
+        deny=_grants(arguments.deny),
     )
     changed = clients.add_client(path, client)
-    told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), "it lets the client in from now on")
+    done = "it lets the client in from now on"
+    told = _tell(arguments, path, lambda engine: engine.add_client(changed.client), lambda linked: done)
     return _handed_out(arguments, changed, told)
+
+
+def _grants(entries: list[str]) -> tuple[str | Grant, ...]:
+    """What `--allow` or `--deny` say, each of which may be given several times."""
+    try:
+        return tuple(grant for entry in entries for grant in typed_grants(entry))
+    except GrantError as error:
+        raise UsageError(str(error)) from None
 
 
 def _rekey(arguments: Namespace) -> int:
     path = _session_path(arguments)
+    if (arguments.keep_old or arguments.finish) and (arguments.output or arguments.address):
+        raise ClientError("the client's session file stays as it is: leave out --output and --address")
+    if arguments.keep_old:
+        return _begin_rotation(arguments, path)
+    if arguments.finish:
+        return _finish_rotation(arguments, path)
     changed = clients.rekey_client(path, arguments.name)
-    told = _tell(arguments, path, lambda engine: engine.change_client(changed.client), "only the new key counts now")
+    told = _tell(
+        arguments,
+        path,
+        lambda engine: engine.change_client(changed.client),
+        lambda linked: f"only the new key counts now{', and the link is closed' if linked else ''}",
+    )
     return _handed_out(arguments, changed, told)
+
+
+def _begin_rotation(arguments: Namespace, path: Path) -> int:
+    changed = begin_rotation(path, arguments.name)
+    told = _tell(
+        arguments,
+        path,
+        lambda engine: engine.change_client(changed.client),
+        lambda linked: f"both keys count from now on{', and the link stays' if linked else ''}",
+    )
+    key_file = changed.client.key_file or changed.file.session.key_file or ""
+    name = arguments.name
+    steps = (
+        f"copy the new key over the robot's: `scp -p {changed.key_path} USER@ROBOT:{Path(key_file).name}`",
+        "on the robot: `rsb-console reload` (its link comes back at once)",
+        f"here: `rsb-console client rekey {name} --finish` (the old key opens nothing any more)",
+    )
+    return _rotated(arguments, changed, told, "the next key", steps)
+
+
+def _finish_rotation(arguments: Namespace, path: Path) -> int:
+    name = arguments.name
+    link = _links(path, arguments.control).get(name)
+    if link is not None and link.state is State.OK and link.fingerprint != link.next_fingerprint:
+        raise EngineError(
+            f"{name} is linked with its old key, {link.fingerprint}: not finished. Copy the next one over the robot's, "
+            f"and have it read it (`rsb-console reload` there); or end its link now: `rsb-console client rekey {name}`"
+        )
+    changed = finish_rotation(path, name)
+    told = _tell(
+        arguments,
+        path,
+        lambda engine: engine.change_client(changed.client),
+        lambda linked: f"only the new key counts now, {'and the link stays' if linked else f'and {name} needs it'}",
+    )
+    return _rotated(arguments, changed, told, "the key")
+
+
+def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps: Sequence[str] = ()) -> int:
+    """Print what has become of a client's keys, and what is to be done next."""
+    file, client, key_at, key = changed
+    assert key is not None
+    if arguments.json:
+        print_line(
+            json_line(
+                {"ok": True, "name": client.name, "session": str(file.path), "key_file": str(key_at),
+                 "fingerprint": fingerprint(key), "running": told or None}
+            )
+        )  # fmt: skip
+        return OK
+    print_error(f"{client.name}: {what} is in {key_at}, fingerprint {fingerprint(key)}")
+    print_error(f"{file.path} is saved; {told or _NOT_RUNNING}")
+    for number, step in enumerate(steps, 1):
+        print_error(f"{number}. {step}")
+    return OK
 
 
 def _show(arguments: Namespace) -> int:
@@ -79,7 +160,14 @@ def _show(arguments: Namespace) -> int:
 def _remove(arguments: Namespace) -> int:
     path = _session_path(arguments)
     changed = clients.remove_client(path, arguments.name)
-    told = _tell(arguments, path, lambda engine: engine.remove_client(arguments.name), "the client's link is closed")
+    told = _tell(
+        arguments,
+        path,
+        lambda engine: engine.remove_client(arguments.name),
+        lambda linked: (
+            f"{arguments.name} is no longer accepted, {'and its link is closed' if linked else 'and was not linked'}"
+        ),
+    )
     if arguments.json:
         print_line(json_line({"ok": True, "name": arguments.name, "running": told or None}))
         return OK
@@ -94,25 +182,30 @@ def _list(arguments: Namespace) -> int:
     for client in file.session.accepted_clients:
         key_at = clients.key_path_of(file, client)
         key, problem = clients.fingerprint_or_problem(key_at)
+        places = clients.key_places(file, client)
+        following, of_following = clients.fingerprint_or_problem(places[1] if places[1:] else None)
         use_name = file.session.use_name if client.use_name is None else client.use_name
         rows.append(
             {
                 "name": client.name,
                 "key_file": None if key_at is None else str(key_at),
                 "fingerprint": "" if key is None else fingerprint(key),
-                "problem": problem,
+                "next_key_file": None if len(places) < 2 else str(places[1]),
+                "next_fingerprint": "" if following is None else fingerprint(following),
+                "problem": problem or (of_following if places[1:] else ""),
                 "use_name": use_name,
-                "allow": client.allow,
-                "deny": client.deny,
+                "allow": msgspec.to_builtins(client.allow),
+                "deny": msgspec.to_builtins(client.deny),
                 "topics": [topic.topic for topic in client.topics],
-                "state": links.get(client.name, ""),
+                "state": link.state if (link := links.get(client.name)) is not None else "",
             }
         )
     if arguments.json:
         print_line(json_line({"session": str(file.path), "clients": rows}))
         return OK
     for row in rows:
-        key_text = row["fingerprint"] or row["problem"]
+        next_key = f", next {row['next_fingerprint']}" if row["next_fingerprint"] else ""
+        key_text = f"{row['fingerprint']}{next_key}" if row["fingerprint"] else row["problem"]
         name = Path(str(row["key_file"])).name if row["key_file"] else "-"
         state = str(row["state"]).upper() or "-"
         print_line(f"{row['name']:<16} {state:<8} {name:<20} {key_text}")
@@ -160,8 +253,19 @@ def _server_of(path: Path, control: Path | None) -> RunningBridge | None:
     return next((each for each, file in files if file is not None and Path(file).resolve() == path.resolve()), None)
 
 
-def _tell(arguments: Namespace, path: Path, command: Callable[[EngineApi], Future[None]], done: str) -> str:
+def _tell(
+    arguments: Namespace,
+    path: Path,
+    command: Callable[[EngineApi], Future[None]],
+    done: Callable[[bool], str],
+) -> str:
     """Have the bridge that runs a session file do what is in the file already.
+
+    Args:
+        arguments: name the client, and perhaps the control socket.
+        path: of the session file.
+        command: what is to be done.
+        done: what has been done, in words, given whether the client was linked.
 
     Returns:
         What it did, in words; empty: there is no such bridge.
@@ -175,24 +279,26 @@ def _tell(arguments: Namespace, path: Path, command: Callable[[EngineApi], Futur
     engine = RemoteEngine(bridge.path)
     try:
         engine.start()
+        links = engine.snapshot().links
+        linked = any(link.name == arguments.name and link.state is State.OK for link in links)
         command(engine).result(ANSWERED_WITHIN)
     except EngineError as error:
         remedy = f"restart it, or `rsb-console reload {bridge.name}`"
         raise EngineError(f"{path} is saved, but the bridge that runs it refuses: {error}; {remedy}") from None
     finally:
         engine.stop()
-    return f"{bridge.name} runs (pid {bridge.pid}): {done}"
+    return f"{bridge.name} runs (pid {bridge.pid}): {done(linked)}"
 
 
-def _links(path: Path, control: Path | None) -> dict[str, str]:
-    """The state of each link of the bridge that runs a session file; empty: there is none."""
+def _links(path: Path, control: Path | None) -> dict[str, LinkSnapshot]:
+    """The links of the bridge that runs a session file, by their clients' names; empty: there is none."""
     bridge = _server_of(path, control)
     if bridge is None:
         return {}
     engine = RemoteEngine(bridge.path, read_only=True)
     try:
         engine.start()
-        return {link.name: str(link.state) for link in engine.snapshot().links}
+        return {link.name: link for link in engine.snapshot().links}
     except EngineError:
         return {}
     finally:

@@ -5,24 +5,38 @@ So help, keygen, check and import answer at once, on a machine with none of them
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+import termios
+import time
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.advice import advise, uninstalled_types
-from rsb_bridge.config.keys import KeyFileError, fingerprint, key_path, read_key, write_key
+from rsb_bridge.config.keys import (
+    Key,
+    KeyFileError,
+    fingerprint,
+    key_files_by_client,
+    key_path,
+    key_users,
+    read_key,
+    write_key,
+)
+from rsb_bridge.config.rotation import key_warnings, written
 from rsb_bridge.config.session_file import SessionError, dump, load, save
+from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.thesis import import_bringup
-from rsb_bridge.config.validation import domain_of, transport_of
+from rsb_console.command.check_report import rights, summary
 from rsb_console.command.shell import FAILURE, NO_KEY, OK, USAGE, allow_many_descriptors, print_error, print_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from rsb_bridge.config.keys import Key
-    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.session import Session
 
 _IMPORT_OPTIONS = {"key_file": "--key-file PATH, or --no-encryption", "server_port": "--port N"}  # by what they give
 
@@ -66,7 +80,7 @@ def run(arguments: Namespace) -> int:
 
 def attach(arguments: Namespace) -> int:
     """Open the console on a bridge that runs already."""
-    from rsb_console.command.remote import bridge_to_attach  # noqa: PLC0415 (not needed elsewhere)
+    from rsb_console.command.target import bridge_to_attach  # noqa: PLC0415 (not needed elsewhere)
 
     if not _can_draw("rsb-console status"):
         return USAGE
@@ -93,12 +107,19 @@ def check(arguments: Namespace) -> int:
         session = load(path)
     except SessionError as error:
         return _refuse(error)
-    for line in _summary(session):
+    for line in summary(session):
         print_line(line)
-    keys = tuple(_keys(session, path))
+    for line in rights(session):
+        print_line(line)
+    keys = dict(_keys(session, path))
+    for line in _key_lines(session, keys):
+        print_line(line)
     for warning in _warnings(session, keys):
         print_line(f"warning: {warning}")
-    return NO_KEY if any(isinstance(key, KeyFileError) for key in keys) else OK
+    if problem := _shared_keys(session, keys):
+        print_error(f"the bridge does not start: {problem}")
+        return USAGE
+    return NO_KEY if any(isinstance(key, KeyFileError) for key in keys.values()) else OK
 
 
 def _refuse(error: SessionError) -> int:
@@ -181,89 +202,64 @@ def import_thesis(arguments: Namespace) -> int:
     return OK
 
 
-def _warnings(session: Session, keys: Iterable[Key | KeyFileError]) -> Iterator[str]:
+def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
     """What is no mistake in a session, but what running it would warn of."""
-    for key in keys:
-        if isinstance(key, KeyFileError):
-            yield f"{key}; without it the bridge does not start"
-        else:
-            yield from key.warnings
+    yield from (
+        f"{key}; without it the bridge does not start" for key in keys.values() if isinstance(key, KeyFileError)
+    )
+    valid = {
+        name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
+        for name, files in key_files_by_client(session).items()
+    }
+    yield from key_warnings(valid, time.time())
     yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
     yield from map(str, uninstalled_types(session))
 
 
-def _keys(session: Session, path: Path) -> Iterator[Key | KeyFileError]:
-    """Each key that a session needs, or why there is none."""
+def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iterator[str]:
+    """Whose each key is, and since when it has been in its file."""
+    users = key_users(session)
+    for file, key in keys.items():
+        if isinstance(key, Key):
+            yield f"key {file}, for {users[file]}: {fingerprint(key)}, written {written(key, time.time())}"
+
+
+def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> str:
+    """Why clients' keys are refused. Where a key cannot be read, its file stands for it."""
+    if session.role != "server" or not session.use_encryption:
+        return ""
+    files = key_files_by_client(session).items()
+    read = {
+        name: [key if isinstance(key := keys[file], Key) else file for file in of_client] for name, of_client in files
+    }
+    return shared_key_problem(session, read)
+
+
+def _keys(session: Session, path: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
+    """Each key that a session needs, by its file, or why there is none."""
     if not session.use_encryption:
         return
-    names = [client.key_file or session.key_file for client in session.clients] or [session.key_file]
-    for name in dict.fromkeys(name for name in names if name is not None):
+    for name in dict.fromkeys(chain.from_iterable(key_files_by_client(session).values())):
         try:
-            yield read_key(key_path(path.parent, name))
+            yield name, read_key(key_path(path.parent, name))
         except KeyFileError as error:
-            yield error
+            yield name, error
 
 
-def _summary(session: Session) -> Iterator[str]:
-    where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
-    yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, {_domain(session)}"
-    yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
-    for topic in session.topics:
-        yield f"  {_route(topic, session)}"
-    for client in session.clients:
-        allowed = ", ".join(client.allow) or "all topics"
-        prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
-        yield f"  accepts {client.name}: {allowed}{', not ' if client.deny else ''}{', '.join(client.deny)}{prefix}"
-        for topic in client.topics:
-            yield f"    proposes {_route(topic, session)}"
-    if session.role == "server" and not session.clients:
-        yield f"  accepts {session.name}: all topics"
-
-
-def _domain(session: Session) -> str:
+def _has_hung_up(terminal: int) -> bool:
     try:
-        domain = domain_of(session, os.environ.get("ROS_DOMAIN_ID"))
-    except ValueError:  # which is a warning
-        return "no ROS domain"
-    return f"ROS domain {domain}{' (ROS_DOMAIN_ID, else 0)' if session.domain_id is None else ''}"
-
-
-def _prefix(session: Session) -> str:
-    if session.role == "client" and not session.use_name:
-        return f"prefix /{session.name} where the server has use_name on"
-    return _prefix_of("<name>" if session.clients else session.name, use_name=session.use_name)
-
-
-def _prefix_of(name: str, *, use_name: bool) -> str:
-    return f"prefix /{name}" if use_name else "no prefix"
-
-
-def _route(topic: Topic, session: Session) -> str:
-    transport = transport_of(topic, session)
-    details = [f"type {topic.type}", f"qos {topic.qos}"]
-    if topic.port is not None:
-        details.append(f"port {topic.port}")
-    compression = topic.compression or transport.compression
-    if compression != "none":
-        details.append(f"{compression} compression")
-    if topic.remote_topic is not None:
-        details.append(f"{topic.remote_topic} on the server")
-    if topic.max_rate is not None:
-        details.append(f"at most {topic.max_rate:g} Hz")
-    if topic.expected_rate is not None:
-        details.append(f"expected {topic.expected_rate:g} Hz")
-    if topic.stale_after is not None:
-        details.append(f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale")
-    if topic.paused:
-        details.append("paused")
-    return f"{topic.direction} {topic.topic} over {transport.name}: {', '.join(details)}"
+        termios.tcgetattr(terminal)
+    except termios.error as error:
+        return bool(error.args[0] == errno.EIO)
+    return False
 
 
 def _can_draw(instead: str) -> bool:
     """Whether the console has a terminal to draw on; says so where it hasn't."""
     reason = None
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        reason = "this isn't one (a pipe, a file, or ssh without -t)"
+        gone = _has_hung_up(sys.stdin.fileno())
+        reason = "its own has gone" if gone else "this isn't one (a pipe, a file, or ssh without -t)"
     elif os.environ.get("TERM", "") in ("", "dumb"):
         reason = "TERM says this one can't draw"
     if reason:

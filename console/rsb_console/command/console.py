@@ -7,6 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.session_file import load
+from rsb_bridge.control.identity import identify
+from rsb_bridge.model.operators import acting
 from rsb_console.app import ConsoleApp
 from rsb_console.command.shell import FAILURE, OK, print_error
 from rsb_console.terminal.driver import prefers_ascii, terminal_to_itself
@@ -66,7 +68,7 @@ def run_console(
     )
     shut_down_on_signals(app.shut_down_soon)
     try:
-        with terminal_to_itself(output_path()) as app.terminal:
+        with terminal_to_itself(output_path()) as app.terminal, acting(identify(os.getpid(), os.geteuid())):
             app.run(mouse=mouse)
     except Exception:  # noqa: BLE001 -- the bridge survives any failure of the app
         app.crashed()
@@ -100,6 +102,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):
         from rsb_console.command.headless import bridge_on  # noqa: PLC0415 -- seldom needed
 
+        app.engine.arming.release()
         code = bridge_on(app.engine, crashed=crashed)
     app.stop()
     return code

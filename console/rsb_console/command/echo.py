@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 from concurrent.futures import TimeoutError as LateError
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import Items
 from rsb_bridge.model.text import escape_text
+from rsb_console.command.reports import json_value
 from rsb_console.command.shell import print_line
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
 from rsb_console.session.reading import KnownTypes, age_text, how_it_came, read_message
@@ -115,6 +115,4 @@ def _json_value(value: Value) -> object:
         if len(value.shown) < value.total and not value.shown:
             return f"<{value.element}[{value.total}]>"
         return [_json_value(each) for each in value.shown]
-    if isinstance(value, float) and not math.isfinite(value):
-        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-    return value
+    return json_value(value)

@@ -43,7 +43,7 @@ _WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer
 def run_headless(
     path: Path, session: Session, *, log_format: str, on_hangup: str, status_every: float, control: Path | None
 ) -> int:
-    """Bridge until a signal, or until the link is shut down on purpose.
+    """Bridge until a signal, or until this side's operator shuts the link down.
 
     Args:
         path: the session's file: key files are relative to its folder.
@@ -232,7 +232,8 @@ class Signals:
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            ends = number == signal.SIGINT and self.caught  # the process ends: one more would change its exit code
+            signal.signal(number, signal.SIG_IGN if ends else handler)
 
     def _ignores_hangup(self) -> bool:
         return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored

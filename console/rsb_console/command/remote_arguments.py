@@ -2,20 +2,102 @@
 
 from __future__ import annotations
 
+import argparse
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeAlias
+
+from rsb_console.command.values import count, timeout
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Callable
 
-    AddCommand = Callable[[str, Callable[[argparse.Namespace], int], str], argparse.ArgumentParser]
-    Complete = Callable[[argparse.Action, str], None]
 
+Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 TOPIC_KEYS = (
-    "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, expected_rate=, stale_after=, paused="
+    "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, expected_rate=, stale_after=, paused=, "
+    "arm=, deadman="
 )
+CALL_KEYS = (
+    "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "
+    "paused=, arm=, deadman="
+)
+KINDS = ("topic", "service", "action", "parameters")
+
+
+class AddCommand(Protocol):
+    """Adds a command."""
+
+    def __call__(
+        self, name: str, run: Callable[[argparse.Namespace], int], summary: str, more: str = ""
+    ) -> argparse.ArgumentParser:
+        """By its name, what it runs, a summary, and what stands at the end of its help."""
+        ...
+
+
+NO_BRIDGE = """\
+  2  wrong usage: bad arguments, no such topic, or several bridges and no --bridge
+  3  no such bridge runs, or it cannot be reached"""
+_EXIT = f"""\
+exit codes:
+  0  done
+  1  the bridge refused, or did not answer
+{NO_BRIDGE}"""
+_EXIT_STATUS = f"""\
+A topic or a link that waits for its first message or connection is not wrong, nor
+is a topic that is paused or not armed, or to which nobody subscribes.
+
+exit codes:
+  0  nothing is wrong
+  1  something is wrong: it is named
+{NO_BRIDGE}"""
+_EXIT_RELOAD = f"""\
+exit codes:
+  0  everything that differs is changed, or nothing differs
+  1  something is not changed: it is named
+{NO_BRIDGE}"""
+_EXIT_ARM = f"""\
+It stays armed while this command runs. A line on its standard input (Enter) is the
+key that the deadman time waits for; Ctrl-C disarms it, and so does whatever else
+ends this command.
+
+exit codes:
+  1  it could not be armed, or was disarmed otherwise: why is said
+{NO_BRIDGE}
+  130, 143  it was armed until Ctrl-C, until SIGTERM"""
+_EXIT_ECHO = f"""\
+Messages are decoded where one of the sides knows the type.
+
+exit codes:
+  0  the messages are printed
+  1  they have not come within the time
+{NO_BRIDGE}"""
+_ADD = f"""\
+for example:
+  rsb-console add /scan transmit max_rate=5
+  rsb-console add /cmd_vel receive qos=reliable
+  rsb-console add --service /dock --provider client timeout=120
+  rsb-console add --action /navigate_to_pose --provider client
+  rsb-console add --parameters /controller_server --provider client
+
+{_EXIT}"""
+_WAIT = f"""\
+  flowing TOPIC     messages of the topic cross, over every link that has it; of
+                    a service, an action or a node's parameters: it can be called
+  linked [CLIENT]   the link is up; without CLIENT: any link
+  stopped           the bridge has ended
+
+A topic that a client does not bridge, and a client that a server does not know,
+are wrong usage at once: nothing could come of waiting. A server waits for a topic
+that it does not know yet, because a client may bring it.
+
+for example:
+  rsb-console wait --for flowing /scan --timeout 10 && ros2 launch ...
+
+exit codes:
+  0  it is so
+  1  it is not so within the time
+{NO_BRIDGE}"""
 
 
 def add_remote_commands(
@@ -33,75 +115,92 @@ def add_remote_commands(
         console_options: adds the options of the console to a parser.
     """
 
-    def remote(name: str, summary: str, *, bridge_first: bool = False) -> argparse.ArgumentParser:
-        parser = command(name, attach if name == "attach" else _lazily(name), summary)
-        which = "the bridge, as `rsb-console status` names it; needed where several run"
-        if bridge_first:
-            complete(parser.add_argument("bridge", metavar="NAME", nargs="?", help=which), "bridge_names")
-        else:
-            complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
-        parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
-        if name != "attach":
-            parser.add_argument("--json", action="store_true", help="for programs")
+    def remote(name: str, summary: str, more: str = "", *, about_topic: bool = False) -> argparse.ArgumentParser:
+        """Add one, with the ways to name the bridge: ``--bridge``, and alone where no other name is expected."""
+        parser = command(name, attach if name == "attach" else lazily(name), summary, more or _EXIT)
+        if not about_topic:
+            alone = parser.add_argument(
+                "bridge", metavar="NAME", nargs="?", default=argparse.SUPPRESS, help="short for --bridge NAME"
+            )
+            complete(alone, "bridge_names")
+        bridge_options(parser, complete, json=name != "attach")
         return parser
 
-    console_options(remote("attach", "open the console on a bridge that runs already", bridge_first=True))
-    remote("status", "say how a running bridge is; exit code 1 if something is wrong", bridge_first=True)
-    topics = remote("topics", "list a running bridge's topics", bridge_first=True)
-    topics.add_argument("--available", action="store_true", help="those that can be bridged, on either side, instead")
-    add = remote("add", "bridge one more topic")
-    add.add_argument("topic", metavar="TOPIC", help="its name on the client")
-    add.add_argument("direction", choices=("transmit", "receive"), help="as the client sees it")
+    console_options(remote("attach", "open the console on a bridge that runs already"))
+    remote("status", "show how a running bridge, its links and its topics are", _EXIT_STATUS)
+    topics = remote("topics", "list the topics and services of a running bridge")
+    topics.add_argument("--available", action="store_true", help="list what can be bridged, on either side, instead")
+    add = remote("add", "bridge one more topic, service, action or node's parameters", _ADD, about_topic=True)
+    add.add_argument(
+        "topic", metavar="NAME", help="its name, as the screen of the bridge shows it, or as the client does"
+    )
+    _kind(add, "what it is; default: topic")
+    for kind in KINDS[1:]:
+        add.add_argument(f"--{kind}", dest="kind", action="store_const", const=kind, help=f"short for --kind {kind}")
+    add.add_argument("--provider", choices=("client", "server"), help="of a service: the side whose node answers")
+    add.add_argument(
+        "direction",
+        metavar="transmit|receive",
+        nargs="?",
+        help="of a topic: to the server, or from the server, as the client sees it",
+    )
     _topic_keys(add)
-    add.add_argument("--link", default="", metavar="CLIENT", help="on a server of several: with which client")
-    edit = remote("edit", "change a topic that is bridged")
-    _route(edit)
+    add.add_argument("--link", default="", metavar="CLIENT", help="on a server of several clients: the one to bridge")
+    edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
+    route_arguments(edit)
     _topic_keys(edit)
     for name, summary in (
-        ("remove", "stop bridging a topic, on both sides"),
-        ("pause", "stop carrying a topic's messages, on both sides"),
-        ("resume", "carry a paused topic's messages again"),
+        ("remove", "stop bridging a topic or service, on both sides"),
+        ("pause", "stop carrying a topic's messages or a service's calls, on both sides"),
+        ("resume", "carry what is paused again"),
     ):
-        _route(remote(name, summary))
-    retry = remote("retry", "connect now, and open refused topics again", bridge_first=True)
-    retry.add_argument("--link", default="", metavar="CLIENT", help="only this one")
-    remote("restart", "close the links on both sides and open them again", bridge_first=True)
-    reload = remote("reload", "read the session file again, and change only what differs", bridge_first=True)
+        route_arguments(remote(name, summary, about_topic=True))
+    route_arguments(remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True))
+    route_arguments(remote("disarm", "disarm a topic or service, whoever armed it", about_topic=True))
+    retry = remote("retry", "connect now instead of later, and open refused topics again")
+    retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only")
+    remote("restart", "close the links on both sides and open them again")
+    reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
-    events = remote("events", "print what a running bridge reports", bridge_first=True)
-    events.add_argument("--follow", action="store_true", help="go on with what happens from now on")
-    report = remote(
-        "report", "print what happened in the last hours, even of a bridge that has ended", bridge_first=True
-    )
+    events = remote("events", "print what a running bridge has reported")
+    events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
+    report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
     report.set_defaults(command=_report)
     report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
-    report.add_argument("--csv", action="store_true", help="for a spreadsheet")
-    wait = remote("wait", "wait until something is so; exit code 1 if it is not within the time")
+    report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
+    wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
     wait.add_argument(
-        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "TOPIC"),
+        "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
         help="flowing TOPIC, linked [CLIENT], or stopped",
     )  # fmt: skip
-    wait.add_argument("--timeout", type=float, metavar="N", help="s; default: wait for ever")
-    echo = remote(
-        "echo", "print a topic's messages, two a second at most, decoded where the type is known", bridge_first=True
-    )
-    _route(echo)
-    echo.add_argument("--once", action="store_true", help="one message")
-    echo.add_argument("--count", type=_count, metavar="N", help="so many messages; default: until interrupted")
-    echo.add_argument("--timeout", type=float, metavar="N", help="s; exit code 1 if they have not come by then")
+    wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
+    echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
+    route_arguments(echo, kinds=("topic",))
+    echo.add_argument("--once", action="store_true", help="stop after one message")
+    echo.add_argument("--count", type=count, metavar="N", help="stop after N messages; default: until interrupted")
+    echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
-    echo.add_argument("--full-length", action="store_true", help="all elements of arrays, not only the first 128")
-    remote("stop", "end a running bridge", bridge_first=True)
+    echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
+    remote("stop", "end a running bridge, and wait until it has ended")
+
+
+def bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:
+    """Add the options of every command that attaches: which bridge, and whether to print JSON."""
+    which = "the bridge, by the name that `status` prints; needed where several run"
+    complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
+    parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
+    if json:
+        parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 
 def add_client_commands(command: AddCommand, complete: Complete) -> None:
     """Add `client` and its own commands; the arguments are those of `add_remote_commands`."""
-    parent = command("client", _lazily("list", "client"), "add, remove, list and rekey a server's clients")
+    parent = command("client", lazily("list", "client"), "add, remove, list and rekey a server's clients")
     commands = parent.add_subparsers(metavar="COMMAND", required=True)
 
     def client(name: str, summary: str, *, named: bool = True, hands_out: bool = False) -> argparse.ArgumentParser:
         parser = commands.add_parser(name, help=summary, description=f"{summary}.")
-        parser.set_defaults(command=_lazily(name, "client"), saves=name != "show")
+        parser.set_defaults(command=lazily(name, "client"), saves=name != "show")
         if named:
             parser.add_argument("name", metavar="NAME", help="the client's")
         which = "the server's file; default: that of the bridge that runs here"
@@ -122,15 +221,21 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
     prefix = add.add_mutually_exclusive_group()
     prefix.add_argument("--prefix", dest="use_name", action="store_true", default=None, help="NAME before its topics")
     prefix.add_argument("--no-prefix", dest="use_name", action="store_false", default=None, help="no NAME before them")
-    add.add_argument("--allow", action="append", default=[], metavar="PATTERN", help="of topics; may be repeated")
-    add.add_argument("--deny", action="append", default=[], metavar="PATTERN", help="of topics; may be repeated")
+    for option, pattern in (("--allow", "topics"), ("--deny", "topics and services")):
+        entries = f"a pattern of {pattern}, or a mapping as in a session file; may be repeated"
+        add.add_argument(option, action="append", default=[], metavar="PATTERN", help=entries)
     client("remove", "let a client in no more; its key file stays")
     client("list", "list the clients, with the fingerprints of their keys", named=False)
-    client("rekey", "make a new key for a client, and print its session file", hands_out=True)
+    rekey = client("rekey", "make a new key for a client, and print its session file", hands_out=True)
+    steps = rekey.add_mutually_exclusive_group()
+    keep = "the link stays: the new key is valid beside the old one, until --finish"
+    steps.add_argument("--keep-old", action="store_true", help=keep)
+    finish = "once the client has the new key: the old one opens nothing any more"
+    steps.add_argument("--finish", action="store_true", help=finish)
     client("show", "print a client's session file again", hands_out=True)
 
 
-def _lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], int]:
+def lazily(name: str, module: str = "remote") -> Callable[[argparse.Namespace], int]:
     """Import what the command needs only when it is run."""
 
     def run(arguments: argparse.Namespace) -> int:
@@ -145,28 +250,26 @@ def _report(arguments: argparse.Namespace) -> int:
     return code
 
 
-def _route(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("topic", metavar="TOPIC", help="its name on the bridge's side")
-    parser.add_argument("--link", default="", metavar="CLIENT", help="where several clients have the topic")
-    parser.add_argument("--direction", choices=("transmit", "receive"), help="where it goes both ways")
+def route_arguments(parser: argparse.ArgumentParser, kinds: tuple[str, ...] = KINDS, metavar: str = "NAME") -> None:
+    """Add the arguments that name one of what is bridged, of these kinds."""
+    parser.add_argument("topic", metavar=metavar, help="the name on this bridge's side, or on the client")
+    parser.add_argument("--link", default="", metavar="CLIENT", help="the client, where several have it")
+    parser.add_argument("--direction", choices=("transmit", "receive"), help="the one to take, where it goes both ways")
+    parser.set_defaults(kinds=kinds, kind=None)
+    if len(kinds) > 1:
+        _kind(parser, "the one to take, where several have this name", kinds)
 
 
-def _count(text: str) -> int:
-    """Parse a number of messages.
-
-    Raises:
-        ValueError: it is none.
-    """
-    count = int(text)
-    if count < 1:
-        raise ValueError
-    return count
+def _kind(parser: argparse.ArgumentParser, about: str, kinds: tuple[str, ...] = KINDS) -> None:
+    parser.add_argument("--kind", choices=kinds, help=about)
 
 
 def _topic_keys(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "keys",
         nargs="*",
+        default=[],  # without it argparse says that it is required
         metavar="KEY=VALUE",
-        help=f"as in a session file: {TOPIC_KEYS}; an empty value is the default",
+        help=f"as in a session file: {TOPIC_KEYS}; of a service, an action or parameters: {CALL_KEYS}; an empty value "
+        "is the default",
     )

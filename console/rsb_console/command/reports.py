@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import time
+from collections import Counter
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import plural
+from rsb_bridge.model.text import join_first, plural
+from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rsb_bridge.model.calls import CallsSnapshot
+    from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, Snapshot
 
 _SHOWN_IN_STATUS = 8
+_COUNTED: dict[Kind, str] = {
+    "topic": "{} topic",
+    "service": "{} service",
+    "action": "{} action",
+    "parameters": "parameters of {} node",
+}
 
 
 def clock(moment: float) -> str:
@@ -36,8 +47,8 @@ def text_status(snapshot: Snapshot) -> str:
     parts = [
         *_counts(snapshot),
         f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-        *_some([f"{link.name} {_link_fault(link)}" for link in snapshot.links if link.reason or link.warning]),
-        *_some([rate_text(route) for route in faults_first(_of_links_that_are_up(snapshot))]),
+        *_some([f"{link.name} {link_fault(link)}" for link in snapshot.links if link.reason or link.warning]),
+        *_some([rate_text(route) for route in faults_first(of_links_that_are_up(snapshot))]),
     ]
     return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
 
@@ -48,14 +59,33 @@ def _some(parts: list[str]) -> list[str]:
     return [*parts[:_SHOWN_IN_STATUS], f"and {more} more"] if more > 0 else parts
 
 
-def _link_fault(link: LinkSnapshot) -> str:
-    return link.warning if link.state is State.OK else f"{link.state.upper()}: {link.reason}"
+def link_fault(link: LinkSnapshot) -> str:
+    """What is wrong with a link, though it may be up."""
+    if link.state is State.OK:
+        return link.warning
+    return f"{link.state.upper()}: {why_down(link)}"
 
 
-def _of_links_that_are_up(snapshot: Snapshot) -> list[RouteSnapshot]:
+def why_down(link: LinkSnapshot) -> str:
+    """Why a link is down, and when its client asks again whether it may come back; empty: it is up."""
+    if link.cause == LinkCause.SHUT_DOWN and link.retry_in is not None:
+        return f"{link.reason}; asks again in {math.ceil(link.retry_in)} s"
+    return link.reason
+
+
+def of_links_that_are_up(snapshot: Snapshot) -> list[RouteSnapshot]:
     """What is wrong with a link is said once, and not of each of its topics."""
     down = {link.name for link in snapshot.links if link.state is not State.OK}
     return [route for route in snapshot.routes if route.link not in down]
+
+
+def topics_of_link_that_is_down(snapshot: Snapshot, link: LinkSnapshot) -> str:
+    """Which topics and services have no way because of their link; empty: there are none, or it is up."""
+    routes = [route for route in snapshot.routes if route.link == link.name]
+    if link.state is State.OK or not routes:
+        return ""
+    waits = "waits" if len(routes) == 1 else "wait"
+    return f"{_of_kinds(routes)} {waits} for it: {join_first([route.topic for route in routes], _SHOWN_IN_STATUS)}"
 
 
 def summary(snapshot: Snapshot) -> str:
@@ -67,8 +97,16 @@ def _counts(snapshot: Snapshot) -> tuple[str, str]:
     linked = sum(link.state is State.OK for link in snapshot.links)
     states = [route.state for route in snapshot.routes]
     counts = ", ".join(f"{states.count(state)} {state}" for state in State if state in states)
-    topics = f"{len(states)} {plural(len(states), 'topic')}"
-    return f"{linked}/{len(snapshot.links)} linked", topics + (f": {counts}" if counts else "")
+    if armed := sum(route.arming is not None and route.arming.armed for route in snapshot.routes):
+        counts += f", {armed} ARMED"
+    return f"{linked}/{len(snapshot.links)} linked", _of_kinds(snapshot.routes) + (f": {counts}" if counts else "")
+
+
+def _of_kinds(routes: Sequence[RouteSnapshot]) -> str:
+    """How many there are of each kind: ``3 topics, 1 action, parameters of 2 nodes``."""
+    counts = Counter(route.spec.kind for route in routes)
+    parts = (plural(counts[kind], text.format(counts[kind])) for kind, text in _COUNTED.items() if counts[kind])
+    return ", ".join(parts) or "0 topics"
 
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
@@ -77,20 +115,34 @@ def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
 
 
 def rate_text(route: RouteSnapshot) -> str:
-    """A topic in a few words: its rate, or why it has none."""
+    """A topic in a few words: its rate, or why it has none; of what is called, its calls."""
     arrow = "→" if route.outgoing else "←"
+    armed = f" ARMED ({route.arming.by}):" if route.arming is not None and route.arming.armed else ""
+    failed = _failed_calls(route.calls) if route.calls is not None else _dropped(route)
+    kind = "" if route.spec.kind == "topic" else f"{route.spec.kind} "
+    return f"{arrow} {kind}{route.topic}{armed} {_how(route)}{failed and f' ({failed})'}"
+
+
+def _dropped(route: RouteSnapshot) -> str:
     dropped = route.ledger.dropped_total
-    return f"{arrow} {route.topic} {_how(route)}" + (f" ({dropped} dropped)" if dropped else "")
+    return f"{dropped} dropped" if dropped else ""
+
+
+def _failed_calls(calls: CallsSnapshot) -> str:
+    """The calls that had no answer, by what became of them."""
+    counts = {"expired": calls.expired, "refused": sum(calls.refused.values()), "lost": calls.lost}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def _how(route: RouteSnapshot) -> str:
-    """The rate and what is wrong all the same, or the reason why there is no rate; a pause needs no reason."""
+    """The rate and what is wrong all the same, or the reason why there is no rate."""
     rate = f"{route.rate:.1f} Hz"
+    if route.calls is not None:
+        rate = f"{route.rate:.1f} calls/s" + (f", {route.calls.in_flight} under way" if route.calls.in_flight else "")
     how = rate if route.state is State.OK else route.state.upper()
     if route.state is not State.OK and route.state.flows:
         how += f" {rate}"
-    reason = "" if route.state is State.PAUSED else route.reason
-    return how + (f": {reason}" if reason else "")
+    return how + (f": {route.reason}" if route.reason else "")
 
 
 def json_line(content: dict[str, object]) -> str:
@@ -98,9 +150,21 @@ def json_line(content: dict[str, object]) -> str:
     return json.dumps(content, ensure_ascii=False)
 
 
+def json_value(value: Any) -> Any:
+    """Plain data for JSON. What that has no number for stands as a string: NaN, Infinity, -Infinity."""
+    if isinstance(value, dict):
+        return {name: json_value(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [json_value(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
 def json_event(event: Event) -> str:
     """An event as one JSON object."""
-    content = asdict(event) | {"source": event.source}
+    since = None if event.since is None else round(event.since, 3)
+    content = asdict(event) | {"source": event.source, "since": since}
     del content["number"]  # counts the events that are not printed, too
     return json_line(content)
 
@@ -112,37 +176,51 @@ def json_status(snapshot: Snapshot) -> str:
 
 def status_of(snapshot: Snapshot) -> dict[str, object]:
     """The figures for a monitor, without what only the console draws (histories, the details of stages)."""
-    links = {
+    return {"links": links_of(snapshot), "routes": [route_of(route) for route in snapshot.routes]}
+
+
+def links_of(snapshot: Snapshot) -> dict[str, object]:
+    """Those of the links, by name."""
+    return {
         link.name: {
             "state": link.state,
             "cause": link.cause,
             "reason": link.reason or link.warning,
-            "since": link.since,
+            "since": round(link.since, 3),
             "peer": link.peer,
             "rtt": link.rtt,
+            "fingerprint": link.fingerprint,
+            "next_fingerprint": link.next_fingerprint,
         }
         for link in snapshot.links
     }
-    return {"links": links, "routes": [route_of(route) for route in snapshot.routes]}
 
 
 def route_of(route: RouteSnapshot) -> dict[str, object]:
     """Those of one route."""
+    if route.calls is None:
+        figures = asdict(route.ledger)
+    else:
+        figures = {"provider": route.spec.provider, "calls": asdict(route.calls)}
+        figures["goals"] = [asdict(goal) for goal in route.goals]
     return {
         "topic": route.topic,
+        "kind": route.spec.kind,
         "link": route.link,
         "outgoing": route.outgoing,
         "state": route.state,
         "cause": route.cause,
         "reason": route.reason,
         "from_peer": route.from_peer,
+        "since": round(route.since, 3),
         "publishers": route.publishers,
         "subscribers": route.subscribers,
-        "max_rate": route.spec.max_rate,
+        "max_rate": route.max_rate,
+        "arming": None if route.arming is None else asdict(route.arming),
         "missing": [stage.name for stage in route.stages if not stage.done],
         "rate": round(route.rate, 3),
         "bytes_per_second": round(route.bytes_per_second),
         "latency_p50": route.latency_p50,
         "latency_p99": route.latency_p99,
-        **asdict(route.ledger),
+        **figures,
     }

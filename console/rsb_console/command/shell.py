@@ -42,4 +42,7 @@ def allow_many_descriptors() -> None:
 
 def print_error(text: str) -> None:
     """Write a message to standard error, under the command's name."""
-    sys.stderr.write(f"rsb-console: {text}\n")
+    try:
+        sys.stderr.write(f"rsb-console: {text}\n")
+    except OSError:  # it was a terminal that has gone; Python's own flush at exit must not meet it again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import plural
+from rsb_bridge.model.verdict import LinkCause
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.snapshot import LinkSnapshot
 
 
 def thousands(count: int) -> str:
@@ -102,6 +107,13 @@ def retry(number: int, seconds: float | None) -> str:
     if seconds is None:
         return ""
     return f"retry {number} in {math.ceil(seconds)} s" if seconds else f"retry {number} now"
+
+
+def next_attempt(link: LinkSnapshot) -> str:
+    """Format when a link is tried again, or when its client asks whether it may come back."""
+    if link.cause == LinkCause.SHUT_DOWN and link.retry_in is not None:
+        return f"asks again in {math.ceil(link.retry_in)} s"
+    return retry(link.attempts + 1, link.retry_in)
 
 
 def counted(count: int, what: str) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 STATE_SIGN = {
     State.OK: "●",
     State.PAUSED: "‖",
+    State.DISARMED: "⊘",
     State.WAITING: "◌",
     State.UNHEARD: "◇",
     State.SLOW: "≈",
@@ -28,9 +29,13 @@ STATE_SIGN = {
     State.STALE: "▲",
     State.DOWN: "✗",
 }
-STATE_WORD = {state: state.upper() for state in State} | {State.OK: "ok", State.WAITING: "WAIT"}
+STATE_WORD = {state: state.upper() for state in State} | {
+    State.OK: "ok",
+    State.WAITING: "WAIT",
+}
+ARMED, ARMED_WORD = "◆", "ARMED"
 OUT, IN = "→", "←"
-DONE, FAILED, UNKNOWN = "✓", "✗", "·"
+DONE, FAILED, UNKNOWN, UNDER_WAY = "✓", "✗", "·", "▸"
 BARS = " ▁▂▃▄▅▆▇█"
 
 # Dots of a braille cell (Unicode block 2800), column by column from the bottom up.
@@ -92,7 +97,7 @@ def _ascii_braille(dots: int) -> str:
 _LOOKALIKES = {
     "o": "●◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
     "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆◉", "#": "█■□", "%": "◇", "~": "…⏎≈",
-    "|": "│┃║▌▐▕▎▏▊▋▍▉", "u": "µ", "'": "’", '"': "“”",
+    "|": "│┃║▌▐▕▎▏▊▋▍▉", "/": "⊘", "u": "µ", "'": "’", '"': "“”",
 }  # fmt: skip
 ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}
 ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}

@@ -17,6 +17,19 @@ if TYPE_CHECKING:
 
 
 _LINES_SHOWN = 12
+_RETRIED_ON_SERVER = "topics that were refused are opened again; clients whose links were shut down may come back"
+
+
+def arming_means(route: RouteSnapshot) -> str:
+    """What the operator is asked to agree to."""
+    deadman = route.arming.deadman if route.arming is not None else 0.0
+    keys = f", or no key is pressed here for {deadman:g} s" if deadman else ""
+    way = f"to {route.remote_topic} on the other side" if route.outgoing else f"from there to {route.topic} here"
+    what = "messages" if route.calls is None else "calls"
+    return (
+        f"From now on its {what} cross the link of {route.link}, {way}: {route.link} may move.\n"
+        f"It disarms when the link drops, this console ends{keys}."
+    )
 
 
 class BridgeOperations:
@@ -37,10 +50,31 @@ class BridgeOperations:
         if engine is not None and route is not None:
             await self._console.command(engine.pause(route.key, route.state is not State.PAUSED))
 
+    async def arm(self) -> None:
+        """Arm the topic under the cursor, after a question; disarm it at once, whoever armed it."""
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, route = self._console.engine, self._selected()
+        if engine is None or route is None or route.arming is None:
+            return
+        if route.arming.armed:
+            await self._console.command(engine.arming.disarm(route.key))
+        elif await self._console.ask(ConfirmScreen(f"Arm {route.topic} of {route.link}?", arming_means(route), "Arm")):
+            await self._console.command(engine.arming.arm(route.key))
+
+    async def call(self) -> None:
+        """Call what is under the cursor by hand."""
+        from rsb_console.screens.call import CallScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, route = self._console.engine, self._selected()
+        if engine is not None and route is not None and route.lanes:
+            await self._console.ask(CallScreen(self._console, route))
+
     async def retry(self) -> None:
         engine = self._console.engine
         if engine is not None:
-            await self._console.command(engine.retry(), "trying again")
+            is_server = self._console.snapshot().role == "server"
+            await self._console.command(engine.retry(), _RETRIED_ON_SERVER if is_server else "trying again")
 
     async def add_topic(self) -> None:
         from rsb_console.screens.topic import TopicScreen  # noqa: PLC0415 -- keeps the start short
@@ -121,6 +155,6 @@ class BridgeOperations:
         if not self._console.snapshot().running:
             await self._console.start_again()
             return
-        message = "All links are closed on both sides and opened again. No topic crosses for a few seconds."
+        message = "All links are closed on both sides and opened again. Nothing crosses for a few seconds."
         if await self._console.ask(ConfirmScreen("Restart the bridge?", message, "Restart")):
             await self._console.ask(RestartScreen(engine))

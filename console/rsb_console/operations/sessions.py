@@ -134,9 +134,9 @@ class SessionOperations:
         """Import a bringup.yaml of the thesis."""
         from rsb_console.screens.import_session import ImportScreen  # noqa: PLC0415 -- keeps the start short
 
-        imported = await self._console.ask(ImportScreen(self._console))
+        imported = await self._console.ask(ImportScreen(self._console, self._may_run))
         if imported is not None:
-            await self._run(imported.session, imported.path)
+            await self._console.run_session(imported.session, imported.path)
 
     async def demo(self) -> None:
         """Run the demo: a simulated robot on this machine."""
@@ -199,7 +199,7 @@ class SessionOperations:
             return True
         session = engine.session
         if opened is not None and opened.is_at(path) and is_changed(opened):
-            if file_of(path, session) is None:
+            if file_of(path, session) is None and file_of(path, opened.session) is None:
                 match await self._console.ask(ChangedScreen(path)):
                     case "reload":
                         await self._reload()

@@ -11,9 +11,10 @@ from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.config.clients import ClientError, with_client
+from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.session_file import SessionError, validate
-from rsb_bridge.model.session import Client
+from rsb_bridge.model.session import Client, Grant
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
 from rsb_console.session import clients
@@ -116,6 +117,11 @@ class AddClientScreen(FormScreen[Client]):
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         """The session file's own rules for the client."""
+        for key in ("allow", "deny"):
+            try:
+                typed_grants(values[key])
+            except GrantError as error:
+                return {key: str(error)}
         client = self.result(values)
         if not client.name:
             return {"name": "missing: give one"}
@@ -139,9 +145,17 @@ class AddClientScreen(FormScreen[Client]):
             name=values["name"],
             key_file=values["key_file"] or None,
             use_name=use_name,
-            allow=words(values["allow"]),
-            deny=words(values["deny"]),
+            allow=_grants(values["allow"]),
+            deny=_grants(values["deny"]),
         )
+
+
+def _grants(text: str) -> tuple[str | Grant, ...]:
+    """What a field says; nothing, as long as it has a mistake, which is shown beside it."""
+    try:
+        return typed_grants(text)
+    except GrantError:
+        return ()
 
 
 class HandoutScreen(ModalScreen[None]):

@@ -5,16 +5,28 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.binding import Binding
-from textual.containers import Horizontal, Vertical
+from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Button, Static
 
 if TYPE_CHECKING:
+    from textual import events
     from textual.app import ComposeResult
+
+_AROUND = 8
+"""Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
+_SCROLL = {
+    "up,k": "up",
+    "down,j": "down",
+    "pageup": "page_up",
+    "pagedown": "page_down",
+    "g,home": "home",
+    "G,end": "end",
+}
 
 
 class ConfirmScreen(ModalScreen[bool]):
-    """Yes or No; escape is No.
+    """Yes or No; escape is No. A message for which the screen has no room scrolls; the buttons stay in sight.
 
     Args:
         title: what is about to happen: ``Remove /scan?``.
@@ -26,21 +38,46 @@ class ConfirmScreen(ModalScreen[bool]):
         Binding("y", "answer(True)", show=False),
         Binding("n,escape", "answer(False)", show=False),
         Binding("left,right", "app.focus_next", show=False),
+        *(Binding(keys, f"scroll('{to}')", show=False) for keys, to in _SCROLL.items()),
     ]
     AUTO_FOCUS = "#no"
-    KEYS = "y yes   n no   ← → ⏎ choose"
+    SHAPE = ""
+    KEYS, SCROLL_KEYS = "y yes   n no   ← → ⏎ choose", "   ↑ ↓ scroll"
 
     def __init__(self, title: str, message: str, yes: str) -> None:
         super().__init__()
         self._title, self._message, self._yes = title, message, yes
+        self._scrolled = VerticalScroll(classes="message", can_focus=False)
+        self._keys = Static(self.KEYS, classes="hint keys", markup=False)
 
     def compose(self) -> ComposeResult:
-        with Vertical(classes="dialog") as dialog:
+        with Vertical(classes=f"dialog {self.SHAPE}") as dialog:
             dialog.border_title = self._title
-            yield Static(self._message, markup=False)
+            with self._scrolled:
+                yield from self.compose_message()
             with Horizontal(classes="buttons"):
                 yield from self.compose_buttons()
-            yield Static(self.KEYS, classes="hint keys", markup=False)
+            yield self._keys
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Give the message what room the rest leaves."""
+        self._scrolled.styles.max_height = max(1, event.size.height - _AROUND)
+        self.call_after_refresh(self._show_keys)
+
+    def _show_keys(self) -> None:
+        self._keys.update(self.KEYS + self.SCROLL_KEYS * (self._scrolled.max_scroll_y > 0))
+
+    def action_scroll(self, to: str) -> None:
+        """Show other lines of the message.
+
+        Args:
+            to: as Textual's ``scroll_...`` methods have it.
+        """
+        getattr(self._scrolled, f"scroll_{to}")(animate=False)
+
+    def compose_message(self) -> ComposeResult:
+        """What the operator has to know."""
+        yield Static(self._message, markup=False)
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant="error", compact=True)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.binding import Binding
-from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_console.look import formats
+from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.log import WORD
 
 if TYPE_CHECKING:
@@ -35,8 +35,9 @@ class EventScreen(ModalScreen[None]):
         """The text, and below it what it concerns."""
         event = self._event
         concerns = [word for word in (event.code, event.link, event.topic) if word]
-        with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = f"{WORD[event.level]} at {formats.time_of_day(event.time)}"
-            yield Static(event.text, markup=False)
-            yield Static(" · ".join(concerns), classes="hint keys", markup=False)
-            yield Static("esc close", classes="hint keys")
+        yield Dialog(
+            f"{WORD[event.level]} at {formats.time_of_day(event.time)}",
+            Static(event.text, markup=False),
+            Static(" · ".join(concerns), classes="hint keys", markup=False),
+            keys="esc close",
+        )

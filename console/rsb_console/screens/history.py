@@ -8,15 +8,14 @@ import time
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from textual.binding import Binding
-from textual.containers import Vertical
 from textual.screen import ModalScreen
-from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.session import history
+from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.lines import Line, LiveLines, fit, fit_middle
 from rsb_console.widgets.prompt import Prompt
 from rsb_console.widgets.selectable_list import SelectableList
@@ -37,7 +36,7 @@ _DETAIL_LINES = 4
 _START, _LENGTH, _ROBOT, _STATE = 13, 14, 12, 9
 _TOPIC_NARROW, _TOPIC_WIDE = 18, 30
 _LABEL = 9
-HELP = "h 1, 8 or 24 hours   s by time, or by robot and topic   / filter   x export   esc close"
+HELP = "h 1, 8 or 24 hours   s by time or robot   / filter   x export   esc close"
 
 
 class Row(NamedTuple):
@@ -48,7 +47,7 @@ class Row(NamedTuple):
         start: s since the epoch.
         length: how long, in words; or empty.
         robot: the link, or empty.
-        topic: with its direction; or ``link``; or empty.
+        topic: with its direction and, if it is none, what it is instead; or ``link``; or empty.
         state: of an outage, its state; of an action, who did it.
         look: of that.
         text: the cause, or what was done.
@@ -73,19 +72,19 @@ class Row(NamedTuple):
 
 def rows_of(report: HistoryReport) -> list[Row]:
     """All that happened, the newest first. What only went with its link has no row of its own."""
-    tracks = {(each.link, each.topic, each.outgoing): each for each in report.tracks}
+    tracks = {each.subject: each for each in report.tracks}
     rows = [
         Row(
             f"{each.link}{history.what(each)}{each.start:.0f}", each.start,
             f"{history.length(each.seconds)}{' …' if each.ongoing else ''}", each.link, history.what(each),
             _state_words(each.state), each.state, history.why(report, each),
-            tracks.get((each.link, each.topic, each.outgoing)),
+            tracks.get(each.subject),
         )
         for each in history.own(report.outages)
     ]  # fmt: skip
     rows += [
         Row(f"event{each.time}{each.text}", each.time, "", each.link, each.topic,
-            each.who.partition(" ")[0] or "bridge", "key", history.did(each), None)
+            history.who(each), "key", history.did(each), None)
         for each in report.actions
     ]  # fmt: skip
     rows += [
@@ -183,13 +182,8 @@ class HistoryScreen(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         """Totals, the table, and more about the row under the cursor."""
-        with Vertical(classes="dialog -history") as dialog:
-            dialog.border_title = "What happened"
-            yield self.summary
-            yield self.table
-            yield self.detail
-            yield self.prompt
-            yield Static(HELP, classes="hint keys")
+        widgets = self.summary, self.table, self.detail, self.prompt
+        yield Dialog("What happened", *widgets, keys=HELP, shape="-history")
 
     def on_mount(self) -> None:
         self.set_interval(_RENEWED_EVERY, self._ask)
@@ -214,10 +208,9 @@ class HistoryScreen(ModalScreen[None]):
     def show(self) -> None:
         """Show the newest answer."""
         report = self._report
-        dialog = self.query_one(".dialog", Vertical)
         parts = ["What happened", f"last {history.length(self._span)}", "by robot and topic" if self._by_topic else ""]
         parts.append("" if self.pattern is None else f"/{self.pattern.text}")
-        dialog.border_title = " ▸ ".join(part for part in parts if part)
+        self.query_one(Dialog).border_title = " ▸ ".join(part for part in parts if part)
         if report is None:
             self.summary.put([((self._problem or "asking the bridge", "down" if self._problem else "dim"),)])
             return
@@ -236,11 +229,15 @@ class HistoryScreen(ModalScreen[None]):
         if self._problem:
             yield ((self._problem, "down"),)
         lines = history.totals(report)
-        yield from (((line, ""),) for line in lines[:_SUMMARY_LINES])
+        width = max(20, self.summary.size.width)
+        for line in lines[:_SUMMARY_LINES]:
+            yield from (((text, ""),) for text in textwrap.wrap(line, width, subsequent_indent="  "))
         if len(lines) > _SUMMARY_LINES:
-            yield ((f"{len(lines) - _SUMMARY_LINES} more lines: rsb-console report {report.name}", "dim"),)
+            more = formats.counted(len(lines) - _SUMMARY_LINES, "more line")
+            yield ((f"{more}: rsb-console report {report.name}", "dim"),)
         if report.outages_left_out:
-            yield ((f"at least {report.outages_left_out:,} outages more, for which there was no room", "dim"),)
+            more = formats.counted(report.outages_left_out, "more outage")
+            yield ((f"at least {more}, for which there was no room", "dim"),)
         if not rows:
             yield (("nothing that matches" if self.pattern else "nothing else happened", "dim"),)
 
@@ -308,7 +305,8 @@ def _detail(row: Row, width: int, span: float) -> Iterator[Line]:
     if row.track is not None:
         rates = [rate or 0.0 for rate in row.track.rates]
         most = max(rates, default=0.0)
-        top = f"{formats.hertz(most)} Hz" if row.track.topic else formats.byte_rate(most)
+        unit = "Hz" if row.track.kind == "topic" else "calls/s"
+        top = f"{formats.hertz(most)} {unit}" if row.track.topic else formats.byte_rate(most)
         picture = sparkline(rates, len(rates))
         words = f"  at most {top}; up {history.percent(row.track.up_ratio)} of the last {history.length(span)}"
         yield ((f"{'rate':<{_LABEL}}", "dim"), (picture, "plot"), (words, "dim"))

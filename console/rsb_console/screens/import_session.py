@@ -22,7 +22,7 @@ from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Awaitable, Callable, Mapping
 
     from rsb_bridge.model.session import Role, Session
     from rsb_console.console import Console
@@ -51,10 +51,13 @@ class ImportScreen(FormScreen[Opened]):
 
     Args:
         console: asks and tells.
+        may_run: whether the operator agrees to run the session of a file instead of the present one; if not, the form
+            stays.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, may_run: Callable[[Path], Awaitable[bool]]) -> None:
         self.console = console
+        self._may_run = may_run
         self._bringup = PickField(BRINGUP, is_path)
         super().__init__("Import", [self._bringup, *(Field(spec) for spec in FIELDS)], "Import")
         self._made: Session | None = None
@@ -127,8 +130,9 @@ class ImportScreen(FormScreen[Opened]):
             summary = "\n".join(
                 ["What differs from the thesis's bridge:", *self._notes] if self._notes else ["All was imported."]
             )
-            run = await self.console.ask(ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run"))
-            self.dismiss(result if run else None)
+            question = ConfirmScreen(f"Imported. Run {result.path.name}?", summary, "Run")
+            if await self.console.ask(question) and await self._may_run(result.path):
+                self.dismiss(result)
 
 
 def _few(lines: list[str]) -> str:

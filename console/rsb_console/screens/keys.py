@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import stat
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from textual import work
 from textual.binding import Binding
-from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_bridge.config.files import typed_path
-from rsb_bridge.config.keys import DEFAULT_KEY_FILE, KeyFileError, fingerprint, key_path, read_key, write_key
+from rsb_bridge.config.keys import (
+    DEFAULT_KEY_FILE,
+    KeyFileError,
+    fingerprint,
+    key_path,
+    key_users,
+    read_key,
+    write_key,
+)
+from rsb_bridge.config.rotation import written
+from rsb_bridge.model.snapshot import State
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
 from rsb_console.session.saving import path_problem
 from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.form import Field, Notice, Spec
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
@@ -41,6 +52,7 @@ class KeyFile(NamedTuple):
         user: whose links it is for.
         mode: ``0600``; empty: there is no file.
         fingerprint: empty: it cannot be read.
+        written: when it was, in words.
         note: what an operator should know about it; empty: nothing.
     """
 
@@ -48,10 +60,19 @@ class KeyFile(NamedTuple):
     user: str
     mode: str
     fingerprint: str
+    written: str
     note: str
 
 
-def look_at(path: Path, user: str) -> KeyFile:
+def look_at(path: Path, user: str, used_by: Sequence[str], now: float) -> KeyFile:
+    """What can be told of a key file.
+
+    Args:
+        path: of the file.
+        user: whose links it is for.
+        used_by: the fingerprints of the keys that links use.
+        now: s since the epoch.
+    """
     try:
         mode = f"{stat.S_IMODE(path.stat().st_mode):04o}"
     except OSError:
@@ -59,8 +80,10 @@ def look_at(path: Path, user: str) -> KeyFile:
     try:
         key = read_key(path)
     except KeyFileError as error:
-        return KeyFile(path, user, mode, "", str(error))
-    return KeyFile(path, user, mode, fingerprint(key), "\n".join(key.warnings))
+        return KeyFile(path, user, mode, "", "", str(error))
+    mark = fingerprint(key)
+    use = "in use by a link, written" if mark in used_by else "written"
+    return KeyFile(path, user, mode, mark, f"{use} {written(key, now)}", "\n".join(key.warnings))
 
 
 def key_files(session: Session, base: Path) -> dict[Path, str]:
@@ -70,12 +93,10 @@ def key_files(session: Session, base: Path) -> dict[Path, str]:
         session: whose.
         base: the folder that they are relative to.
     """
-    users = [(client.name, client.key_file or session.key_file) for client in session.clients]
     found: dict[Path, str] = {}
-    for user, name in users or [(session.name, session.key_file)]:
-        if name is not None:
-            path = key_path(base, name)
-            found[path] = f"{found[path]}, {user}" if path in found else user
+    for name, user in key_users(session).items():
+        path = key_path(base, name)
+        found[path] = f"{found[path]}, {user}" if path in found else user
     return found
 
 
@@ -122,31 +143,32 @@ class KeysScreen(ModalScreen[None]):
         super().__init__()
         self.console = console
         self.table = KeysTable()
+        self._written = Static(id="key-written", markup=False)
         self._note = Notice("problem", id="key-note")
         self._made: dict[Path, str] = {}
 
     def compose(self) -> ComposeResult:
         """The table, and what is to be known of the file under the cursor."""
-        with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = "Key files"
-            yield self.table
-            yield self._note
-            keys = "" if self.console.readonly else "g generate a key   "
-            yield Static(f"Both sides of a link need the same fingerprint.\n{keys}esc close", classes="hint keys")
+        generate = "" if self.console.readonly else "g generate a key   "
+        keys = f"Both sides of a link need the same fingerprint.\n{generate}esc close"
+        yield Dialog("Key files", self.table, self._written, self._note, keys=keys)
 
     def on_mount(self) -> None:
         self.look()
 
     def look(self) -> None:
-        engine = self.console.engine
+        engine, now = self.console.engine, time.time()
+        links = () if engine is None else engine.snapshot().links
+        used = [link.fingerprint for link in links if link.state is State.OK]
         files = self._made if engine is None else self._made | key_files(engine.session, self.console.base)
-        self.table.show([look_at(path, user) for path, user in files.items()])
+        self.table.show([look_at(path, user, used, now) for path, user in files.items()])
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
         """Say what is to be known of the file."""
         file = self.table.selected
         self._note.set_text("No key file yet: g makes one." if file is None else file.note)
+        self._written.update("" if file is None else file.written)
 
     @work(group=DIALOG)
     async def action_generate(self) -> None:

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, ClassVar
 
 from textual import work
 from textual.binding import Binding
-from textual.containers import Vertical
 from textual.screen import ModalScreen
-from textual.widgets import Static
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import LinkCause
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.dialog import Dialog
+from rsb_console.widgets.faults import link_fault
 from rsb_console.widgets.lines import Line, LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
-from rsb_console.widgets.status import link_fault
 from rsb_console.widgets.topics import TopicsTable
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class LinksTable(SelectableList):
         link = self._links[self.keys[index - self.sticky]]
         state = link.state
         name = fit(((f"{link.name:<12}", "strong"),), 12)
-        topics = sum(route.link == link.name for route in self._now.routes)
+        topics = sum(route.link == link.name and route.spec.kind == "topic" for route in self._now.routes)
         figures = (
             f"{_span(link.rtt):>8}{_span(link.clock_offset):>10}{topics:>7}"
             f"{formats.byte_rate(link.rx_bytes_per_second):>9}{formats.byte_rate(link.tx_bytes_per_second):>9}"
@@ -107,9 +107,7 @@ class LinkDetail(LiveLines, can_focus=False):
 
 def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
     if link.state is not State.OK or link.warning:
-        fault = "; ".join(
-            filter(None, (link_fault(link, server=server), formats.retry(link.attempts + 1, link.retry_in)))
-        )
+        fault = "; ".join(filter(None, (link_fault(link, server=server), formats.next_attempt(link))))
         for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
             yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
@@ -117,6 +115,10 @@ def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))
     if link.encrypted:
         yield (_label("key"), (link.fingerprint, "strong"), (f"  {link.cipher}", "dim"))
+        if link.next_fingerprint:
+            taken = link.fingerprint == link.next_fingerprint
+            which = "in use: the old one can be given up" if taken else "valid too; not in use yet"
+            yield (_label("next key"), (link.next_fingerprint, "strong"), (f"  {which}", "dim"))
     else:
         yield (_label("key"), (" NOT ENCRYPTED ", "alarm"))
     uncertain = "" if link.clock_uncertainty is None else f" ± {formats.span(link.clock_uncertainty)}"
@@ -150,11 +152,7 @@ class LinkScreen(ModalScreen[None]):
         self.detail, self.topics = LinkDetail(), TopicsTable()
 
     def compose(self) -> ComposeResult:
-        with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = f"Link {self._name}"
-            yield self.detail
-            yield self.topics
-            yield Static("esc close", classes="hint keys")
+        yield Dialog(f"Link {self._name}", self.detail, self.topics, keys="esc close")
 
     def on_mount(self) -> None:
         self.set_interval(1 / self.console.refresh_rate, self.show)
@@ -169,7 +167,7 @@ class LinkScreen(ModalScreen[None]):
             return
         self.detail.show(link, server=now.role == "server")
         self.topics.show(replace(now, routes=tuple(route for route in now.routes if route.link == self._name)))
-        self.topics.explain("No topic of this link.")
+        self.topics.explain("Nothing is bridged over this link.")
         self.topics.styles.height = min(self.topics.line_count + 1, max(3, self.size.height // 2))
 
 
@@ -191,13 +189,9 @@ class LinksScreen(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         """The table, and more about the link under the cursor."""
-        with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = "Links"
-            yield self.table
-            yield self.detail
-            clients = "a add a client   d remove it   " if self._is_server else ""
-            keys = "" if self.console.readonly else f"{clients}r try again now   "
-            yield Static(f"⏎ detail   {keys}esc close", classes="hint keys")
+        clients = "a add a client   d remove it   " if self._is_server else ""
+        keys = "" if self.console.readonly else f"{clients}r try again now   "
+        yield Dialog("Links", self.table, self.detail, keys=f"⏎ detail   {keys}esc close")
 
     def on_mount(self) -> None:
         self.set_interval(1 / self.console.refresh_rate, self.show)
@@ -226,7 +220,9 @@ class LinksScreen(ModalScreen[None]):
     async def action_retry(self) -> None:
         link, engine = self.table.selected, self.console.engine
         if link is not None and engine is not None and not self.console.readonly:
-            await self.console.command(engine.retry(link.name), f"{link.name}: trying again")
+            lets_in = self._is_server and link.cause == LinkCause.SHUT_DOWN
+            done = "it may come back" if lets_in else "trying again"
+            await self.console.command(engine.retry(link.name), f"{link.name}: {done}")
 
     @property
     def _is_server(self) -> bool:

@@ -11,12 +11,14 @@ from textual.screen import Screen
 
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
+from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
-from rsb_console.widgets.keybar import KeyBar
+from rsb_console.widgets.faults import FaultLines, MoreKeys, faults_of
+from rsb_console.widgets.keybar import KeyBar, KeyEntry
 from rsb_console.widgets.log import LogPane, plain
 from rsb_console.widgets.prompt import Prompt
-from rsb_console.widgets.status import StatusBar, View
-from rsb_console.widgets.topics import TopicsTable
+from rsb_console.widgets.status import StatusBar, View, state_counts, warning_count
+from rsb_console.widgets.topics import FAULTS, TopicsTable
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
     from rsb_console.console import Console
+    from rsb_console.widgets.lines import Line
     from rsb_console.widgets.selectable_list import SelectableList
 
 MODES = ("-detail", "-log", "-table")  # classes that give one pane the screen
@@ -61,12 +64,14 @@ class MainScreen(Screen[None]):
             if action.group in operations:
                 method = getattr(operations[action.group], action.id)
                 setattr(self, f"action_{action.id}", partial(self._run_operation, method, action.group))
-        self.status, self.prompt, self.key_bar = StatusBar(), Prompt(), KeyBar()
+        self.status, self.faults, self.prompt, self.key_bar = StatusBar(), FaultLines(), Prompt(), KeyBar()
         self.topics, self.detail, self.log_pane = TopicsTable(), DetailPane(), LogPane()
         self._filtered: TopicsTable | LogPane = self.topics
         self._frozen_since: float | None = None
         self._held: list[Event] = []
-        self._possible: tuple[bool, ...] | None = None
+        self._keys_shown_for: tuple[object, ...] = ()
+        self._topic_counts: Line = ()
+        self._link_counts: Line = ()
 
     def _run_operation(self, operation: Callable[[], Awaitable[None]], group: Group) -> None:
         exclusive = group is Group.SESSION  # one that waits in a dialog gives way to another choice of a session
@@ -74,6 +79,7 @@ class MainScreen(Screen[None]):
 
     def compose(self) -> ComposeResult:
         yield self.status
+        yield self.faults
         with Panes(id="panes"):
             yield self.topics
             yield self.detail
@@ -90,8 +96,13 @@ class MainScreen(Screen[None]):
     # -- what is shown ------------------------------------------------------------------------------------------------
 
     def show(self, snapshot: Snapshot, new_events: Sequence[Event]) -> None:
-        """Show the engine's state; while frozen only the status line moves on."""
+        """Show the engine's state; while frozen only the lines at the top move on."""
         self.status.show(snapshot, self._view(snapshot))
+        self._topic_counts = state_counts(snapshot.routes, FAULTS)
+        self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
+        height, only = self.app.size.height, self.topics.faults_only
+        keys = MoreKeys(self._key("links"), f"{self._key('detail')} on one" if only else self._key("faults"))
+        self.faults.show(faults_of(snapshot), max(3, height // (2 if only else 4)), keys)
         self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)
@@ -150,19 +161,27 @@ class MainScreen(Screen[None]):
 
     def show_keys(self) -> None:
         """Show the keys that do something now, if those have changed."""
-        possible = (self.app.screen is self, self.console.engine is not None, self.selected is not None)
-        if possible == self._possible:
+        counts = {"faults": self._topic_counts, "links": self._link_counts}
+        route = self.selected
+        can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
+        reads_log, here = self.log_pane.has_focus, self.app.screen is self
+        depends_on = (here, reads_log, self.console.engine is None, can, *counts.values())
+        if depends_on == self._keys_shown_for:
             return
-        self._possible = possible
-        if self.app.screen is not self:  # a dialog's keys are the only ones
+        self._keys_shown_for = depends_on
+        armed = route is not None and is_armed(route)
+        labels = {"arm": "disarm" if armed else "arm", "detail": "whole line" if reads_log else "detail"}
+        if not here:  # a dialog's keys are the only ones
             self.key_bar.show([])
             return
         self.key_bar.show(
             [
-                (
+                KeyEntry(
                     self.console.key_labels(action)[0],
-                    action.label,
+                    labels.get(action.id, action.label),
                     f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
+                    0 if action.id in ("help", "quit") else 1 if counts.get(action.id) else 2,
+                    counts.get(action.id, ()),
                 )
                 for action in ACTIONS
                 if action.in_footer and self.check_action(action.id, ())
@@ -176,6 +195,10 @@ class MainScreen(Screen[None]):
             return super().check_action(action, parameters)
         if known.group is Group.OPERATE and self.console.engine is None:
             return None
+        if action == "arm" and (self.selected is None or self.selected.arming is None):
+            return False
+        if action == "call" and (self.selected is None or not self.selected.lanes):
+            return False
         if known.needs_topic and self.topics.selected is None and not (action == "detail" and self.log_pane.has_focus):
             return None
         return self.app.check_action(action, parameters)
@@ -189,6 +212,9 @@ class MainScreen(Screen[None]):
         self.show_keys()
 
     def on_screen_resume(self) -> None:
+        self.show_keys()
+
+    def on_descendant_focus(self) -> None:
         self.show_keys()
 
     @property
@@ -230,7 +256,7 @@ class MainScreen(Screen[None]):
         self.set_focus(self._filtered)
 
     def _show_title(self) -> None:
-        parts = ["Topics by robot" if self.topics.grouped else "Topics"]
+        parts = [f"{self.topics.subject}{' by robot' if self.topics.grouped else ''}"]
         if self.topics.faults_only:
             parts.append("faults only")
         if self.topics.pattern is not None:
@@ -250,6 +276,7 @@ class MainScreen(Screen[None]):
         self.topics.faults_only = not self.topics.faults_only
         self.topics.relist()
         self._show_title()
+        self.console.pull()
 
     def action_sort_left(self) -> None:
         """Sort by the column to the left."""
@@ -309,8 +336,14 @@ class MainScreen(Screen[None]):
         """Show the topic's latest message."""
         from rsb_console.screens.message import MessageScreen  # noqa: PLC0415 -- keeps the start short
 
-        if self.selected is not None and self.console.engine is not None:
-            self.app.push_screen(MessageScreen(self.console, self.selected))
+        route = self.selected
+        if route is None or self.console.engine is None:
+            return
+        if route.calls is None:
+            self.app.push_screen(MessageScreen(self.console, route))
+        else:
+            by_hand = "" if self.console.readonly else f": {self._key('call')} calls it by hand"
+            self.notify(f"{route.topic} has calls, no messages{by_hand}", markup=False, timeout=4)
 
     def action_zoom(self) -> None:
         """Give the focused pane the screen, or take it back."""

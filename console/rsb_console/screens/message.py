@@ -19,54 +19,27 @@ from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
 from rsb_console.session.reading import KnownTypes, age_text, how_it_came, read_message
 from rsb_console.terminal.clipboard import copy
-from rsb_console.widgets.lines import Line, LiveLines, fit
+from rsb_console.widgets.scrolled import ScrolledLines
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from textual.app import ComposeResult
 
+    from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
     from rsb_console.session.reading import ReadMessage
+    from rsb_console.widgets.lines import Line
 
 _ITEMS = 64
 _STEPS = 20_000
-"""Values that are decoded at most: about 20 ms."""
+"""Values that are decoded at most: about 100 ms, in a thread of its own."""
 _HEX = 1024  # bytes
 _MOST_LINES = 2_000
 _TRIED_AGAIN_AFTER = 1.0  # s
 _KEYS = " esc back · space hold · y copy "
-
-
-class MessageLines(LiveLines, can_focus=True):
-    """The message, and above it how it came."""
-
-    BINDINGS: ClassVar = [
-        Binding("j", "scroll_down", show=False),
-        Binding("k", "scroll_up", show=False),
-        Binding("g", "scroll_home", show=False),
-        Binding("G", "scroll_end", show=False),
-    ]
-
-    def __init__(self) -> None:
-        super().__init__(id="message", classes="dialog")
-        self._lines: list[Line] = []
-
-    @property
-    def line_count(self) -> int:
-        """As many as the message takes."""
-        return len(self._lines)
-
-    def line(self, index: int) -> Line:
-        return self._lines[index]
-
-    def show(self, lines: Iterator[Line]) -> None:
-        """Show other lines in place of the present ones."""
-        width = self.scrollable_content_region.width
-        self._lines = [fit(line, width) for line in lines]
-        self.sync()
 
 
 class MessageScreen(ModalScreen[None]):
@@ -91,12 +64,13 @@ class MessageScreen(ModalScreen[None]):
         self._read: ReadMessage | None = None
         self._goes_on = asyncio.Event()  # cleared: the message that is shown is held
         self._goes_on.set()
-        self._laid_out: tuple[ReadMessage, int, list[Line]] | None = None
+        self._content: list[Line] = []
+        self._laid_out_for: tuple[ReadMessage, int] | None = None
         self._problem = ""
         self._waits_since = time.monotonic()
 
     def compose(self) -> ComposeResult:
-        self._pane = MessageLines()
+        self._pane = ScrolledLines(id="message", classes="dialog")
         self._pane.border_title = f" {escape_text(self._route.topic)} "
         self._pane.border_subtitle = _KEYS
         yield self._pane
@@ -107,7 +81,7 @@ class MessageScreen(ModalScreen[None]):
         self._look()
 
     def on_resize(self) -> None:
-        self.call_after_refresh(self._draw)
+        self.call_after_refresh(self._lay_out_anew)
 
     # -- messages -----------------------------------------------------------------------------------------------------
 
@@ -121,6 +95,7 @@ class MessageScreen(ModalScreen[None]):
                 await self._goes_on.wait()
                 if peeked is not None:
                     self._read = await self._made_readable(peeked)
+                    await self._lay_out()
                     self._waits_since = time.monotonic()
                     first = False
                 self._problem = ""
@@ -139,7 +114,20 @@ class MessageScreen(ModalScreen[None]):
         known = self._types.get(peeked.type_hash)
         if known is None:
             known = self._types.put(peeked.type_hash, *await self._described())
-        return read_message(peeked, *known, items=_ITEMS, steps=_STEPS)
+        return await asyncio.to_thread(read_message, peeked, *known, items=_ITEMS, steps=_STEPS)
+
+    async def _lay_out(self) -> None:
+        """Lay the message out for the present width, off the event loop: a long one takes too long for it."""
+        width = self._pane.scrollable_content_region.width
+        if self._read is not None and self._laid_out_for != (self._read, width):
+            laid_out_for = self._read, width
+            self._content = await asyncio.to_thread(content_lines, *laid_out_for)
+            self._laid_out_for = laid_out_for
+
+    @work(exclusive=True, group="layout")
+    async def _lay_out_anew(self) -> None:
+        await self._lay_out()
+        self._draw()
 
     async def _described(self) -> tuple[str | None, str]:
         try:
@@ -168,21 +156,7 @@ class MessageScreen(ModalScreen[None]):
         if self._read.age is not None:
             yield ((age_text(self._read.age), "dim" if self._read.age.latency is not None else "stale"),)
         yield ()
-        yield from self._content(self._read, self._pane.scrollable_content_region.width)
-
-    def _content(self, read: ReadMessage, width: int) -> list[Line]:
-        """The message itself; laid out once."""
-        if self._laid_out is None or self._laid_out[0] is not read or self._laid_out[1] != width:
-            if read.decoded is not None:
-                lines = list(islice(message_lines(read.decoded.message, width), _MOST_LINES + 1))
-            else:
-                lines = list(hex_lines(read.peeked.payload, _HEX))
-            if len(lines) > _MOST_LINES:
-                lines[-1] = ((f"… only the first {formats.thousands(_MOST_LINES)} lines are shown", "stale"),)
-            if read.problem:
-                lines += [(), ((escape_text(read.problem), "stale"),)]
-            self._laid_out = read, width, lines
-        return self._laid_out[2]
+        yield from self._content
 
     def _state_lines(self, route: RouteSnapshot | None) -> Iterator[Line]:
         """What keeps messages from coming, and for how long none has come."""
@@ -210,8 +184,31 @@ class MessageScreen(ModalScreen[None]):
             self._waits_since = time.monotonic()
         self._draw()
 
-    def action_copy(self) -> None:
+    @work(exclusive=True, group="copy")
+    async def action_copy(self) -> None:
         """Copy the whole message, as far as it is decoded."""
         if self._read is not None and self._read.decoded is not None:
-            text = "\n".join(plain(line) for line in message_lines(self._read.decoded.message, 1 << 20))
-            self.notify(copy(self.app, text).partition("\n")[0], timeout=3, markup=False)
+            text = await asyncio.to_thread(_whole_text, self._read.decoded)
+            self.notify(copy(self.app, text), timeout=3, markup=False)
+
+
+def content_lines(read: ReadMessage, width: int) -> list[Line]:
+    """The message itself, as YAML or as hex, and why it is not all of it.
+
+    Args:
+        read: the message.
+        width: cells.
+    """
+    if read.decoded is not None:
+        lines = list(islice(message_lines(read.decoded.message, width), _MOST_LINES + 1))
+    else:
+        lines = list(hex_lines(read.peeked.payload, _HEX))
+    if len(lines) > _MOST_LINES:
+        lines[-1] = ((f"… only the first {formats.thousands(_MOST_LINES)} lines are shown", "stale"),)
+    if read.problem:
+        lines += [(), ((escape_text(read.problem), "stale"),)]
+    return lines
+
+
+def _whole_text(decoded: Decoded) -> str:
+    return "\n".join(plain(line) for line in message_lines(decoded.message, 1 << 20))

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 
 _LOOKS = {"+": "ok", "-": "down", "@": "dim"}
-_MOST_LINES = 16
 _UNWRAPPED, _NARROWEST = 1 << 20, 10  # cells
 
 
@@ -140,7 +139,7 @@ class DiffLines(LiveLines, can_focus=False):
                 piece = clip(rest, width)
                 self._lines.append(((piece, look),))
                 rest = rest[len(piece) :]
-        self.styles.height = min(len(self._lines), _MOST_LINES)
+        self.styles.height = len(self._lines)
 
 
 class DiffScreen(ConfirmScreen):
@@ -153,30 +152,15 @@ class DiffScreen(ConfirmScreen):
         lines: of the diff.
     """
 
-    BINDINGS: ClassVar = [
-        Binding("up,k", "scroll_diff(-1)", show=False),
-        Binding("down,j", "scroll_diff(1)", show=False),
-        Binding("pageup", f"scroll_diff(-{_MOST_LINES})", show=False),
-        Binding("pagedown", f"scroll_diff({_MOST_LINES})", show=False),
-    ]
+    SHAPE = "-wide"
 
     def __init__(self, title: str, message: str, yes: str, lines: Sequence[str]) -> None:
         super().__init__(title, message, yes)
         self._diff = DiffLines(lines)
 
-    def compose(self) -> ComposeResult:
-        """The message, the diff, and the buttons."""
-        with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = self._title
-            yield Static(self._message, markup=False)
-            yield self._diff
-            with Horizontal(classes="buttons"):
-                yield from self.compose_buttons()
-            scroll = "   ↑ ↓ scroll" if self._diff.line_count > _MOST_LINES else ""
-            yield Static(f"{self.KEYS}{scroll}", classes="hint keys", markup=False)
-
-    def action_scroll_diff(self, lines: int) -> None:
-        self._diff.scroll_relative(y=lines, animate=False)
+    def compose_message(self) -> ComposeResult:
+        yield from super().compose_message()
+        yield self._diff
 
 
 ChangedAnswer = Literal["reload", "overwrite", "save_as", ""]

@@ -1,19 +1,18 @@
-"""Add a topic, or edit one: picked from what either side's graph offers, checked as it is typed."""
+"""Add a topic, a service and the like, or edit one: picked from both sides' graphs, checked as it is typed."""
 
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
 from textual import on, work
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.limits import CHANNEL
-from rsb_bridge.model.qos import PROFILES
 from rsb_console.screens.form import FormScreen
+from rsb_console.screens.topic_fields import KINDS, ORDER, fields_by_kind
 from rsb_console.screens.topic_suggestions import suggestions_for
-from rsb_console.session.draft import Ends, problems_of, topic_of, values_of
+from rsb_console.session.draft import Ends, problems_of, topic_of
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.picker import PickField
@@ -22,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.session import Session, Topic
-    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, TopicInfo
+    from rsb_bridge.model.session import Kind, Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
 
 LOOK_EVERY = 2.0  # s between two looks at the graphs
 
@@ -41,12 +40,12 @@ class Draft(NamedTuple):
 
 
 class TopicScreen(FormScreen[Draft]):
-    """The form of a topic.
+    """The form of a topic, a service, an action or a node's parameters.
 
     Args:
         engine: whose graphs and links it is about.
         do: carries out what the form gives; the form stays open, with the reason, if the engine refuses it.
-        route: the topic to edit; None: a new one.
+        route: what to edit; None: something new.
     """
 
     def __init__(
@@ -55,13 +54,35 @@ class TopicScreen(FormScreen[Draft]):
         self._engine, self._do, self._route = engine, do, route
         now = engine.snapshot()
         self._links = [route.link] if route is not None else [link.name for link in now.links]
-        fields = [self._field(spec) for spec in _specs(engine.session, now, self._links, route)]
+        self._specs = fields_by_kind(engine.session, Ends.of(now, self._links[0]), route)
+        self._kind: Kind = KINDS[0] if route is None else route.spec.kind
+        self._kind_chosen = False
         self._found: dict[str | None, list[TopicInfo]] = {}
         self._errors: dict[str | None, str] = {}
         self._awaited: set[str | None] = set()
         self._late: set[str | None] = set()
-        title, yes = ("Add a topic", "Add") if route is None else (f"Edit {route.topic}", "Change")
-        super().__init__(title, fields, yes)
+        new = "Add a topic, a service, an action or a node's parameters"
+        title, yes = (new, "Add") if route is None else (f"Edit {route.topic}", "Change")
+        super().__init__(title, [self._field(spec) for spec in self._all_specs()], yes)
+        self._show_kind()
+
+    def _all_specs(self) -> Iterator[Spec]:
+        """Those of every kind, each once, in an order that is that of each kind."""
+        if len(self._links) > 1:
+            clients = tuple((name, name) for name in self._links)
+            yield Spec("link", "Client", "The client that it is bridged with.", options=clients)
+        for key in ORDER:
+            yield from islice((specs[key] for specs in self._specs.values() if key in specs), 1)
+
+    def _show_kind(self) -> None:
+        """Show the fields that the kind has, as they are called there."""
+        if "kind" in self.form.fields:
+            self._kind = next(kind for kind in KINDS if kind == self.form.fields["kind"].value)
+        specs = self._specs[self._kind]
+        for key, field in self.form.fields.items():
+            if key in specs:
+                field.describe(specs[key])
+            field.display = key in specs or key == "link"
 
     def _field(self, spec: Spec) -> Field:
         if spec.key == "topic" and self._route is None:
@@ -74,10 +95,13 @@ class TopicScreen(FormScreen[Draft]):
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         replaced = None if self._route is None else self._route.spec
-        return problems_of(self.result(values).topic, self._engine.session, replaced)
+        found = problems_of(self.result(values).topic, self._engine.session, replaced)
+        renamed = {"direction": "provider"} if self._kind != "topic" else {}
+        return {renamed.get(key, key): message for key, message in found.items()}
 
     def result(self, values: Mapping[str, str]) -> Draft:
-        return Draft(topic_of({key: value for key, value in values.items() if key != "link"}), self._link)
+        given = {key: value for key, value in values.items() if key != "link"}
+        return Draft(topic_of({"kind": self._kind, **given}), self._link)
 
     @work(group=DIALOG)
     async def accept(self, result: Draft) -> None:
@@ -124,99 +148,35 @@ class TopicScreen(FormScreen[Draft]):
         bridged = [route for route in now.routes if route.link == link]
         field = self.form.fields["topic"]
         assert isinstance(field, PickField)
-        late = "waiting for the other side's topics …" if link in self._late else ""
+        late = "waiting for what the other side has …" if link in self._late else ""
         field.note.set_text(self._errors.get(link) or self._errors.get(None) or late)
         waiting = self._awaited & {None, link}
-        empty = "asking both sides …" if waiting else "no other topic on either side; type the full name"
-        suggestions = suggestions_for(Ends.of(now, link), self._found.get(None, []), self._found.get(link, []), bridged)
+        what = self._kind if self._kind_chosen else "topic, service, action or node with parameters"
+        empty = "asking both sides …" if waiting else f"no other {what} on either side; type the full name"
+        here, there = (
+            [info for info in self._found.get(side, []) if not self._kind_chosen or info.kind == self._kind]
+            for side in (None, link)
+        )
+        suggestions = suggestions_for(Ends.of(now, link), here, there, bridged)
         field.suggest(suggestions, lambda _text: empty)
 
     @on(Field.Changed)
-    def _another_client(self, event: Field.Changed) -> None:
-        if event.field.spec.key == "link":
+    def _another_client_or_kind(self, event: Field.Changed) -> None:
+        key = event.field.spec.key
+        if key == "link":
             self._look()
+        elif key == "kind":
+            self._kind_chosen = self._kind_chosen or event.field.control.has_focus
+            self._show_kind()
+            self._suggest()
+            self.check()
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
         if event.suggestion is not None:
             for key, value in {"topic": event.suggestion.value, **event.suggestion.fills}.items():
                 self.form.fields[key].value = value
+            self._show_kind()
         event.field.touched = True
         self.check()
-        self.form.fields["direction"].control.focus()
-
-
-def _specs(session: Session, now: Snapshot, links: list[str], route: RouteSnapshot | None) -> Iterator[Spec]:
-    """The fields, in the order in which an operator thinks of them."""
-    values = {} if route is None else values_of(route.spec)
-    if len(links) > 1:
-        yield Spec("link", "Client", "The client whose topic it is.", options=tuple((name, name) for name in links))
-    for spec in (*_what(session, Ends.of(now, links[0]), new=route is None), *_how(session, values.get("protocol"))):
-        value = values.get(spec.key, "")
-        if spec.key == "paused":
-            value = "yes" if value else ""
-        yield replace(spec, value=value, edited=value.startswith("{"))  # QoS policies are changed one by one
-
-
-def _what(session: Session, ends: Ends, *, new: bool) -> tuple[Spec, ...]:
-    out, back = ("←", "→") if ends.is_server else ("→", "←")
-    name = "Its name on the client."
-    return (
-        Spec(
-            "topic",
-            "Topic",
-            f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type the full name: /scan." if new else name,
-            blank="type to look for a topic of either side",
-        ),
-        Spec(
-            "direction",
-            "Direction",
-            "transmit: from the client to the server; receive: from the server to the client.",
-            options=(("transmit", f"transmit {out}"), ("receive", f"receive {back}")),
-        ),
-        Spec(
-            "type",
-            "Type",
-            "package/msg/Name, or a common type's short name (LaserScan). Empty: the type in either graph.",
-            blank="auto",
-        ),
-        Spec(
-            "qos",
-            "QoS",
-            f"auto, {', '.join(PROFILES)}, a depth (20), or policies: {{reliability: best_effort}}",
-            blank="auto",
-        ),
-        Spec(
-            "remote_topic",
-            "On the server",
-            f"Its name there. Empty: the same{f', with /{ends.client} before it' if ends.use_name else ''}.",
-            blank=f"/{ends.client} and its name" if ends.use_name else "same name",
-        ),
-    )
-
-
-def _how(session: Session, begun: str | None) -> tuple[Spec, ...]:
-    """How it crosses; `begun` is the protocol that it has already."""
-    bluetooth = session.is_bluetooth
-    has_radio = session.bluetooth_address is not None or begun == "bluetooth"
-    carriers = (("", "the link's (tcp)"), ("tcp", "tcp"), ("udp", "udp"))
-    protocol = Spec(
-        "protocol",
-        "Protocol",
-        "tcp delivers all, in order; udp never waits for what was lost"
-        f"{'; bluetooth uses the radio, on a channel of its own' if has_radio else ''}.",
-        options=(*carriers, ("bluetooth", "bluetooth")) if has_radio else carriers,
-    )
-    packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
-    port = "Channel" if bluetooth else "Port"
-    channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
-    after = f"{session.stale_after:g} s"
-    return (
-        *(() if bluetooth else (protocol,)),
-        Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared"),
-        Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all"),
-        Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned"),
-        Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after),
-        Spec("compression", "Compression", "zstd is worth it for maps and clouds, and on slow links.", options=packing),
-        Spec("paused", "Paused", "Set up, but carries nothing until resumed.", options=(("", "no"), ("yes", "yes"))),
-    )
+        self.form.fields["direction" if self._kind == "topic" else "provider"].control.focus()

@@ -1,4 +1,4 @@
-"""The topics of both graphs that are not bridged yet, as suggestions for the topic form."""
+"""What both graphs have that is not bridged yet, as suggestions for the topic form."""
 
 from __future__ import annotations
 
@@ -10,25 +10,34 @@ from rich.cells import cell_len
 from rsb_bridge.model.qos import AUTO
 from rsb_bridge.model.text import plural
 from rsb_console.look.glyphs import IN, OUT
+from rsb_console.look.kinds import NOUN
 from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import Suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import RouteSnapshot, TopicInfo
     from rsb_console.session.draft import Ends
 
 _NAME_WIDTH, _WHERE_WIDTH, _TYPE_WIDTH = 32, 21, 24  # cells; the name takes what is left, and no less than this
+_ENDS: dict[Kind, tuple[str, str]] = {
+    "topic": ("publisher", "subscriber"),
+    "service": ("server", "client"),
+    "action": ("server", "client"),
+    "parameters": ("parameters", "client"),
+}
+"""What there is of each kind on the side that gives it, and on the other."""
 
 
 def suggestions_for(
     ends: Ends, here: Iterable[TopicInfo], there: Iterable[TopicInfo], bridged: Sequence[RouteSnapshot]
 ) -> list[Suggestion]:
-    """What both graphs have that is not bridged yet, by name.
+    """What both graphs have that is not bridged yet: topics, then services, actions and parameters, each by name.
 
     A publisher makes a topic flow away from its side; where there are only subscriptions it is to flow towards them.
-    What has both, one on each side, is told by its publisher.
+    What has both, one on each side, is told by its publisher. So it is with the servers and clients of a service.
 
     Args:
         ends: of the link.
@@ -36,9 +45,9 @@ def suggestions_for(
         there: the other side's.
         bridged: the link's routes; neither end of one is offered the same way again.
     """
-    taken = {(route.spec.topic, route.spec.direction) for route in bridged}
+    taken = {route.spec.identity for route in bridged}
     crossing = {
-        (is_here, route.topic if is_here else route.remote_topic, route.outgoing)
+        (route.spec.kind, is_here, route.topic if is_here else route.remote_topic, _from_here(route))
         for route in bridged
         for is_here in (True, False)
     }
@@ -46,37 +55,61 @@ def suggestions_for(
     suggestions: dict[str, Suggestion] = {}
     for info, is_here in sorted(infos, key=lambda each: not each[0].publishers):
         suggestion = _suggestion(ends, info, is_here)
+        from_here = info.kind == "topic" and is_here == bool(info.publishers)
         if (
             suggestion is not None
-            and (is_here, info.topic, is_here == bool(info.publishers)) not in crossing
-            and (suggestion.value, suggestion.fills["direction"]) not in taken
+            and (info.kind, is_here, info.topic, from_here) not in crossing
+            and (info.kind, suggestion.value, _direction(ends, info, is_here)) not in taken
         ):
             suggestions.setdefault(suggestion.key, suggestion)
-    return sorted(suggestions.values(), key=lambda suggestion: suggestion.value)
+    order = {str(kind): number for number, kind in enumerate(NOUN)}
+    return sorted(suggestions.values(), key=lambda each: (order[each.fills["kind"]], each.value))
+
+
+def _from_here(route: RouteSnapshot) -> bool:
+    """Whether a topic's messages go out. Whatever else has a name, it crosses one way only."""
+    return route.outgoing and route.spec.kind == "topic"
+
+
+def _direction(ends: Ends, info: TopicInfo, is_here: bool) -> str:
+    """Messages go away from publishers, and requests towards servers."""
+    gives = (is_here == ends.is_server) == bool(info.publishers)
+    return "receive" if gives == (info.kind == "topic") else "transmit"
 
 
 def _suggestion(ends: Ends, info: TopicInfo, is_here: bool) -> Suggestion | None:
     """What the client would call it; None: it is not the client's to bridge."""
-    on_server = is_here == ends.is_server
-    name = ends.client_topic(info.topic, on_server=on_server)
+    name = ends.client_topic(info.topic, on_server=is_here == ends.is_server)
     if name is None:
         return None
+    direction = _direction(ends, info, is_here)
     fills = {
-        "direction": "receive" if on_server == bool(info.publishers) else "transmit",
-        "type": info.type_name or AUTO,
+        "kind": info.kind,
+        "direction": direction,
+        "provider": "server" if direction == "transmit" else "client",
+        "type": AUTO if info.kind == "parameters" else info.type_name or AUTO,
     }
-    return Suggestion(f"{fills['direction']} {name}", name, partial(_line, info, is_here), fills)
+    return Suggestion(f"{info.kind} {direction} {name}", name, partial(_line, info, is_here), fills)
 
 
 def _line(info: TopicInfo, is_here: bool, width: int) -> Line:
     name_width = max(_NAME_WIDTH, width - 2 - _WHERE_WIDTH - _TYPE_WIDTH)
-    count, what = (info.publishers, "publisher") if info.publishers else (info.subscriptions, "subscriber")
+    gives, takes = _ENDS[info.kind]
+    count, what = (info.publishers, gives) if info.publishers else (info.subscriptions, takes)
+    amount = gives if info.kind == "parameters" and info.publishers else f"{count} {plural(count, what)}"
+    outwards = (is_here == bool(info.publishers)) == (info.kind == "topic")
     return (
-        (f"{OUT if is_here == bool(info.publishers) else IN} ", ""),
+        (f"{OUT if outwards else IN} ", ""),
         *_column(info.topic, name_width, "strong"),
-        *_column(f"{count} {plural(count, what)} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
-        (info.type_name.replace("/msg/", "/") or "several types", ""),
+        *_column(f"{amount} {'here' if is_here else 'there'}", _WHERE_WIDTH, "dim"),
+        (_type_of(info), ""),
     )
+
+
+def _type_of(info: TopicInfo) -> str:
+    if info.kind == "parameters":
+        return ""
+    return info.type_name.replace("/msg/", "/") or "several types"
 
 
 def _column(text: str, width: int, look: str) -> Line:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from textual.binding import Binding
-from textual.containers import Vertical
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
 from rsb_console.session.recents import recent_sessions
+from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.lines import Line, fit
 from rsb_console.widgets.selectable_list import SelectableList
 
@@ -93,11 +93,8 @@ class WelcomeScreen(ModalScreen[str]):
 
     def compose(self) -> ComposeResult:
         """What this is, and the menu."""
-        with Vertical(classes="dialog -wide") as dialog:
-            dialog.border_title = "rsb-console"
-            yield Static(ABOUT, classes="hint")
-            yield self.menu
-            yield Static("⏎ choose   ? every key" + ("" if self._readonly else "   esc close"), classes="hint keys")
+        keys = "⏎ choose   ? every key" + ("" if self._readonly else "   esc close")
+        yield Dialog("rsb-console", Static(ABOUT, classes="hint"), self.menu, keys=keys)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what the menu lists; watching only, there is nothing behind it to go to."""

@@ -12,8 +12,9 @@ import msgspec
 
 from rsb_bridge.config.clients import ClientError, client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.files import give_owner
-from rsb_bridge.config.keys import Key, KeyFileError, key_path, read_key, write_key
+from rsb_bridge.config.keys import Key, KeyFileError, key_files_by_client, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
+from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.model.session import Client, Session
 
 if TYPE_CHECKING:
@@ -79,7 +80,8 @@ def add_client(path: Path, client: Client) -> Changed:
         client: whom to add. Its key file is used if it exists; where it has none, a new one is made beside the session.
 
     Raises:
-        ClientError: there is one of that name, or the key's file exists although it was not asked for.
+        ClientError: there is one of that name, another one has the key, or the key's file exists although it was not
+            asked for.
         KeyFileError: the key cannot be made or read.
         SessionError: the session has mistakes, or cannot be saved. No key is left then.
     """
@@ -97,11 +99,27 @@ def add_client(path: Path, client: Client) -> Changed:
         key, is_new = write_key(key_at), True
         give_owner(key_at, path)  # whoever runs the server has to read it
     try:
+        _check_key_of_its_own(file, session, client, key)
         return Changed(save(session, path, file), client, key_at, key)
     except BaseException:
         if is_new and key_at is not None:
             key_at.unlink()
         raise
+
+
+def _check_key_of_its_own(file: SessionFile, session: Session, client: Client, key: Key | None) -> None:
+    """Refuse a key that another client has, unless the session says that it is meant."""
+    if key is None:
+        return
+    # Clients that share a key already are the server's to refuse when it starts.
+    others = {client.name: [key]}
+    for name, files in key_files_by_client(file.session).items():
+        for each in files:
+            with suppress(KeyFileError):
+                if read_key(key_path(file.path.parent, each)) == key:
+                    others[name] = [key]
+    if problem := shared_key_problem(session, others):
+        raise ClientError(problem)
 
 
 def remove_client(path: Path, name: str) -> Changed:
@@ -118,22 +136,27 @@ def remove_client(path: Path, name: str) -> Changed:
 
 
 def rekey_client(path: Path, name: str) -> Changed:
-    """Make a new key for a client of a server's session file. A client that shared a key gets one of its own.
+    """Make a new key for a client of a server's session file, the only one that is valid then.
+
+    A client that shared a key gets one of its own. A next key that it had is given up.
 
     Raises:
-        ClientError: there is no such client, or no encryption.
+        ClientError: there is no such client, or no encryption, or its next key is the whole server's.
         KeyFileError: the key cannot be made.
         SessionError: the file cannot be saved.
     """
     file = open_server(path)
     client = client_named(file.session, name)
-    if not file.session.use_encryption:
-        raise ClientError(f"{path}: encryption is off (use_encryption): there are no keys")
-    others = {key_path_of(file, each) for each in file.session.accepted_clients if each.name != name}
+    check_encrypted(file)
+    check_own_next_key(file.session.next_key_file, client.next_key_file, name)
+    others = {place for each in file.session.accepted_clients if each.name != name for place in key_places(file, each)}
     key_at = key_path_of(file, client)
     if key_at is not None and key_at not in others:
+        if client.next_key_file is not None:
+            client = msgspec.structs.replace(client, next_key_file=None)
+            file = save(with_changed_client(file.session, client), path, file)
         return Changed(file, client, key_at, write_key(key_at, force=True))
-    renewed = msgspec.structs.replace(client, key_file=_free_key_file(path.parent, name))
+    renewed = msgspec.structs.replace(client, key_file=free_key_file(path.parent, name), next_key_file=None)
     key_at = key_path_of(file, renewed)
     assert key_at is not None
     session = with_changed_client(file.session, renewed)
@@ -143,7 +166,28 @@ def rekey_client(path: Path, name: str) -> Changed:
     return Changed(save(session, path, file), renewed, key_at, key)
 
 
-def _free_key_file(folder: Path, name: str) -> str:
+def key_places(file: SessionFile, client: Client) -> list[Path]:
+    """Where the keys are that are valid for a client, the next one's last; without encryption none."""
+    files = key_files_by_client(file.session)[client.name] if file.session.use_encryption else ()
+    return [key_path(file.path.parent, each) for each in files]
+
+
+def check_encrypted(file: SessionFile) -> None:
+    """Raise a ClientError where there are no keys."""
+    if not file.session.use_encryption:
+        raise ClientError(f"{file.path}: encryption is off (use_encryption): there are no keys")
+
+
+def check_own_next_key(of_session: str | None, of_client: str | None, name: str) -> None:
+    """Raise a ClientError where a client's next key is every client's, and giving it up would concern them."""
+    if of_session is not None and of_client is None:
+        raise ClientError(
+            f"{name} has the server's next_key_file, {of_session}, which is no client's own: in the session file, give "
+            "it as key_file and take next_key_file out, then `rsb-console reload`"
+        )
+
+
+def free_key_file(folder: Path, name: str) -> str:
     """The name of a key file that does not exist yet."""
     own = key_file_name(name)
     others = (f"{own.removesuffix('.key')}-{number}.key" for number in count(2))

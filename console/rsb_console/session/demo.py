@@ -36,6 +36,8 @@ _TOPICS = (
     Topic(topic="/odom", direction="receive", protocol="udp", expected_rate=50.0),
     Topic(topic="/map", direction="receive", protocol="tcp", compression="zstd"),
     Topic(topic="/goal_pose", direction="transmit", protocol="tcp", expected_rate=1.0),
+    Topic(topic="/set_light", direction="transmit", kind="service", timeout=5.0),
+    Topic(topic="/simulated_robot", direction="transmit", kind="parameters", timeout=5.0),
 )
 
 
@@ -155,7 +157,9 @@ def _bridge_process(path: Path) -> Iterator[None]:
 
 
 def _need_ros() -> None:
-    missing = [name for name in ("rclpy", "sensor_msgs", "nav_msgs") if importlib.util.find_spec(name) is None]
+    missing = [
+        name for name in ("rclpy", "sensor_msgs", "nav_msgs", "std_srvs") if importlib.util.find_spec(name) is None
+    ]
     if missing:
         raise EngineError(
             f"the demo needs {', '.join(missing)}: source your ROS 2 (source /opt/ros/jazzy/setup.bash), or on x86-64 "

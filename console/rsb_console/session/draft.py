@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.config.call_rules import overlaps
+from rsb_bridge.config.file_form import field_of, locations
 from rsb_bridge.config.session_file import SessionError, validate, validate_topic
 from rsb_bridge.config.yaml_text import read_yaml
 from rsb_bridge.model.names import client_topic
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.snapshot import Snapshot
 
-NUMBERS = ("port", "max_rate", "expected_rate", "stale_after")
+NUMBERS = ("port", "max_rate", "expected_rate", "stale_after", "deadman", "timeout")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,11 +72,22 @@ def _plain_qos(text: str) -> Any:
     return text
 
 
+SWITCHES = ("paused", "arm")
+"""The keys that are on or off: any text is on but those of `_OFF`."""
+_OFF = ("", "false", "no", "off")
+_DIRECTIONS = {"server": "transmit", "client": "receive"}
+"""Of requests, by the side whose node answers."""
+
+
 def topic_of(values: Mapping[str, str]) -> Topic:
-    """The topic that a form's texts make. It may be wrong in every way that `problems_of` knows."""
-    given = {key: plain(key, text) for key, text in values.items() if text}
-    if "paused" in given:
-        given["paused"] = True
+    """The topic that a form's texts make. It may be wrong in every way that `problems_of` knows.
+
+    Of what is not a topic, a ``provider`` may stand for the direction.
+    """
+    given = {key: plain(key, text) for key, text in values.items() if text and key not in SWITCHES}
+    given |= {key: True for key in SWITCHES if values.get(key, "").lower() not in _OFF}
+    if (provider := given.pop("provider", None)) is not None:
+        given["direction"] = _DIRECTIONS.get(provider, provider)
     return Topic(**({"topic": "", "direction": "transmit"} | given))
 
 
@@ -104,8 +117,10 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         found = validate_topic(topic, session)
     else:
         others = tuple(each for each in session.topics if each != replaced)
-        here = f"topics[{len(others)}]"
+        here = locations((*others, topic))[-1]
         problems = validate(msgspec.structs.replace(session, topics=(*others, topic)))
+        # In a file the kinds have their own order, by which it may be another entry that is one too many.
+        problems += overlaps((*others, topic), "")
         found = [
             replace(problem, location=problem.location.removeprefix(here).lstrip("."))
             for problem in problems
@@ -113,5 +128,6 @@ def problems_of(topic: Topic, session: Session, replaced: Topic | None) -> dict[
         ]
     messages: dict[str, str] = {}
     for problem in found:
-        messages.setdefault(problem.location.partition(".")[0] or "topic", problem.message)
+        key = problem.location.partition(".")[0]
+        messages.setdefault(field_of(topic.kind, key) if key else "topic", problem.message)
     return messages

@@ -10,14 +10,19 @@ from typing import TYPE_CHECKING
 from rsb_console.session.history import cell, csv_report, text_report
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.snapshot import Event, RouteSnapshot
 
-COLUMNS = (
-    "state", "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
+# The names are those of `status --json`. A topic has what is in a `Ledger`, all else what is in a `CallsSnapshot`.
+_ROUTE = (
+    "topic", "link", "outgoing", "transport", "port", "type_name", "rate", "expected_rate", "bytes_per_second",
     "latency_p50", "latency_p99", "age", "cause", "reason",
+)  # fmt: skip
+_COUNTS = (
+    "offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "lost_in_dds",
+    "asked", "answered", "refused", "lost", "late", "node_p50", "node_p99", "way_p50", "way_p99", "last_failure",
 )  # fmt: skip
 
 
@@ -40,21 +45,26 @@ def export_log(events: Sequence[Event]) -> Path:
 
 
 def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
-    """Write `routes` with their figures (Hz, bytes/s, s) and ledgers as CSV.
+    """Write `routes` with their figures (Hz, bytes/s, s) and counts as CSV. What one has no figure of is left empty.
 
     Returns:
         The file, in the working folder.
     """
-    counts = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped_total", "lost_in_dds")
     path = _new_file("topics", "csv")
     with path.open("x", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
-        table.writerow((*COLUMNS, *counts))
+        table.writerow(("state", "kind", *_ROUTE, *_COUNTS))
         for route in routes:
-            table.writerow(
-                [cell(getattr(route, name)) for name in COLUMNS] + [getattr(route.ledger, name) for name in counts]
-            )
+            figures = [getattr(route, name) for name in _ROUTE]
+            table.writerow([cell(each) for each in (route.state, route.spec.kind, *figures, *_counts(route))])
     return path
+
+
+def _counts(route: RouteSnapshot) -> Iterator[object]:
+    counts = route.ledger if route.calls is None else route.calls
+    for name in _COUNTS:
+        value = getattr(counts, name, None)
+        yield sum(value.values()) if isinstance(value, dict) else value
 
 
 def export_history(report: HistoryReport) -> tuple[Path, Path]:

@@ -7,9 +7,11 @@ import io
 import json
 import re
 import time
+from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
 from rsb_bridge.model.text import plural
 
@@ -20,11 +22,16 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Event
 
 CSV_COLUMNS = (
-    "kind", "start", "end", "seconds", "robot", "topic", "direction", "state", "cause", "who", "old", "new",
+    "kind", "start", "end", "seconds", "robot", "topic", "direction", "state", "cause", "who", "old", "new", "is_a",
 )  # fmt: skip
 _UNITS = {"s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _SPAN = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|m|h|d)")
 _WORST_TOPICS = 10
+_KINDS = ("topic", "service", "action", "parameters")
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+"""What a cell begins with that a spreadsheet may take for a formula; the last four are the signs in full width."""
+_SHORT_WAIT = 60.0
+"""s of waiting that are not worth a word beside the time in which it was up or out."""
 
 
 def parse_span(text: str) -> float:
@@ -57,9 +64,9 @@ def length(seconds: float) -> str:
 
 
 def percent(ratio: float | None) -> str:
-    """A part of the time. It is 100 % only if nothing is missing."""
+    """A part of the time. It is 100 % only if nothing is missing; a dash where it was neither up nor out."""
     if ratio is None:
-        return "not known"
+        return "—"
     if ratio >= 1:
         return "100 %"
     return f"{min(99.9, ratio * 100):.1f} %"
@@ -70,23 +77,23 @@ def own(outages: Iterable[Outage]) -> list[Outage]:
     return [outage for outage in outages if not outage.with_link]
 
 
-def followers(report: HistoryReport, outage: Outage) -> int:
-    """How many topics were out because their link was, in one of a link's outages."""
+def followers(report: HistoryReport, outage: Outage) -> str:
+    """What was out because its link was, in one of a link's outages: ``2 topics, 1 service``; or empty."""
     if outage.topic:
-        return 0
+        return ""
     end = outage.start + outage.seconds
-    return len(
-        {
-            (each.topic, each.outgoing)
-            for each in report.outages
-            if each.with_link and each.link == outage.link and outage.start <= each.start <= end + 1
-        }
-    )
+    out = {
+        each.subject
+        for each in report.outages
+        if each.with_link and each.link == outage.link and outage.start <= each.start <= end + 1
+    }
+    return ", ".join(_counted(kind, count) for kind, count in _by_kind(kind for _, kind, _, _ in out))
 
 
-def what(outage: Outage) -> str:
-    """What was out: ``→ /scan``, or ``link``."""
-    return f"{'→' if outage.outgoing else '←'} {outage.topic}" if outage.topic else "link"
+def what(one: Outage | Track) -> str:
+    """What was out: ``→ /scan``, ``→ service /load_map``, or ``link``."""
+    kind = "" if one.kind == "topic" else f"{one.kind} "
+    return f"{'→' if one.outgoing else '←'} {kind}{one.topic}" if one.topic else "link"
 
 
 def how_long(outage: Outage) -> str:
@@ -100,14 +107,24 @@ def how_long(outage: Outage) -> str:
 
 def why(report: HistoryReport, outage: Outage) -> str:
     """The cause, and what else was out for it."""
-    count = followers(report, outage)
-    also = f" ({count} {plural(count, 'topic')} with it)" if count else ""
-    return f"{outage.cause or 'no cause known'}{also}"
+    also = followers(report, outage)
+    return f"{outage.cause or 'no cause known'}{also and f' ({also} with it)'}"
+
+
+def who(event: Event) -> str:
+    """Who did it, in a word or two; of an operator of the other side, which side says so."""
+    if event.from_peer:
+        return f"{event.link} says"
+    return event.who.partition(" ")[0] or "bridge"
 
 
 def did(event: Event) -> str:
-    """What an operator did, with the old and the new value."""
-    return event.text + (f" ({event.old or 'nothing'} → {event.new or 'nothing'})" if event.old or event.new else "")
+    """What an operator did, with the old and the new value; of a pause, the words say both."""
+    if event.code in (EventCode.OPERATOR_PAUSED, EventCode.OPERATOR_RESUMED) or not (event.old or event.new):
+        return event.text
+    if event.old and event.new:
+        return f"{event.text} ({event.old} → {event.new})"
+    return f"{event.text} ({event.new or f'was {event.old}'})"
 
 
 # --- as text
@@ -127,7 +144,7 @@ def text_report(report: HistoryReport) -> Iterator[str]:
             yield f"    {name}"
             for outage in found:
                 state = outage.state.upper()
-                yield f"      {_day_time(outage.start)}  {state}  {how_long(outage)}: {why(report, outage)}"
+                yield f"      {_moment(report, outage.start)}  {state}  {how_long(outage)}: {why(report, outage)}"
     if report.outages_left_out:
         yield f"  At least {report.outages_left_out:,} more, for which there was no room."
     if report.actions:
@@ -135,7 +152,7 @@ def text_report(report: HistoryReport) -> Iterator[str]:
         yield "Operators, and the bridge itself"
         for event in report.actions:
             who = f"{event.who}: " if event.who not in event.text else ""
-            yield f"  {_day_time(event.time)}  {who}{did(event)}"
+            yield f"  {_moment(report, event.time)}  {who}{did(event)}"
     if report.actions_left_out:
         yield f"  {report.actions_left_out:,} more before these."
 
@@ -148,28 +165,54 @@ def totals(report: HistoryReport) -> list[str]:
 def _totals(report: HistoryReport) -> Iterator[str]:
     yield _ran(report)
     links = [track for track in report.tracks if not track.topic]
-    topics = [track for track in report.tracks if track.topic]
     for track in links:
-        yield f"{track.link}: {_up('linked', track)}{_count(track)}."
-    if topics:
-        bad = [track for track in topics if track.outages]
-        fine = len(topics) - len(bad)
-        topics_are = f"{len(topics)} {plural(len(topics), 'topic')}"
-        yield f"{topics_are}: {fine} without an outage{f', {len(bad)} with' if bad else ''}."
-        worst = sorted(bad, key=lambda track: -track.out)
-        for track in worst[:_WORST_TOPICS]:
-            name = f"{track.link} {'→' if track.outgoing else '←'} {track.topic}"
-            yield f"  {name}: {_up('up', track)}{_count(track)}."
-        if len(worst) > _WORST_TOPICS:
-            yield f"  and {len(worst) - _WORST_TOPICS} more."
+        yield f"{track.link}: {_up('linked', track)}{_count(report, track)}."
+    for kind, _ in _by_kind(track.kind for track in report.tracks if track.topic):
+        yield from _totals_of(report, kind, [track for track in report.tracks if track.topic and track.kind == kind])
+
+
+def _totals_of(report: HistoryReport, kind: str, tracks: Sequence[Track]) -> Iterator[str]:
+    """Of one kind; the worst ones by name."""
+    none_yet = f"without any {'message' if kind == 'topic' else 'call'} yet"
+    bad = [track for track in tracks if track.outages]
+    waited = [track for track in tracks if not track.outages and track.waiting and not track.up]
+    parts = [f"{len(tracks) - len(bad) - len(waited)} without an outage"]
+    parts += [f"{len(bad)} with"] * bool(bad)
+    parts += [f"{len(waited)} {none_yet}"] * bool(waited)
+    yield f"{_counted(kind, len(tracks))}: {', '.join(parts)}."
+    worst = sorted(bad, key=lambda track: -track.out)
+    for track in worst[:_WORST_TOPICS]:
+        yield f"  {track.link} {what(track)}: {_up('up', track)}{_count(report, track)}."
+    if len(worst) > _WORST_TOPICS:
+        yield f"  and {len(worst) - _WORST_TOPICS} more with an outage."
+    for track in waited[:_WORST_TOPICS]:
+        yield f"  {track.link} {what(track)}: {_up('up', track)}."
+    if len(waited) > _WORST_TOPICS:
+        yield f"  and {len(waited) - _WORST_TOPICS} more {none_yet}."
+
+
+def _by_kind(kinds: Iterable[str]) -> list[tuple[str, int]]:
+    """How many there are of each kind, topics first."""
+    counts = Counter(kinds)
+    return sorted(counts.items(), key=lambda item: _KINDS.index(item[0]) if item[0] in _KINDS else len(_KINDS))
+
+
+def _counted(kind: str, count: int) -> str:
+    """``3 topics``, ``parameters of 1 node``."""
+    return (
+        f"parameters of {count} {plural(count, 'node')}" if kind == "parameters" else f"{count} {plural(count, kind)}"
+    )
 
 
 def _ran(report: HistoryReport) -> str:
     running = "" if report.running else " It does not run now."
     if not report.gaps:
         return f"The bridge ran all the time.{running}"
-    gaps = ", ".join(f"{_day_time(gap.start)} to {_day_time(gap.start + gap.seconds)}" for gap in report.gaps[-3:])
-    more = f" and {len(report.gaps) - 3} more times before" if len(report.gaps) > 3 else ""
+    gaps = ", ".join(
+        f"{_moment(report, gap.start)} to {_moment(report, gap.start + gap.seconds)}" for gap in report.gaps[-3:]
+    )
+    earlier = len(report.gaps) - 3
+    more = f" and {earlier} {plural(earlier, 'earlier time')}" if earlier > 0 else ""
     return (
         f"The bridge ran for {length(report.watched)} of it ({percent(report.watched / report.span)}); "
         f"nothing is known of {gaps}{more}.{running}"
@@ -177,31 +220,40 @@ def _ran(report: HistoryReport) -> str:
 
 
 def _up(word: str, track: Track) -> str:
-    if track.up_ratio is None:
-        return f"not known how long it was {word}"
-    return f"{word} {percent(track.up_ratio)} of the time"
+    """How much of the time it was up; while it waited, it was neither up nor out."""
+    up = "" if track.up_ratio is None else f"{word} {percent(track.up_ratio)} of the time"
+    if track.waiting < _SHORT_WAIT and (up or not track.waiting):
+        return up or f"not known how long it was {word}"
+    waited = f"{', ' if up else ''}waited {length(track.waiting)}"
+    return f"{up}{waited}{f' ({track.waits_for})' if track.waits_for else ''}"
 
 
-def _count(track: Track) -> str:
+def _count(report: HistoryReport, track: Track) -> str:
     if not track.outages:
         return ""
-    return f"; {track.outages} {plural(track.outages, 'outage')}, {length(track.out)} in all"
+    followed = sum(each.with_link and each.subject == track.subject for each in report.outages)
+    with_link = f" ({followed} with the link)" if followed else ""
+    return f"; {track.outages} {plural(track.outages, 'outage')}{with_link}, {length(track.out)} in all"
 
 
 def _by_topic(outages: Sequence[Outage]) -> list[tuple[str, list[Outage]]]:
-    """By topic, the link itself first."""
-    grouped: dict[tuple[str, bool], list[Outage]] = {}
+    """By topic and kind, the link itself first."""
+    grouped: dict[tuple[str, str, bool], list[Outage]] = {}
     for outage in outages:
-        grouped.setdefault((outage.topic, outage.outgoing), []).append(outage)
+        grouped.setdefault((outage.topic, outage.kind, outage.outgoing), []).append(outage)
     return [(what(grouped[key][0]), grouped[key]) for key in sorted(grouped)]
 
 
 def _from_to(report: HistoryReport) -> str:
-    return f"{_day_time(report.start)} to {_day_time(report.time)}"
+    start, end = time.localtime(report.start), time.localtime(report.time)
+    date = "" if start.tm_yday == end.tm_yday else "%a %Y-%m-%d "
+    return f"{time.strftime('%a %Y-%m-%d %H:%M:%S', start)} to {time.strftime(f'{date}%H:%M:%S', end)}"
 
 
-def _day_time(moment: float) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(moment))
+def _moment(report: HistoryReport, moment: float) -> str:
+    """The time of day; with the day of the week, if it is not that of the report's end."""
+    then, end = time.localtime(moment), time.localtime(report.time)
+    return time.strftime("%H:%M:%S" if then.tm_yday == end.tm_yday else "%a %H:%M:%S", then)
 
 
 # --- for programs
@@ -219,13 +271,14 @@ def csv_report(report: HistoryReport) -> str:
     for outage in report.outages:
         direction = ("out" if outage.outgoing else "in") if outage.topic else ""
         row = ["outage", outage.start, outage.start + outage.seconds, outage.seconds, outage.link, outage.topic]
-        rows.append((outage.start, [*row, direction, outage.state, outage.cause, "", "", ""]))
+        is_a = outage.kind if outage.topic else "link"
+        rows.append((outage.start, [*row, direction, outage.state, outage.cause, "", "", "", is_a]))
     for gap in report.gaps:
         row = ["not running", gap.start, gap.start + gap.seconds, gap.seconds]
-        rows.append((gap.start, [*row, "", "", "", "", "", "", "", ""]))
+        rows.append((gap.start, [*row, "", "", "", "", "", "", "", "", ""]))
     for event in report.actions:
         row = ["event", event.time, None, None, event.link, event.topic, "", "", event.text]
-        rows.append((event.time, [*row, event.who, event.old, event.new]))
+        rows.append((event.time, [*row, event.who, event.old, event.new, ""]))
     made = io.StringIO()
     table = csv.writer(made)
     table.writerow(CSV_COLUMNS)
@@ -238,7 +291,7 @@ def csv_report(report: HistoryReport) -> str:
 
 def cell(value: object) -> object:
     """A value for a spreadsheet, which must not take text from elsewhere for a formula."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULAS) else value
 
 
 def _iso(moment: float) -> str:

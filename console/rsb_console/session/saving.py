@@ -6,7 +6,7 @@ import difflib
 import os
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -17,7 +17,9 @@ from rsb_bridge.config.session_file import SessionError, SessionFile, load_file,
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.session import Client, Session
+
+    _Entry = TypeVar("_Entry", Session, Client)
 
 
 def unsaved(saved: Session, now: Session) -> str:
@@ -28,18 +30,18 @@ def unsaved(saved: Session, now: Session) -> str:
         "removed": [part for part in before if part not in after],
         "changed": [part for part in after if part in before and after[part] != before[part]],
     }
-    return "; ".join(f"{kind} {', '.join(name for name, _ in parts)}" for kind, parts in kinds.items() if parts)
+    return "; ".join(f"{kind} {', '.join(part[0] for part in parts)}" for kind, parts in kinds.items() if parts)
 
 
-def _parts(session: Session) -> dict[tuple[str, str], object]:
+def _parts(session: Session) -> dict[tuple[str, ...], object]:
     """What can differ between two sessions, by its name for people and what else tells it from the others."""
-    parts: dict[tuple[str, str], object] = {
-        (name, ""): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
+    parts: dict[tuple[str, ...], object] = {
+        (name,): getattr(session, name) for name in session.__struct_fields__ if name not in ("topics", "clients")
     }
-    parts |= {(topic.topic, topic.direction): topic for topic in session.topics}
+    parts |= {(topic.topic, *topic.identity): topic for topic in session.topics}
     for client in session.accepted_clients if session.role == "server" else ():
-        parts[f"client {client.name}", ""] = msgspec.structs.replace(client, topics=())
-        parts |= {(f"{topic.topic} for {client.name}", topic.direction): topic for topic in client.topics}
+        parts[f"client {client.name}",] = msgspec.structs.replace(client, topics=())
+        parts |= {(f"{topic.topic} for {client.name}", *topic.identity): topic for topic in client.topics}
     return parts
 
 
@@ -136,8 +138,10 @@ def _renamed(session: Session, rename: Callable[[str], str]) -> Session:
     def name(key_file: str | None) -> str | None:
         return key_file if key_file is None or typed_path(key_file).is_absolute() else rename(key_file)
 
-    clients = tuple(msgspec.structs.replace(each, key_file=name(each.key_file)) for each in session.clients)
-    return msgspec.structs.replace(session, key_file=name(session.key_file), clients=clients)
+    def rename_in(entry: _Entry) -> _Entry:
+        return msgspec.structs.replace(entry, key_file=name(entry.key_file), next_key_file=name(entry.next_key_file))
+
+    return msgspec.structs.replace(rename_in(session), clients=tuple(map(rename_in, session.clients)))
 
 
 def path_problem(text: str) -> str:

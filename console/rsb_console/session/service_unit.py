@@ -21,6 +21,29 @@ KEPT_VARIABLES = (
     "CYCLONEDDS_URI",
 )
 """What ROS takes from the environment; a service has none of the shell's."""
+CONFINED = (
+    "CapabilityBoundingSet=",
+    "ProtectSystem=strict",
+    "PrivateTmp=true",
+    "PrivateDevices=true",
+    "ProtectClock=true",
+    "ProtectControlGroups=true",
+    "ProtectHostname=true",
+    "ProtectKernelLogs=true",
+    "ProtectKernelModules=true",
+    "ProtectKernelTunables=true",
+    "ProtectProc=invisible",
+    "LockPersonality=true",
+    "RestrictNamespaces=true",
+    "RestrictRealtime=true",
+    "RestrictSUIDSGID=true",
+    "RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK AF_BLUETOOTH",
+    "SystemCallArchitectures=native",
+    "SystemCallFilter=@system-service",
+    "SystemCallFilter=~@privileged @resources",
+    "SystemCallErrorNumber=EPERM",
+)
+"""What a service of the system may do, and no more. configs/rsb-console@.service has the same, and says why."""
 _SOURCING = 'source "$0" && exec "$@"'
 _HOMES = ("/home/", "/root/", "/run/user/")
 
@@ -75,6 +98,8 @@ class Service:
             "# Neither a session file with mistakes nor a session that runs already gets better by itself.",
             "RestartPreventExitStatus=2 4",
             "TimeoutStopSec=10",
+            "LimitNOFILE=65536",
+            "UMask=0077",
             "NoNewPrivileges=true",
         ]
         return lines + self._confined() if self.system else lines
@@ -90,9 +115,8 @@ class Service:
             "StateDirectory=rsb-console",
             "LogsDirectory=rsb-console",
             "Environment=ROS_LOG_DIR=%L/rsb-console",
-            "ProtectSystem=strict",
             f"ProtectHome={home}",
-            "PrivateTmp=true",
+            *CONFINED,
         ]
 
     def _command(self) -> list[str]:

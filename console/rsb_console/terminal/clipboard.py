@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from textual.app import App
 
+_SHOWN = 200  # characters
+
 
 def copy(app: App[object], text: str) -> str:
     """Copy `text`.
@@ -22,6 +24,11 @@ def copy(app: App[object], text: str) -> str:
         command = [tmux, "load-buffer", "-w", "-"]
         done = subprocess.run(command, input=text.encode(), timeout=2, check=False, capture_output=True)  # noqa: S603 -- no shell; the program is tmux
         if done.returncode == 0:
-            return f"copied to tmux: {text}"
+            return f"copied to tmux: {_beginning(text)}"
     app.copy_to_clipboard(text)
-    return f"copied: {text}"
+    return f"copied: {_beginning(text)}"
+
+
+def _beginning(text: str) -> str:
+    line = text[: _SHOWN + 1].partition("\n")[0]
+    return line if len(line) <= _SHOWN else f"{line[:_SHOWN]}…"

@@ -55,6 +55,8 @@ class InputQueue:
         """Whether the queue takes an event of the app, which comes to the app again when it is the event's turn."""
         if event.is_forwarded or not isinstance(event, events.InputEvent | events.Paste):
             return False
+        if not self._app.screen_stack:
+            return True  # what is typed while the app ends is for nobody, and Textual would look for a screen
         if isinstance(event, events.MouseMove):
             return False
         if event is self._next:

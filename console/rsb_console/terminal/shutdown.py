@@ -88,9 +88,16 @@ def output_path() -> Path:
     return user_log_path("rsb-console") / "output.txt"
 
 
+def owner_only(path: str, flags: int) -> int:
+    """Open a file, a new one with mode 0600: an opener for `open`."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o600)
+
+
 def record_crash() -> None:
     """Write the exception that is being handled to `crash_path`, if that is possible."""
     path = crash_path()
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(traceback.format_exc(), encoding="utf-8")
+        path.unlink(missing_ok=True)  # one of before may be open to others
+        with open(path, "w", encoding="utf-8", opener=owner_only) as file:
+            file.write(traceback.format_exc())

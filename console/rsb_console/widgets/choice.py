@@ -45,6 +45,14 @@ class Choice(Widget, can_focus=True):
         self._options = tuple(options)
         self.set_reactive(Choice.value, value or self._options[0][0])
 
+    def offer(self, options: Sequence[tuple[str, str]]) -> None:
+        """Have other options; one that is there no longer gives way to the first."""
+        if tuple(options) != self._options:
+            self._options = tuple(options)
+            if self.value not in dict(options):
+                self.value = options[0][0]
+            self.refresh()
+
     def watch_value(self) -> None:
         self.post_message(self.Changed())
 

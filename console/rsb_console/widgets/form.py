@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from textual.app import ComposeResult
     from textual.events import DescendantFocus
 
+    from rsb_console.widgets.text_input import TextInput
+
 
 @dataclass(frozen=True, slots=True)
 class Spec:
@@ -89,7 +91,8 @@ class Field(Vertical):
         super().__init__(classes="field", id=f"field-{spec.key}")
         self.spec = spec
         self.touched = False
-        self.control: FieldInput | Choice = (
+        self._label = Static(spec.label, classes="label", markup=False)
+        self.control: FieldInput | Choice | TextInput = (
             Choice(spec.options, spec.value) if spec.options else FieldInput(spec.value, spec.blank, edited=spec.edited)
         )
         self.problem = Notice("problem")
@@ -98,10 +101,19 @@ class Field(Vertical):
     def compose(self) -> ComposeResult:
         """Label and control beside each other, what is to be said about the value beneath."""
         with Horizontal():
-            yield Static(self.spec.label, classes="label", markup=False)
+            yield self._label
             yield self.control
         yield self.problem
         yield self.note
+
+    def describe(self, spec: Spec) -> None:
+        """Take another label, help and options, of the same key; the value stays, unless it is no option any more."""
+        self.spec = spec
+        self._label.update(spec.label)
+        if isinstance(self.control, Choice):
+            self.control.offer(spec.options)
+        else:
+            self.control.placeholder = spec.blank
 
     @property
     def is_ready(self) -> bool:

@@ -22,7 +22,7 @@ Line = tuple[tuple[str, str], ...]
 BREATH = 0.5e-3  # s
 
 LOOKS = (
-    *(state.value for state in State), "dim", "strong", "key", "head", "alarm", "plot",
+    *(state.value for state in State), "dim", "strong", "armed", "key", "head", "alarm", "plot",
 )  # fmt: skip
 
 

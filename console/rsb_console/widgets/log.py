@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import Level
 from rsb_console.look import formats
-from rsb_console.widgets.lines import LiveLines
+from rsb_console.widgets.lines import LiveLines, fit
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ class LogPane(SelectableList):
         self.level = Level.INFO
         self.pattern: Pattern | None = None
         self._shown: dict[str, Event] = {}
+        self._room = 0
+        """Cells of a line that no scrollbar covers."""
 
     def add(self, events: Iterable[Event]) -> None:
         """Append `events`, oldest first."""
@@ -107,15 +109,20 @@ class LogPane(SelectableList):
         """Only while the log has the focus."""
         return self.has_focus and super().is_cursor(index)
 
+    def _measure(self) -> None:
+        super()._measure()
+        self._room = self.scrollable_content_region.width
+
     def line(self, index: int) -> Line:
         event = self._shown[self.keys[index]]
         look = LOOK[event.level]
-        return (
+        whole = (
             (f" {formats.time_of_day(event.time)} ", "dim"),
             (f"{WORD[event.level]:<6}", look),
             (f"{event.source:<6} ", "dim"),
             (_named(event), "dim" if event.level is Level.DEBUG else ""),
         )
+        return fit(whole, self._room)
 
 
 def plain(event: Event) -> str:

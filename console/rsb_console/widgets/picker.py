@@ -43,6 +43,8 @@ class Suggestion(NamedTuple):
 class SuggestionList(SelectableList, can_focus=False):
     """The suggestions that match what is typed."""
 
+    begins_at_top = True
+
     def __init__(self) -> None:
         super().__init__(classes="suggestions")
         self._suggestions: dict[str, Suggestion] = {}

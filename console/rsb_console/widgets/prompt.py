@@ -38,7 +38,9 @@ class Prompt(Horizontal):
     def compose(self) -> ComposeResult:
         """The slash, the input, and room for what is wrong."""
         yield Static(" /", id="sign")
-        yield Input(id="pattern", placeholder="text, or state: robot: type: via: why:; ! first: what does not match")
+        yield Input(
+            id="pattern", placeholder="text, or state: kind: robot: type: via: why:; ! first: what does not match"
+        )
         yield Static("", id="problem", classes="problem")
 
     def open(self, text: str) -> None:

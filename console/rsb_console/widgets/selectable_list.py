@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from textual.geometry import Region
 from textual.message import Message
@@ -23,6 +23,10 @@ class SelectableList(LiveLines, can_focus=True):
     """
 
     BINDINGS = bindings(Group.MOVE)
+
+    begins_at_top: ClassVar[bool] = False
+    """Whether the first item is what matters, until the operator moves the cursor. Elsewhere a key that acts on an item
+    must not meet the one that has just taken its place."""
 
     class CursorMoved(Message):
         """Another item is under the cursor.
@@ -50,8 +54,8 @@ class SelectableList(LiveLines, can_focus=True):
 
     @property
     def follows_top(self) -> bool:
-        """Whether the cursor stays on the first item, whichever that is: until the operator moves it."""
-        return not self._moved
+        """Whether the cursor stays on the first item, whichever that is: until the operator moves it, if at all."""
+        return self.begins_at_top and not self._moved
 
     @property
     def line_count(self) -> int:

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import LinkCause
-from rsb_console.look import formats
-from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look import formats, kinds
+from rsb_console.look.glyphs import ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
-    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
 
 HISTORY = 6  # s
+_BETWEEN = " │ "
 ROOMY = 100  # cells from which on there is room for small charts
 
 
@@ -51,30 +51,32 @@ class StatusBar(LiveLines):
 
     def __init__(self) -> None:
         super().__init__(id="status")
-        self._identity: Line = ()
+        self._identity: list[tuple[int, tuple[str, str]]] = []
         self._view: Line = ()
         self._totals: list[Line] = []
-        self._faults: list[Line] = []
+        self._needed = 1
+        """How many of these must have room for states to be named."""
+        self._signs: Line = ()
         self._received: deque[float] = deque(maxlen=HISTORY)
         self._sent: deque[float] = deque(maxlen=HISTORY)
         self._sampled = 0.0
 
     @property
     def line_count(self) -> int:
-        return 2 + bool(self._faults)
+        return 2
 
     def line(self, index: int) -> Line:
         width = self.width
         if index == 0:
-            shorter = self._identity[2:] or self._identity[1:]
-            for left, right in ((self._identity, self._view), (shorter, self._view)):
-                if width >= ROOMY and width_of(left) + width_of(right) < width:
-                    return _spread(left, right, width)
-            return _spread(shorter, self._view[-1:], width)
-        if index == 2:
-            more = len(self._faults) - 1
-            return _spread(self._faults[0], ((f"  and {more} more (links) " if more else "", "dim"),), width)
-        return _as_many(self._totals, width)
+            right = self._view if width >= ROOMY else self._view[-1:]
+            for most in reversed(range(6)):
+                left = tuple(piece for number, piece in self._identity if number <= most)
+                if width_of(left) + width_of(right) < width:
+                    break
+            return _spread(left, right, width)
+        needed = self._totals[: self._needed]
+        fits = sum(map(width_of, needed)) + len(_BETWEEN) * (len(needed) - 1) <= width
+        return _as_many(self._totals if fits else [self._signs, *self._totals[1:]], width)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         if snapshot.running and snapshot.time - self._sampled >= 1.0:
@@ -83,22 +85,19 @@ class StatusBar(LiveLines):
             self._sent.append(sum(link.tx_bytes_per_second for link in snapshot.links))
         self._identity, self._view = _identity(snapshot, view), _view(snapshot, view)
         self._totals = self._sum(snapshot)
-        self._faults = _link_faults(snapshot)
-        self.styles.height = self.line_count
         self.sync()
 
     def _sum(self, snapshot: Snapshot) -> list[Line]:
-        counts = Counter(route.state for route in snapshot.routes)
-        topics = tuple(
-            (f"  {STATE_SIGN[state]} {counts[state]} {STATE_WORD[state].lower()}", state.value)
-            for state in State
-            if counts[state]
-        )
-        drops = sum(route.ledger.dropped_total for route in snapshot.routes)
+        topics = ((f" {kinds.counted(route.spec.kind for route in snapshot.routes)}", "strong"),)
+        armed = armed_count(snapshot.routes)
+        self._signs = (*topics, *armed, *state_counts(snapshot.routes, State))
+        drops = sum(route.ledger.dropped_total for route in snapshot.routes if route.calls is None)
         groups: list[Line] = [
-            ((f" {formats.counted(len(snapshot.routes), 'topic')}", "strong"), *topics),
+            (*topics, *armed, *state_counts(snapshot.routes, State, words=True)),
             ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
         ]
+        groups += calls_group(snapshot.routes)
+        self._needed = len(groups) if len(groups) > 2 else 1
         rtts = [link.rtt for link in snapshot.links if link.rtt is not None]
         if rtts:
             groups.append(((f"rtt {formats.span(max(rtts))}", ""),))
@@ -109,34 +108,74 @@ class StatusBar(LiveLines):
         return groups
 
 
+def state_counts(
+    things: Iterable[RouteSnapshot | LinkSnapshot], states: Iterable[State], *, words: bool = False
+) -> Line:
+    """Count what is in each of some states: ``✗1 ▲2``, or with words ``✗ 1 down  ▲ 2 stale``.
+
+    Args:
+        things: topics, or links.
+        states: those that are counted, in this order.
+        words: name each state.
+    """
+    counts = Counter(thing.state for thing in things)
+    return tuple(
+        (f"  {STATE_SIGN[s]} {counts[s]} {STATE_WORD[s].lower()}" if words else f" {STATE_SIGN[s]}{counts[s]}", s.value)
+        for s in states
+        if counts[s]
+    )
+
+
+def calls_group(routes: Iterable[RouteSnapshot]) -> list[Line]:
+    """Count the calls that are under way, and those that will have no answer; nothing where only topics are bridged."""
+    counts = [route.calls for route in routes if route.calls is not None]
+    if not counts:
+        return []
+    failed = sum(map(kinds.failed, counts))
+    under_way = formats.counted(sum(calls.in_flight for calls in counts), "call")
+    return [((f"{under_way} under way, ", ""), (f"{formats.thousands(failed)} failed", "stale" if failed else ""))]
+
+
+def armed_count(routes: Iterable[RouteSnapshot]) -> Line:
+    """Count the topics that are armed, and say when the first of them disarms: ``◆ 1 ARMED 42 s``."""
+    armed = [route.arming for route in routes if route.arming is not None and route.arming.armed]
+    left = min((each.left for each in armed if each.left is not None), default=None)
+    until = "" if left is None else f" {left:.0f} s"
+    return (("  ", ""), (f" {ARMED} {len(armed)} {ARMED_WORD}{until} ", "armed")) if armed else ()
+
+
+def warning_count(links: Iterable[LinkSnapshot]) -> Line:
+    """Count the links that are up with a warning: ``!1``."""
+    count = sum(1 for link in links if link.state is State.OK and link.warning)
+    return ((f" !{count}", State.SLOW.value),) if count else ()
+
+
 def _as_many(groups: list[Line], width: int) -> Line:
     """Join as many groups as fit, at least the first. On a narrow screen their charts are left out."""
     line: Line = ()
     for group in groups:
         shown = tuple(piece for piece in group if width >= ROOMY or piece[1] != "plot")
-        longer = (*line, (" │ ", "dim"), *shown) if line else shown
+        longer = (*line, (_BETWEEN, "dim"), *shown) if line else shown
         if line and width_of(longer) > width:
             break
         line = longer
     return fit(line, width)
 
 
-def _identity(snapshot: Snapshot, view: View) -> Line:
+def _identity(snapshot: Snapshot, view: View) -> list[tuple[int, tuple[str, str]]]:
+    """Whose link it is and how it is, in pieces; those of the highest number are left out first."""
     if not snapshot.name:
-        return ((" rsb-console", "strong"), (f"  {view.note}", "dim"))
-    pieces = [
-        (" rsb-console", "strong"),
-        (f"  {snapshot.role}", "dim"),
-        (f" {snapshot.name}", "strong"),
-        *_warnings(snapshot),
-        (f" ⇄ {snapshot.address}", ""),
+        return [(0, (" rsb-console", "strong")), (0, (f"  {view.note}", "dim"))]
+    state = [(f"   {view.note}", "alarm")] if view.note else link_state(snapshot, view.cause)
+    return [
+        (5, (" rsb-console", "strong")),
+        (4, (f"  {snapshot.role}", "dim")),
+        (0, (f" {snapshot.name}", "strong")),
+        *((0, piece) for piece in _warnings(snapshot)),
+        (1, (f" ⇄ {snapshot.address}", "")),
+        *zip((0, 2), state, strict=False),
+        (3, (f"   domain {snapshot.domain_id}", "dim")),
     ]
-    if view.note:
-        pieces.append((f"   {view.note}", "alarm"))
-    else:
-        pieces += link_state(snapshot, view.cause)
-    pieces.append((f"   domain {snapshot.domain_id}", "dim"))
-    return tuple(pieces)
 
 
 def link_state(snapshot: Snapshot, cause: str) -> list[tuple[str, str]]:
@@ -163,40 +202,12 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
     (link,) = links
     if linked:
         return f"   ● LINKED {formats.clock(now - link.since)}", "ok"
-    retry = formats.retry(link.attempts + 1, link.retry_in)
+    retry = formats.next_attempt(link)
     state = link.state
     return (
         f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry and f' · {retry}'}",
         state.value,
     )
-
-
-def _link_faults(snapshot: Snapshot) -> list[Line]:
-    """A line for each link with a fault, the worst first. A single one that waits is told of in the first line."""
-    if not snapshot.running:
-        return []
-    server = snapshot.role == "server"
-    single = len(snapshot.links) == 1
-    faults = [
-        link
-        for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name))
-        if link.warning or not (link.state is State.OK or (single and link.state is State.WAITING))
-    ]
-    return [
-        ((f" {STATE_SIGN[link.state]} {link.name}: ", link.state.value), (link_fault(link, server=server), ""))
-        for link in faults
-    ]
-
-
-def link_fault(link: LinkSnapshot, *, server: bool) -> str:
-    """Format what is wrong with a link; on a server, who should be there and is not."""
-    since = formats.time_of_day(link.since)[:5]
-    if link.state is State.OK:
-        return link.warning
-    if not server or link.cause not in (LinkCause.LOST, LinkCause.CLOSED, LinkCause.NOT_YET):
-        return link.reason
-    seen = f"last seen at {link.peer}: {link.reason}" if link.peer else "not seen yet"
-    return f"missing since {since}, {seen}"
 
 
 def _view(snapshot: Snapshot, view: View) -> Line:

@@ -1,0 +1,117 @@
+"""What `rsb-console check` prints of a session that has no mistakes."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.config.file_form import LISTS, NOUNS
+from rsb_bridge.config.rights_table import listings
+from rsb_bridge.config.topic_rules import transport_of
+from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.session import Grant
+from rsb_bridge.model.text import join_first
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from rsb_bridge.model.session import Compression, Session, Topic
+
+_NAMED = 6
+
+
+def summary(session: Session) -> Iterator[str]:
+    """What a session says, line by line."""
+    where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
+    yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, {_domain(session)}"
+    yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
+    for topic in session.topics:
+        yield f"  {_route(topic, session)}"
+    for client in session.clients:
+        allowed, denied = _grants(client.allow) or "everything", _grants(client.deny)
+        prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
+        yield f"  accepts {client.name}: {allowed}{', not ' if denied else ''}{denied}{prefix}"
+        for topic in client.topics:
+            yield f"    proposes {_route(topic, session)}"
+    if session.role == "server" and not session.clients:
+        yield f"  accepts {session.name}: everything"
+
+
+def _grants(entries: Iterable[str | Grant]) -> str:
+    return ", ".join(inline(msgspec.to_builtins(each)) if isinstance(each, Grant) else each for each in entries)
+
+
+def rights(session: Session) -> Iterator[str]:
+    """A table of what each peer may do on this side, and what of that moves or changes a robot."""
+    found = list(listings(session))
+    heads = ("may do here", "", "what", "over", "rate", "ports of its own")
+    rows: list[tuple[str, ...]] = [heads, *(row for listing in found for row in listing.rows)]
+    rows = rows if session.role == "server" else [row[:-1] for row in rows]  # a client binds none
+    widths = [max(len(row[at]) for row in rows) for at in range(len(rows[0]))]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+    for listing in found:
+        if listing.moves:
+            yield f"  nothing forbids {listing.peer} to publish what moves a robot: {', '.join(listing.moves)}"
+        if listing.acts:
+            acts = join_first(listing.acts, _NAMED)
+            yield f"  nothing forbids {listing.peer} to call what may move or change a robot: {acts}"
+    if session.role == "client":
+        yield "  nothing forbids the server to shut this bridge down"
+    if session.shutdown_topic is not None:
+        yield f"  any ROS node of this domain may shut the bridge down, on {session.shutdown_topic}"
+
+
+def _domain(session: Session) -> str:
+    try:
+        domain = domain_of(session, os.environ.get("ROS_DOMAIN_ID"))
+    except ValueError:  # which is a warning
+        return "no ROS domain"
+    return f"ROS domain {domain}{' (ROS_DOMAIN_ID, else 0)' if session.domain_id is None else ''}"
+
+
+def _prefix(session: Session) -> str:
+    if session.role == "client" and not session.use_name:
+        return f"prefix /{session.name} where the server has use_name on"
+    return _prefix_of("<name>" if session.clients else session.name, use_name=session.use_name)
+
+
+def _prefix_of(name: str, *, use_name: bool) -> str:
+    return f"prefix /{name}" if use_name else "no prefix"
+
+
+def _route(topic: Topic, session: Session) -> str:
+    transport = transport_of(topic, session)
+    details = list(_details(topic, transport.compression))
+    if topic.kind == "topic":
+        what = f"{topic.direction} {topic.topic}"
+    else:
+        what = f"{NOUNS[LISTS[topic.kind]]} {topic.topic}, provided by the {topic.provider},"
+    return f"{what} over {transport.name}: {', '.join(details)}"
+
+
+def _details(topic: Topic, usual_compression: Compression) -> Iterator[str]:
+    if topic.kind != "parameters":
+        yield f"type {topic.type}"
+    yield f"qos {topic.qos}" if topic.kind == "topic" else f"given up after {topic.call_timeout:g} s"
+    if topic.port is not None:
+        yield f"port {topic.port}"
+    compression = topic.compression or usual_compression
+    if compression != "none":
+        yield f"{compression} compression"
+    if topic.remote_topic is not None:
+        yield f"{topic.remote_topic} on the server"
+    if topic.max_rate is not None:
+        yield f"at most {topic.max_rate:g} {'Hz' if topic.kind == 'topic' else 'calls/s'}"
+    if topic.expected_rate is not None:
+        yield f"expected {topic.expected_rate:g} Hz"
+    if topic.stale_after is not None:
+        yield f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale"
+    if topic.paused:
+        yield "paused"
+    if topic.arm:
+        keys = f"within {topic.deadman_seconds:g} s" if topic.deadman_seconds else "never"
+        yield f"has to be armed (keys needed: {keys})"

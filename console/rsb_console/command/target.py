@@ -1,0 +1,203 @@
+"""Which running bridge a command means, attaching to it, and saying in words what goes wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from typing import TYPE_CHECKING, TypeVar
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.topic_rules import A_KIND
+from rsb_bridge.control.bridges import ask, running_bridges
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError, hidden_services
+from rsb_bridge.model.text import join_first
+from rsb_console.command.reports import json_line
+from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from concurrent.futures import Future
+
+    from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.model.history import HistoryReport
+    from rsb_bridge.model.session import Kind
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+ANSWERED_WITHIN = 60.0
+
+T = TypeVar("T")
+
+
+class UsageError(Exception):
+    """What was asked for is not clear, or not valid; the message says what would be."""
+
+
+class NoBridgeError(Exception):
+    """No bridge runs, or not this one; the message says which do."""
+
+
+def bridge_to_attach(arguments: Namespace) -> RunningBridge | int:
+    """The bridge that the arguments mean; or the exit code, after saying why there is none."""
+    return reported(chosen_bridge, arguments)
+
+
+def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
+    """Do something; what goes wrong is said in words, and gives an exit code."""
+    try:
+        return work(arguments)
+    except UsageError as error:
+        return failed(arguments, str(error), USAGE)
+    except (NoBridgeError, ControlError) as error:
+        return failed(arguments, str(error), NOT_RUNNING)
+    except EngineError as error:
+        return failed(arguments, str(error), FAILURE)
+    except TimeoutError:
+        return failed(arguments, f"the bridge has not answered for {ANSWERED_WITHIN:.0f} s", FAILURE)
+
+
+def failed(arguments: Namespace, message: str, code: int) -> int:
+    """Say why it is not done. Returns the exit code."""
+    if getattr(arguments, "json", False):
+        print_line(json_line({"ok": False, "error": message}))
+    else:
+        print_error(message)
+    return code
+
+
+# --- which bridge
+
+
+def chosen_bridge(arguments: Namespace) -> RunningBridge:
+    """The bridge that the arguments mean.
+
+    Raises:
+        NoBridgeError: none does.
+        UsageError: several do.
+        ControlError: the socket that they name has none.
+    """
+    name, path = arguments.bridge, arguments.control
+    if path is not None:
+        return _answering(ask(path))
+    found = running_bridges()
+    chosen = [bridge for bridge in found if name in (None, bridge.name)]
+    running = "".join(f"\n  {bridge}" for bridge in found)
+    if not found:
+        other = hidden_services()
+        hint = f"; services are the user {other}'s: sudo -u {other} rsb-console …" if other else ""
+        raise NoBridgeError(f"no bridge runs here that you may attach to{hint}")
+    if not chosen:
+        raise NoBridgeError(f"no bridge {name!r} runs here; these do:{running}")
+    if len({bridge.name for bridge in chosen}) < len(chosen):  # in folders of several users or services
+        paths = "".join(f"\n  --control {bridge.path}  {bridge}" for bridge in chosen)
+        raise UsageError(f"several bridges of one name run here; say which:{paths}")
+    if len(chosen) > 1:
+        raise UsageError(f"several bridges run here; say which:{running}")
+    return _answering(chosen[0])
+
+
+def _answering(bridge: RunningBridge) -> RunningBridge:
+    if bridge.info is None:
+        raise ControlError(f"{bridge.name} (pid {bridge.pid}): {bridge.problem}")
+    return bridge
+
+
+@contextlib.contextmanager
+def attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[RemoteEngine]:
+    """Be attached to the bridge that the arguments mean."""
+    engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
+    engine.start()
+    try:
+        yield engine
+    finally:
+        engine.stop()
+
+
+def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:
+    """What happened to the bridge that the arguments mean, in the last so many s."""
+    with attached(arguments, read_only=True) as engine:
+        return result(engine.history(seconds))
+
+
+# --- what it answers
+
+
+def result(future: Future[T]) -> T:
+    """What a command gives.
+
+    Raises:
+        EngineError: the bridge refuses.
+        TimeoutError: it does not answer.
+    """
+    return future.result(ANSWERED_WITHIN)
+
+
+def done(arguments: Namespace, **results: object) -> int:
+    """Tell a program that it is done; a person sees that by the exit code."""
+    if arguments.json:
+        print_line(json_line({"ok": True, **results}))
+    return OK
+
+
+def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
+    """The route that the arguments mean: by its name on this side, else on the client.
+
+    Raises:
+        UsageError: none or several do.
+    """
+    check_link(engine, arguments.link)
+    kinds = arguments.kinds if arguments.kind is None else (arguments.kind,)
+    now = engine.snapshot()
+    meant = [
+        route
+        for route in now.routes
+        if arguments.link in ("", route.link) and arguments.direction in (None, route.spec.direction)
+    ]
+    routes = named([route for route in meant if route.spec.kind in kinds], arguments.topic)
+    if len(routes) == 1:
+        return routes[0]
+    if routes:
+        which = "; ".join(_which(route, routes) for route in routes)
+        raise UsageError(f"{arguments.topic} is bridged {len(routes)} times; say which: {which}")
+    if others := named(meant, arguments.topic):
+        only = join_first(sorted({A_KIND[route.spec.kind] for route in others}), len(A_KIND))
+        raise UsageError(f"{arguments.topic} is bridged as {only}, and not as {_either(kinds)}")
+    known = [route.topic for route in now.routes if route.spec.kind in kinds]
+    raise UsageError(f"{arguments.topic} is not bridged{suggestion(arguments.topic, known)}")
+
+
+def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:
+    """The options that tell a route from others of its name."""
+    kinds = [each.spec.kind for each in others]
+    if kinds.count(route.spec.kind) == 1:
+        return f"--kind {route.spec.kind}"
+    kind = f" --kind {route.spec.kind}" if len(set(kinds)) > 1 else ""
+    return f"--link {route.link} --direction {route.spec.direction}{kind}"
+
+
+def _either(kinds: Iterable[Kind]) -> str:
+    return " or ".join(A_KIND[kind] for kind in kinds)
+
+
+def named(routes: Iterable[RouteSnapshot], topic: str) -> list[RouteSnapshot]:
+    """The routes of a topic, by its name on the bridge's own side; if none is called so, by the client's."""
+    found = list(routes)
+    return [each for each in found if each.topic == topic] or [each for each in found if each.spec.topic == topic]
+
+
+def check_link(engine: RemoteEngine, name: str) -> None:
+    """Check that the bridge has a link of a name; an empty one names none.
+
+    Raises:
+        UsageError: it has not.
+    """
+    known = [link.name for link in engine.snapshot().links]
+    if name and name not in known:
+        raise UsageError(f"{engine.bridge.name} has no link {name!r}, only {', '.join(known) or 'none'}")
+
+
+def suggestion(name: str, known: Sequence[str]) -> str:
+    """A hint at the most similar name; empty: none is similar."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""

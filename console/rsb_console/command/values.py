@@ -1,0 +1,58 @@
+"""What the values of options may be. The messages are argparse's, which names the option before them."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def seconds(text: str) -> float:
+    """Parse a time.
+
+    Args:
+        text: in s.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a number above 0.
+    """
+    parsed = _number(text)
+    if not 0 < parsed < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
+    return parsed
+
+
+def timeout(text: str) -> float:
+    """Parse how long to wait; 0 only looks.
+
+    Args:
+        text: in s.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a number from 0 on.
+    """
+    parsed = _number(text)
+    if not 0 <= parsed < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds, 0 or more")
+    return parsed
+
+
+def count(text: str) -> int:
+    """Parse a number of messages.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a whole number above 0.
+    """
+    try:
+        parsed = int(text)
+    except ValueError:
+        parsed = 0
+    if parsed < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return parsed
+
+
+def _number(text: str) -> float:
+    """A number; NaN, which no range has, if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")

@@ -1,0 +1,340 @@
+"""A form that calls a service by hand, sends a goal, or sets a parameter: YAML in, YAML out."""
+
+from __future__ import annotations
+
+import asyncio
+import textwrap
+import time
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+from rich.cells import chop_cells
+from textual import on, work
+from textual.binding import Binding
+from textual.containers import Horizontal, Vertical
+from textual.widgets import Button, Static
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import join_first, sanitize_text
+from rsb_console.look import formats
+from rsb_console.look.glyphs import DONE, FAILED, STATE_SIGN, STATE_WORD, UNDER_WAY
+from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.screens.form import FormScreen
+from rsb_console.session.parameters import refusal, set_request
+from rsb_console.terminal.clipboard import copy
+from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.form import Field, Notice, Spec
+from rsb_console.widgets.scrolled import ScrolledLines
+from rsb_console.widgets.text_field import TextField
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from textual.app import ComposeResult
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_console.console import Console
+    from rsb_console.widgets.lines import Line
+
+_SET, _SET_LANE = "set", "set_parameters"
+"""Among what can be called: one parameter, by its name and value, and the service that does it."""
+_MOST_LINES = 2_000
+_NODES = 3
+_ASKED_LINES, _ASKED_CHARACTERS = 200, 4 << 10
+"""Of a request, what the question shows: all of one that somebody could read."""
+_CHECKED = 4 << 10
+"""Characters of a request that are checked while it is typed: a longer one takes too long for that."""
+_KEYS = "F9 call   tab next   y copy the answer   esc close"
+
+
+class Request(NamedTuple):
+    """A call that is to be made.
+
+    Attributes:
+        lane: which of the route's services.
+        text: the request's fields, as YAML.
+        question: what the operator is asked.
+        means: what that does.
+        yes: the label of the button that does it.
+        sets: it sets one parameter.
+    """
+
+    lane: str
+    text: str
+    question: str
+    means: str
+    yes: str
+    sets: bool
+
+
+class Verdict(NamedTuple):
+    """What became of a call.
+
+    Attributes:
+        text: in words.
+        look: of that.
+    """
+
+    text: str
+    look: str
+
+
+class CallScreen(FormScreen[Request]):
+    """Asks for a request, calls once the operator has confirmed, and shows the answer; it stays open for more.
+
+    Args:
+        console: the app.
+        route: what is called, as it was when this was opened.
+    """
+
+    AUTO_FOCUS = ".field TextArea, .field Input, .field Choice"
+    BINDINGS: ClassVar = [
+        *FormScreen.BINDINGS,
+        Binding("f9", "submit", show=False),
+        Binding("y", "copy", show=False),
+    ]
+
+    def __init__(self, console: Console, route: RouteSnapshot) -> None:
+        self.console, self._route = console, route
+        self._templates: dict[str, str] = {}
+        self._answer = ""
+        self._verdict: Verdict | None = None
+        self._under_way_since: float | None = None
+        self._state, self._pane = Notice("call-state"), ScrolledLines(id="answer")
+        self._laid_out: tuple[object, ...] = ()
+        super().__init__(f"Call {route.topic} by hand", [_field(spec) for spec in _specs(route)], "Call…")
+
+    def compose(self) -> ComposeResult:
+        """The form, and below it the answer."""
+        with Vertical(classes="dialog -call") as dialog:
+            dialog.border_title = self._title
+            yield self._state
+            yield self.form
+            yield self.form.problem
+            yield self.form.help
+            with Horizontal(classes="buttons -below-help"):
+                yield from self.compose_buttons()
+            yield self._pane
+            yield Static(_KEYS, classes="hint keys", markup=False)
+
+    def compose_buttons(self) -> ComposeResult:
+        yield Button(self._yes, id="yes", variant="primary", compact=True)
+        yield Button("Close", id="no", compact=True)
+
+    def on_mount(self) -> None:
+        self._show_lane()
+        super().on_mount()
+        self._pane.border_title = " Answer "
+        self.set_interval(0.5, self._draw)
+        self.call_after_refresh(self._draw)
+
+    def on_resize(self) -> None:
+        self.call_after_refresh(self._draw)
+
+    # -- the request --------------------------------------------------------------------------------------------------
+
+    @property
+    def _lane(self) -> str:
+        """What is chosen: one of the route's services, or to set one parameter."""
+        field = self.form.fields.get("lane")
+        return self._route.lanes[0] if field is None else field.value
+
+    def _show_lane(self) -> None:
+        """Show the fields that it takes, with those of its request where they are known."""
+        sets = self._lane == _SET
+        for key, field in self.form.fields.items():
+            field.display = key == "lane" or (key == "request") is not sets
+        if not sets:
+            self._offer_template(self._lane)
+
+    @work(group="template", exclusive=True)
+    async def _offer_template(self, lane: str) -> None:
+        """Write all fields of the request with their defaults, unless the operator has written something else."""
+        field = self.form.fields["request"]
+        if lane not in self._templates:
+            try:
+                assert self.console.engine is not None
+                made = await asyncio.wrap_future(self.console.engine.template(self._route.key, lane))
+            except EngineError as error:
+                field.note.set_text(f"Its fields are not known: {error}")
+                made = ""
+            else:
+                field.note.set_text("")
+                self._templates[lane] = made.strip()
+        if lane == self._lane and field.value in ("", *self._templates.values()):
+            field.value = self._templates.get(lane, "")
+
+    @on(Field.Changed)
+    def _another_lane(self, event: Field.Changed) -> None:
+        if event.field.spec.key == "lane":
+            self._show_lane()
+            self.check()
+
+    def problems(self, values: Mapping[str, str]) -> dict[str, str]:
+        """What is no name or value, or no YAML. Whether the fields fit the type is known where the bridge runs."""
+        key = "value" if self._lane == _SET else "request"
+        found = {}
+        if self._lane == _SET and not values["name"]:
+            found["name"] = "missing: name the parameter, as `ros2 param list` does"
+        try:
+            if self._lane == _SET:
+                set_request(values["name"], values["value"])
+            elif len(text := values["request"]) <= _CHECKED and not isinstance(read_fields(text), dict):
+                found[key] = "not a mapping of fields: write data: true, say, with a line for each field"
+        except FieldError as error:
+            found[key] = str(error)
+        return found
+
+    def result(self, values: Mapping[str, str]) -> Request:
+        name = self._route.topic
+        if self._lane == _SET:
+            made = set_request(values["name"], values["value"])
+            means = f"Its new value is sent {self._where}:\n{made.meaning}"
+            return Request(_SET_LANE, made.text, f"Set {values['name']} of {name}?", means, "Set", sets=True)
+        service = f"{self._lane} of {name}" if self._lane else name
+        means = f"It is sent once, {self._where}:\n{_beginning(values['request']) or '(the default of every field)'}"
+        return Request(self._lane, values["request"], f"Call {service}?", means, "Call", sets=False)
+
+    @property
+    def _where(self) -> str:
+        """Whom it is sent to."""
+        nodes = join_first(self._route.subscribers, _NODES) or "the node"
+        return f"to {nodes} {f'behind {self.console.peer_of(self._route)}' if self._route.outgoing else 'on this side'}"
+
+    # -- the call -----------------------------------------------------------------------------------------------------
+
+    def action_submit(self) -> None:
+        self.submit()
+
+    @work(group=DIALOG)
+    async def accept(self, result: Request) -> None:
+        """Ask, and call."""
+        if self._under_way_since is not None:
+            self.notify("the call before this one is still under way", timeout=3)
+        elif await self.console.ask(ConfirmScreen(result.question, result.means, result.yes)):
+            self._pane.focus()
+            self._call(result)
+
+    @work(group="call")
+    async def _call(self, request: Request) -> None:
+        """Wait for the answer; whoever closes the form waits no longer, though the call goes on."""
+        began = self._under_way_since = time.monotonic()
+        self._set_answer("", None)
+        try:
+            if self.console.engine is None:
+                raise EngineError("no session runs")
+            answer = await asyncio.wrap_future(self.console.engine.call(self._route.key, request.text, request.lane))
+        except EngineError as error:
+            self._set_answer("", Verdict(f"{FAILED} {_clean(str(error))}", "down"))
+        else:
+            took = f"answered after {formats.span(time.monotonic() - began)}"
+            refused = refusal(answer) if request.sets else None
+            verdict = Verdict(f"{DONE} {took}{': the node has set it' if request.sets else ''}", "ok")
+            if refused is not None:
+                verdict = Verdict(f"{FAILED} {took}: the node refuses it: {_clean(refused)}", "down")
+            self._set_answer(answer, verdict)
+        finally:
+            self._under_way_since = None
+        self._draw()
+        self._pane.scroll_home(animate=False)
+
+    def _set_answer(self, answer: str, verdict: Verdict | None) -> None:
+        self._answer, self._verdict = answer, verdict
+        self._draw()
+
+    def action_copy(self) -> None:
+        """Copy the whole answer."""
+        if self._answer:
+            self.notify(copy(self.app, self._answer), timeout=3, markup=False)
+
+    # -- the picture --------------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        """Draw what differs from what is shown: to lay out a long answer takes a while."""
+        if not self._pane.is_attached:
+            return
+        self._state.set_text(self._state_text())
+        width = max(10, self._pane.scrollable_content_region.width)
+        what = (self._progress(), self._verdict, self._answer, width)
+        if what != self._laid_out:
+            self._laid_out = what
+            self._pane.show(self._lines(what[0], width))
+
+    def _state_text(self) -> str:
+        """How the route is now."""
+        route = next((each for each in self.console.snapshot().routes if each.key == self._route.key), None)
+        if route is None:
+            return f"{FAILED} it is not bridged any more"
+        reason = "" if route.state is State.OK or not route.reason else f"  {route.reason}"
+        return f"{STATE_SIGN[route.state]} {STATE_WORD[route.state]}  {route.type_name}{reason}"
+
+    def _progress(self) -> Line:
+        """What is waited for."""
+        if self._under_way_since is None:
+            return (("nothing has been called yet", "dim"),) if self._verdict is None else ()
+        waited = formats.age(time.monotonic() - self._under_way_since)
+        limit = f"; given up after {self._route.spec.call_timeout:g} s" if self._route.spec.kind != "action" else ""
+        return ((f"{UNDER_WAY} waiting for the answer, {waited}{limit}", "waiting"),)
+
+    def _lines(self, progress: Line, width: int) -> Iterator[Line]:
+        if progress:
+            yield progress
+        if self._verdict is not None:
+            yield from (((text, self._verdict.look),) for text in textwrap.wrap(self._verdict.text, width))
+            yield ()
+        yield from answer_lines(self._answer, width)
+
+
+def _specs(route: RouteSnapshot) -> Iterator[Spec]:
+    if len(route.lanes) > 1:
+        sets = [(_SET, "set one parameter")] if _SET_LANE in route.lanes else []
+        yield Spec(
+            "lane", "What", "Which of its services to call.", options=(*sets, *((lane, lane) for lane in route.lanes))
+        )
+    if _SET_LANE in route.lanes:
+        yield Spec("name", "Parameter", "Its name, as the node has it: controller_frequency.")
+        kinds = "5 is an integer, 5.0 a double, true a bool, [1, 2] an array; anything else is text."
+        yield Spec("value", "Value", f"{kinds} The node refuses a value of another type.")
+    yield Spec(
+        "request",
+        "Request",
+        "Its fields as YAML, one a line. What you leave out has its default.",
+        blank="empty: every field has its default",
+    )
+
+
+def _field(spec: Spec) -> Field:
+    return TextField(spec) if spec.key == "request" else Field(spec)
+
+
+def answer_lines(answer: str, width: int) -> Iterator[Line]:
+    """An answer as lines that fit, with a note where it is cut.
+
+    Args:
+        answer: as YAML.
+        width: cells.
+    """
+    pieces = (
+        (piece, "dim" if text.startswith("#") else "")
+        for text in answer.splitlines()
+        for piece in (chop_cells(_clean(text[: width * (_MOST_LINES + 1)]), width) or [""])
+    )
+    for count, piece in enumerate(pieces):
+        if count == _MOST_LINES:
+            yield ((f"… only the first {formats.thousands(_MOST_LINES)} lines are shown; y copies all", "stale"),)
+            return
+        yield (piece,)
+
+
+def _beginning(request: str) -> str:
+    """A request as the question shows it."""
+    lines = request[:_ASKED_CHARACTERS].splitlines()[:_ASKED_LINES]
+    shown = "\n".join(lines)
+    more = len(request.rstrip()) - len(shown)
+    return f"{shown}…\n(and {formats.counted(more, 'character')} more)" if more > 0 else shown
+
+
+def _clean(text: str) -> str:
+    return sanitize_text(text, len(text))

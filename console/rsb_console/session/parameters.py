@@ -1,0 +1,194 @@
+"""Parameters of nodes: what a value that is typed means, what one that a node gives means, and what the node says."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple
+
+import yaml
+
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.config.yaml_text import YamlError, compose, dump_yaml
+from rsb_bridge.model.fields import FieldError
+
+
+class Kind(NamedTuple):
+    """A type of parameter.
+
+    Attributes:
+        number: rcl_interfaces/msg/ParameterType.
+        name: as `ros2 param describe` and ``--type`` call it.
+        words: of one, in a sentence.
+    """
+
+    number: int
+    name: str
+    words: str
+
+    @property
+    def field(self) -> str:
+        """Of rcl_interfaces/msg/ParameterValue: what has the value."""
+        return f"{self.name}_value"
+
+
+KINDS = tuple(
+    Kind(number, name, words)
+    for number, (name, words) in enumerate(
+        (
+            ("bool", "bool"),
+            ("integer", "integer"),
+            ("double", "double"),
+            ("string", "string"),
+            ("byte_array", "array of bytes"),
+            ("bool_array", "array of bools"),
+            ("integer_array", "array of integers"),
+            ("double_array", "array of doubles"),
+            ("string_array", "array of strings"),
+        ),
+        1,
+    )
+)
+"""All but the one of a parameter that has no value, whose number is 0."""
+KIND_NAMES = tuple(kind.name for kind in KINDS)
+_NAMED = {kind.name: kind for kind in KINDS}
+_ELEMENTS: dict[type, str] = {bool: "bool", int: "integer", float: "double", str: "string"}
+
+# As YAML 1.2 writes them (core schema, section 10.3.2).
+_NULL = re.compile(r"null|Null|NULL|~|")
+_BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
+_INTEGER = re.compile(r"[-+]?[0-9]+")
+_BASED = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
+_DOUBLE = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_SHOWN = 60
+_DIGITS = 40
+_BITS = 64
+
+
+class ParameterRequest(NamedTuple):
+    """A request to ``set_parameters``.
+
+    Attributes:
+        text: its fields, as YAML.
+        meaning: the value and its type, in words.
+    """
+
+    text: str
+    meaning: str
+
+
+def set_request(name: str, value: str, kind: str = "") -> ParameterRequest:
+    """Make the request that sets one parameter.
+
+    Args:
+        name: of the parameter.
+        value: as YAML: ``5`` is an integer, ``5.0`` a double, ``true`` a bool, ``[1, 2]`` an array, else text.
+        kind: one of `KIND_NAMES`, that the value must have; empty: the one that it shows.
+
+    Raises:
+        FieldError: it is no value of a parameter; the message names the parameter where the value looks like one.
+    """
+    try:
+        meant, plain = _meant(_node(value), kind)
+    except OverflowError as error:
+        raise FieldError(f"{name}: {error}") from None
+    request = {"parameters": [{"name": name, "value": {"type": meant.number, meant.field: plain}}]}
+    shown = value.strip()
+    return ParameterRequest(dump_yaml(request), f"{shown[:_SHOWN]}{'…' * (len(shown) > _SHOWN)} ({meant.words})")
+
+
+def _node(value: str) -> yaml.Node:
+    try:
+        node = compose(value)
+    except YamlError as error:
+        raise FieldError(f"{error}; put a text with such signs between quotation marks") from None
+    if node is None:
+        raise FieldError("missing: 5, 5.0, true, a text, or [1, 2]; an empty text is ''")
+    return node
+
+
+def _meant(node: yaml.Node, kind: str) -> tuple[Kind, Any]:
+    if kind == "string" and isinstance(node, yaml.ScalarNode):
+        return _NAMED[kind], str(node.value)  # `5`, too, and `true`
+    plain = _plain(node)
+    shown = _NAMED[kind] if kind else _kind(plain)
+    elements = plain if isinstance(plain, list) else [plain]
+    if shown.name.removesuffix("_array") == "double" and {type(each) for each in elements} <= {int, float}:
+        elements[:] = map(float, elements)
+        plain = elements if isinstance(plain, list) else elements[0]
+    if isinstance(plain, list) is not shown.name.endswith("_array") or not _fits(elements, shown):
+        raise FieldError(f"this is no {shown.words}")
+    return shown, plain
+
+
+def _fits(elements: list[Any], kind: Kind) -> bool:
+    if kind.name == "byte_array":
+        return all(type(each) is int and 0 <= each <= 255 for each in elements)
+    return all(_ELEMENTS.get(type(each)) == kind.name.removesuffix("_array") for each in elements)
+
+
+def _plain(node: yaml.Node) -> Any:
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(each) for each in node.value]
+    if not isinstance(node, yaml.ScalarNode):
+        raise FieldError("a parameter has no fields: write a value, or an array of values")
+    text = str(node.value)
+    if node.style is not None:  # between quotation marks, or a block
+        return text
+    if _NULL.fullmatch(text):
+        raise FieldError("a parameter takes no null; a text of these letters stands between quotation marks")
+    if _BOOL.fullmatch(text):
+        return text.lower() == "true"
+    if _INTEGER.fullmatch(text) or _BASED.fullmatch(text):
+        return _integer(text)
+    return float(text.replace(".", "", 1) if text[-1] in "fFnN" else text) if _DOUBLE.fullmatch(text) else text
+
+
+def _integer(text: str) -> int:
+    """An integer of 64 bits.
+
+    Raises:
+        OverflowError: it is none, and would be another number as a double.
+    """
+    number = int(text, 0 if _BASED.fullmatch(text) else 10) if len(text) <= _DIGITS else None
+    if number is None or not -(1 << _BITS - 1) <= number < 1 << _BITS - 1:
+        cut = f"{text[:_DIGITS]}{'…' * (len(text) > _DIGITS)}"
+        raise OverflowError(f"{cut} is no integer of {_BITS} bits; a double has a point, a text quotation marks")
+    return number
+
+
+def _kind(plain: Any) -> Kind:
+    if not isinstance(plain, list):
+        return _NAMED[_ELEMENTS[type(plain)]]
+    kinds = {type(each) for each in plain}
+    if not plain:
+        raise FieldError("an empty array has no type: give --type, or in the form the request of set_parameters itself")
+    if list in kinds:
+        raise FieldError("an array holds bools, numbers or texts, no arrays")
+    if kinds == {int, float}:
+        return _NAMED["double_array"]
+    if len(kinds) > 1:
+        raise FieldError("the elements of an array have one type: put texts between quotation marks")
+    return _NAMED[f"{_ELEMENTS[kinds.pop()]}_array"]
+
+
+def value_of(fields: dict[str, Any]) -> Any:
+    """What a rcl_interfaces/msg/ParameterValue says; None: the parameter has no value, or a type unknown here."""
+    number = int(fields["type"])
+    return fields[KINDS[number - 1].field] if 1 <= number <= len(KINDS) else None
+
+
+def refusal(answer: str) -> str | None:
+    """Why the node did not set a parameter, in its words; None: it did.
+
+    Args:
+        answer: the response of ``set_parameters``, as YAML.
+    """
+    try:
+        fields = read_fields(answer)
+    except FieldError:
+        return None
+    results = fields.get("results") if isinstance(fields, dict) else None
+    for each in results if isinstance(results, list) else []:
+        if isinstance(each, dict) and each.get("successful") == "false":
+            return str(each.get("reason") or "it does not say why")
+    return None

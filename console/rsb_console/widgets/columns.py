@@ -1,0 +1,183 @@
+"""The columns of the table of topics, and which of them a table of some width has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.model.snapshot import State
+from rsb_console.look import formats
+from rsb_console.look.glyphs import ARMED, ARMED_WORD, IN, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look.kinds import SHORT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+WIDE = 70  # cells; a narrower table shows a state's sign without its word
+HISTORY = 12  # s
+TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
+_BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes beside what is to be known of calls
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """One column of the table.
+
+    Attributes:
+        title: its heading.
+        width: cells; 0: all that the other columns leave.
+        text: a route's cell.
+        order: sort key of a route.
+        right: whether cells are aligned to the right.
+        from_width: cells; in a narrower table the column is left out.
+        beside_calls: likewise, where the table has more than topics; None: as `from_width`.
+        only_calls: it is left out where the table has only topics.
+    """
+
+    title: str
+    width: int
+    text: Callable[[RouteSnapshot], str]
+    order: Callable[[RouteSnapshot], Any]
+    right: bool = True
+    from_width: int = 0
+    beside_calls: int | None = None
+    only_calls: bool = False
+
+    def fits(self, width: int, *, calls: bool) -> bool:
+        """Whether a table of so many cells, which has more than topics or not, has this column."""
+        if not calls:
+            return width >= self.from_width and not self.only_calls
+        return width >= (self.from_width if self.beside_calls is None else self.beside_calls)
+
+
+def _state(route: RouteSnapshot) -> str:
+    return f"{_sign(route)} {ARMED_WORD if is_armed(route) and route.state is State.OK else STATE_WORD[route.state]}"
+
+
+def _sign(route: RouteSnapshot) -> str:
+    return ARMED if is_armed(route) else STATE_SIGN[route.state]
+
+
+def is_armed(route: RouteSnapshot) -> bool:
+    """Whether a topic that has to be armed is armed."""
+    return route.arming is not None and route.arming.armed
+
+
+def via(route: RouteSnapshot) -> str:
+    """The way of a topic, or of requests, and what carries it."""
+    way = OUT if route.outgoing else IN
+    return f"{way} BT {route.port}" if route.transport == "bluetooth" else f"{way} {route.transport.upper()}"
+
+
+def _rate(route: RouteSnapshot) -> str:
+    rate = formats.hertz(present_rate(route)) if carries(route) else "-"
+    if route.calls is not None:
+        return f"{rate} +{route.calls.in_flight}" if route.calls.in_flight else rate
+    return rate if route.expected_rate is None else f"{rate}/{formats.expected(route.expected_rate)}"
+
+
+def present_rate(route: RouteSnapshot) -> float:
+    """A topic's rate in Hz. One that has stopped has 0: the measured mean still covers seconds in which it flowed."""
+    return 0.0 if route.state in {State.STALE, State.STOPPED} else route.rate
+
+
+def carries(route: RouteSnapshot) -> bool:
+    """Whether a topic's rate and throughput have a meaning in its present state."""
+    return route.state.flows or route.state in {State.STALE, State.STOPPED}
+
+
+def _way(route: RouteSnapshot) -> float | None:
+    """The time on the way, s: a message's, or a call's there and back."""
+    return route.latency_p50 if route.calls is None else route.calls.way_p50
+
+
+def _node(route: RouteSnapshot) -> float | None:
+    return None if route.calls is None else route.calls.node_p50
+
+
+def _milliseconds(seconds: float | None) -> str:
+    return "-" if seconds is None else formats.milliseconds(seconds)
+
+
+def _last_failure(route: RouteSnapshot) -> str:
+    return "" if route.calls is None else route.calls.last_failure
+
+
+COLUMNS = (
+    Column("STATE", 10, _state, lambda r: (r.state.rank, r.topic), right=False, from_width=WIDE),
+    Column("", 2, _sign, lambda r: (r.state.rank, r.topic), right=False),
+    Column(
+        "KIND",
+        4,
+        lambda r: SHORT[r.spec.kind],
+        lambda r: (tuple(SHORT).index(r.spec.kind), r.topic),
+        right=False,
+        from_width=50,
+        only_calls=True,
+    ),
+    Column("TOPIC", 0, lambda r: r.topic, lambda r: r.topic, right=False),
+    Column("PEER", 10, lambda r: r.link, lambda r: (r.link, r.topic), right=False, from_width=100),
+    Column("VIA", 7, via, lambda r: (r.outgoing, r.transport, r.port), right=False, from_width=40),
+    Column("HZ/EXP", 9, _rate, lambda r: (-present_rate(r), -r.calls.in_flight if r.calls else 0)),
+    Column(
+        "kB/s",
+        6,
+        lambda r: formats.kilobytes(r.bytes_per_second) if carries(r) else "-",
+        lambda r: -r.bytes_per_second,
+        from_width=56,
+        beside_calls=_BESIDE_CALLS,
+    ),
+    Column(
+        "TOTAL",
+        8,
+        lambda r: formats.byte_count(r.bytes_total),
+        lambda r: -r.bytes_total,
+        from_width=TOTAL_FROM,
+        beside_calls=_BESIDE_CALLS + 16,
+    ),
+    Column("ms", 5, lambda r: _milliseconds(_way(r)), lambda r: -(_way(r) or 0.0), from_width=64),
+    Column(
+        "NODE",
+        5,
+        lambda r: _milliseconds(_node(r)),
+        lambda r: -(_node(r) or 0.0),
+        from_width=_BESIDE_CALLS,
+        only_calls=True,
+    ),
+    Column("AGE", 5, lambda r: "-" if r.age is None else formats.age(r.age), lambda r: -(r.age or 0.0), from_width=48),
+    Column(
+        " HISTORY",
+        HISTORY + 1,
+        lambda r: sparkline(r.history, HISTORY, r.expected_rate or max(r.history, default=0)),
+        lambda r: -sum(r.history),
+        right=False,
+        from_width=78,
+    ),
+    Column("LAST FAILURE", 36, _last_failure, _last_failure, right=False, from_width=156, only_calls=True),
+)
+STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
+    next(column for column in COLUMNS if column.title == title) for title in ("STATE", "", "TOPIC", "PEER", " HISTORY")
+)
+
+
+@cache
+def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = False) -> tuple[tuple[Column, int], ...]:
+    """The columns that fit, each with its width in cells.
+
+    Args:
+        width: of the table, cells.
+        peers: whether there are several peers, so that the table needs a column for them.
+        grouped: whether that column comes first, however narrow the table is.
+        calls: whether the table has more than topics.
+    """
+    hidden = {SIGN if width >= WIDE else STATE} | (set() if peers and not grouped else {PEER})
+    shown = [column for column in COLUMNS if column.fits(width, calls=calls) and column not in hidden]
+    if grouped:
+        shown.insert(0, PEER)
+        if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
+            shown.pop()  # the names need its room
+    rest = max(8, width - 1 - sum(column.width + 1 for column in shown))
+    return tuple((column, column.width or rest) for column in shown)

@@ -1,0 +1,197 @@
+"""What the details of a topic and those of a service have in common."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.qos import AUTO
+from rsb_console.look import formats
+from rsb_console.look.glyphs import (
+    ARMED,
+    ARMED_WORD,
+    DONE,
+    FAILED,
+    STATE_SIGN,
+    STATE_WORD,
+    UNKNOWN,
+    braille_plot,
+)
+from rsb_console.widgets.columns import carries, present_rate
+from rsb_console.widgets.lines import Line, width_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, Stage
+
+PLOT_HEIGHT = 4
+LABEL = 11  # cells of a figure's name
+TIED = "\N{NO-BREAK SPACE}"
+
+
+def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
+    """State, arming, and why it is not fine.
+
+    Args:
+        route: what it is about.
+        last: what came last: ``message``.
+        width: of the pane, cells.
+    """
+    look = route.state.value
+    yield (
+        (f" {STATE_SIGN[route.state]} {STATE_WORD[route.state]} ", look),
+        ("" if route.age is None or route.age < 1 else f" last {last} {formats.age(route.age)} ago", "dim"),
+    )
+    if (arming := route.arming) is not None and arming.armed:
+        left = "" if arming.left is None else f" {arming.left:.0f} s"
+        yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)
+        yield from wrapped(f"{arming.by}, {_until(arming)}", width, "")
+    failed = next((stage.detail for stage in route.stages if not stage.done), "")
+    if route.reason and route.reason != failed:
+        yield from wrapped(route.reason, width, look)
+
+
+def _until(arming: ArmingSnapshot) -> str:
+    """What disarms it."""
+    if not arming.deadman:
+        return "until it is disarmed, the link drops or that console ends"
+    return f"until no key is pressed on that console for {arming.deadman:g} s"
+
+
+def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
+    """The type, where it goes, what carries it, and its name there.
+
+    Args:
+        route: what it is about.
+        way: from or to whom.
+        width: of the pane, cells.
+    """
+    yield ((f" {_type(route)}", "strong" if route.type_name else "dim"),)
+    carrier = f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+    towards: Line = ((f" {way}", ""), (f"  {carrier}", "dim"))
+    yield from (towards,) if width_of(towards) <= width else (towards[:1], ((f"   {carrier}", "dim"),))
+    if route.remote_topic and route.remote_topic != route.topic:
+        yield ((f"   there: {route.remote_topic}", "dim"),)
+
+
+def _type(route: RouteSnapshot) -> str:
+    """What is known of the type: all that parameters have are ROS's own."""
+    if route.type_name or route.spec.type != AUTO:
+        return route.type_name or f"{route.spec.type} (as configured)"
+    return "all parameters of the node" if route.spec.kind == "parameters" else "type not known yet"
+
+
+def stages(route: RouteSnapshot, question: str, nothing: str, width: int) -> Iterator[Line]:
+    """The stages: those passed on one line, the first that fails with its reason, and the others on one line.
+
+    Args:
+        route: whose they are.
+        question: that they answer where it does not work.
+        nothing: what is so where all have passed, and it does not work any more.
+        width: of the pane, cells.
+    """
+    of_route = route.stages
+    waiting = [index for index, stage in enumerate(of_route) if not stage.done]
+    at = next((index for index in waiting if of_route[index].done is False), next(iter(waiting), None))
+    yield ((" Stages" if route.state.flows else f" {question}", "head"),)
+    if at is None:
+        passed = f"all {len(of_route)} passed"
+        if carries(route) and not route.state.flows:
+            yield ((f" {UNKNOWN} ", route.state.value), (f"{passed} before", ""))
+            yield from wrapped(nothing, width, "")
+        else:
+            yield ((f" {DONE} ", "ok"), (passed, ""))
+        return
+    failed = of_route[at]
+    yield from _listed(DONE, "ok", [stage for stage in of_route if stage.done], width)
+    sign, look = (UNKNOWN, "waiting") if failed.done is None else (FAILED, "down")
+    yield ((f" {sign} ", look), (failed.name, "strong"))
+    yield from wrapped(failed.detail, width, look)
+    yield from _listed(UNKNOWN, "dim", [of_route[index] for index in waiting if index != at], width)
+
+
+def _listed(sign: str, look: str, of_route: Sequence[Stage], width: int) -> Iterator[Line]:
+    names = ", ".join(stage.name for stage in of_route)
+    for number, text in enumerate(textwrap.wrap(names, max(10, width - 4))):
+        yield ((f" {' ' if number else sign} ", look), (text, "dim"))
+
+
+def wrapped(text: str, width: int, look: str) -> Iterator[Line]:
+    """A text over as many lines as it takes."""
+    for line in textwrap.wrap(text, max(10, width - 3)):
+        yield ((f"   {line}", look),)
+
+
+def plot(route: RouteSnapshot, title: str, unit: str, width: int) -> Iterator[Line]:
+    """The rate now, and a curve of the last seconds.
+
+    Args:
+        route: whose rate.
+        title: of it.
+        unit: of it.
+        width: of the pane, cells.
+    """
+    cells = max(1, min(width - 2, 60))
+    shown = route.history[-2 * cells :]
+    usual = route.expected_rate if route.calls is None else None  # nobody expects calls
+    top = 1.2 * max(usual or 0.0, *shown, 1.0) if shown else 1.0
+    expected = "" if usual is None else f" of {formats.expected(usual)}"
+    yield (
+        (f" {title}", "head"),
+        (f"  {formats.hertz(present_rate(route)) if carries(route) else '-'} {unit}{expected}", "strong"),
+        (f"  last {2 * cells} s", "dim"),
+    )
+    for line in braille_plot(shown, cells, PLOT_HEIGHT, top):
+        yield ((f" {line}", "plot"),)
+
+
+def ledger(title: str, rows: Sequence[tuple[str, int, str, str]]) -> Iterator[Line]:
+    """Counts, one a line.
+
+    Args:
+        title: above them.
+        rows: of each its name, the count, its look where it is not 0, and what stands behind it.
+    """
+    yield ((f" {title}", "head"),)
+    name_width = max(LABEL, *(len(name) for name, _, _, _ in rows)) + 1
+    for name, count, look, behind in rows:
+        yield (
+            (f" {name:<{name_width}}", "dim"),
+            (f"{formats.thousands(count):>9}", look if count else "dim"),
+            (behind, ""),
+        )
+
+
+def share(part: int, whole: int) -> str:
+    """A part in percent; empty: there is no whole."""
+    return f"  {100 * part / whole:.1f} %" if whole > 0 else ""
+
+
+def throughput(route: RouteSnapshot, width: int) -> Iterator[Line]:
+    """The bytes now, and in all."""
+    total = f"{formats.thousands(route.bytes_total)} in all"
+    yield from figure("bytes", [f"{formats.byte_rate(route.bytes_per_second)},", total], width)
+
+
+def nodes(name: str, of_route: Sequence[str], width: int) -> Iterator[Line]:
+    """Who has a part in it, as far as that is known."""
+    if of_route:
+        yield from figure(name, [f"{node}," for node in of_route[:-1]] + [of_route[-1]], width)
+
+
+def figure(name: str, pieces: Sequence[str], width: int) -> Iterator[Line]:
+    """A named figure, wrapped to the pane's width. A piece that fits on a line is not broken."""
+    room = max(10, width - LABEL - 2)
+    text = " ".join(pieces)
+    if len(text) <= room:  # the usual case, at every refresh
+        yield labelled(name, text)
+        return
+    tied = " ".join(piece.replace(" ", TIED) for piece in pieces)
+    for number, line in enumerate(textwrap.wrap(tied, room)):
+        yield labelled("" if number else name, line.replace(TIED, " ").rstrip())
+
+
+def labelled(name: str, text: str) -> Line:
+    """A named figure on one line."""
+    return ((f" {name:<{LABEL}} ", "dim"), (text, ""))

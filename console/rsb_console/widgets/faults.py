@@ -1,0 +1,195 @@
+"""What is wrong, in words: a line or more for each fault, whichever topic the cursor is on."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import join_first
+from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_console.look import formats
+from rsb_console.look.glyphs import STATE_SIGN
+from rsb_console.widgets.lines import Line, LiveLines, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
+
+_NAMED = 3
+_OWN_NAME = "\0"
+_SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME)
+"""Causes for which a waiting topic is shown here. One that merely has no publisher yet is not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is wrong with a link or a topic.
+
+    Attributes:
+        sign: of its state.
+        look: of that sign.
+        robot: whose topic it is, where there are several robots; or empty.
+        name: the link's, or the topic's.
+        cause: in words.
+        of_link: it is a link's.
+        others: names of those that have the same cause, but for their names.
+    """
+
+    sign: str
+    look: str
+    robot: str
+    name: str
+    cause: str
+    of_link: bool
+    others: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """All in one sentence."""
+        robot = f"{self.robot}: " if self.robot else ""
+        too = f" (also {join_first(self.others, _NAMED)})" if self.others else ""
+        return f"{robot}{self.name}: {self.cause}{too}"
+
+
+class MoreKeys(NamedTuple):
+    """What to press to see the faults that there is no room for: those of links, and those of topics."""
+
+    links: str
+    topics: str
+
+
+class FaultLines(LiveLines):
+    """The faults, the worst first, each in whole sentences; and how many more there are than fit."""
+
+    can_focus = False
+
+    def __init__(self) -> None:
+        super().__init__(id="faults")
+        self._faults: list[Fault] = []
+        self._lines: list[Line] = []
+        self._most = 0
+        self._keys = MoreKeys("", "")
+
+    @property
+    def line_count(self) -> int:
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return self._lines[index]
+
+    def show(self, faults: list[Fault], most: int, keys: MoreKeys) -> None:
+        """Show as many of `faults` as fit.
+
+        Args:
+            faults: the worst first.
+            most: lines that there is room for.
+            keys: that show what there is no room for.
+        """
+        self._faults, self._most, self._keys = faults, most, keys
+        self._lay_out(self.app.size.width)
+        self.sync()
+
+    def on_resize(self) -> None:
+        self._lay_out(self.size.width)
+        super().on_resize()
+
+    def _lay_out(self, width: int) -> None:
+        self._lines = fault_lines(self._faults, width, self._most, self._keys)
+        self.styles.height = len(self._lines)
+
+
+def fault_lines(faults: list[Fault], width: int, most: int, keys: MoreKeys) -> list[Line]:
+    """As many faults as fit, each whole; the first one is cut if it takes too many lines by itself.
+
+    Args:
+        faults: the worst first.
+        width: cells.
+        most: lines.
+        keys: that show what there is no room for.
+    """
+    wrapped = [_wrapped(fault, width) for fault in faults[:most]]
+    if len(faults) <= most and sum(map(len, wrapped)) <= most:
+        return [line for lines in wrapped for line in lines]
+    room = most - (len(faults) > 1)  # the last line says how many more there are
+    shown = wrapped[0] if len(wrapped[0]) <= room else [*wrapped[0][: room - 1], _cut(wrapped[0][room - 1], width)]
+    left_out = faults[most:]
+    for fault, lines in zip(faults[1:], wrapped[1:], strict=False):
+        if len(shown) + len(lines) <= room:
+            shown += lines
+        else:
+            left_out.append(fault)
+    return [*shown, fit(((f"   {_how_many_more(left_out, keys)}", "dim"),), width)] if left_out else shown
+
+
+def _wrapped(fault: Fault, width: int) -> list[Line]:
+    texts = textwrap.wrap(fault.text, max(10, width - 4))
+    return [((f" {' ' if number else fault.sign} ", fault.look), (text, "")) for number, text in enumerate(texts)]
+
+
+def _cut(line: Line, width: int) -> Line:
+    *_, (text, look) = line
+    return fit((*line[:-1], (f"{text} …", look)), width)
+
+
+def _how_many_more(faults: list[Fault], keys: MoreKeys) -> str:
+    """How many faults there is no room for, and what to press to see them."""
+    press = [keys.links] * any(fault.of_link for fault in faults)
+    press += [keys.topics] * any(not fault.of_link for fault in faults)
+    return f"and {sum(1 + len(fault.others) for fault in faults)} more: press {' or '.join(press)}"
+
+
+def faults_of(snapshot: Snapshot) -> list[Fault]:
+    """What is wrong: links, then topics, the worst first; then what waits. What a link explains is not repeated."""
+    if not snapshot.running:
+        return []
+    alike: dict[tuple[str, str, str, bool], list[Fault]] = {}
+    found = (*_link_faults(snapshot), *_topic_faults(snapshot))
+    for fault in sorted(found, key=lambda fault: fault.look == State.WAITING.value):
+        key = fault.sign, fault.robot, fault.cause.replace(fault.name, _OWN_NAME), fault.of_link
+        alike.setdefault(key, []).append(fault)
+    return [replace(first, others=tuple(other.name for other in others)) for first, *others in alike.values()]
+
+
+def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
+    """A single link that waits is told of in the header."""
+    single = len(snapshot.links) == 1
+    for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
+        cause = link_fault(link, server=snapshot.role == "server")
+        if link.state is State.OK and link.warning:
+            yield Fault("!", State.SLOW.value, "", link.name, cause, of_link=True)
+        elif link.state is not State.OK and not (single and link.state is State.WAITING):
+            yield Fault(STATE_SIGN[link.state], link.state.value, "", link.name, cause, of_link=True)
+
+
+def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
+    several = len(snapshot.links) > 1
+    for route in sorted(snapshot.routes, key=lambda route: (route.state.rank, route.topic)):
+        if _needs_words(route):
+            robot = route.link if several else ""
+            yield Fault(STATE_SIGN[route.state], route.state.value, robot, route.topic, _reason(route), of_link=False)
+
+
+def _needs_words(route: RouteSnapshot) -> bool:
+    """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
+    if route.state in {State.OK, State.PAUSED, State.DISARMED} or route.cause == Cause.LINK_DOWN:
+        return False
+    return route.state is not State.WAITING or route.cause in _SHOWN_WHILE_WAITING
+
+
+def _reason(route: RouteSnapshot) -> str:
+    failed = next((stage.detail for stage in route.stages if not stage.done), "")
+    return route.reason or failed or "no cause known"
+
+
+def link_fault(link: LinkSnapshot, *, server: bool) -> str:
+    """Format what is wrong with a link; on a server, who should be there and is not."""
+    since = formats.time_of_day(link.since)[:5]
+    if link.state is State.OK:
+        return link.warning
+    if not server or link.cause not in (LinkCause.LOST, LinkCause.CLOSED, LinkCause.NOT_YET):
+        return link.reason
+    seen = f"last seen at {link.peer}: {link.reason}" if link.peer else "not seen yet"
+    return f"missing since {since}, {seen}"

@@ -1,0 +1,334 @@
+"""The commands about services, actions and parameters: adding and naming them, calling them, and what is printed."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.command.test_remote import Ran
+from tests.console.scripted import SESSION, ScriptedEngine, route
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from tests.support.control import Machine
+
+    from rsb_bridge.model.session import Kind
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+
+def called(topic: str, kind: Kind = "service", **changes: Any) -> RouteSnapshot:
+    """What can be called; the client's node answers."""
+    lanes = {"action": ("send_goal", "cancel_goal"), "parameters": ("get_parameters", "set_parameters")}
+    return replace(
+        route(topic, key=f"{kind} {topic}", spec=Topic(topic, "receive", kind=kind)),
+        **{"calls": CallsSnapshot(), "ledger": Ledger(), "rate": 0.0, "lanes": lanes.get(kind, ("",)), **changes},
+    )
+
+
+DOCK = called("/dock", calls=CallsSnapshot(9, 4, 1, {"calls a second": 2}, 1, 1), rate=2.5)
+NAVIGATE = called("/navigate", "action", goals=(GoalSnapshot("ab" * 16, "executing", 1.0, 5, result_awaited=True),))
+NODE = called("/controller", "parameters")
+SCAN = route("/dock", key="scan", outgoing=True, spec=Topic("/dock", "transmit"))
+
+
+@pytest.fixture(autouse=True)
+def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+
+
+@pytest.fixture
+def engine(machine: Machine) -> ScriptedEngine:
+    routes = (DOCK, NAVIGATE, NODE)
+    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=tuple(r.spec for r in routes)), routes=routes)
+    machine.serve(made)
+    return made
+
+
+@pytest.fixture
+def ran(capsys: pytest.CaptureFixture[str]) -> Any:
+    return lambda *arguments: Ran(capsys, *arguments)
+
+
+def answer(engine: ScriptedEngine, text: str) -> None:
+    engine.called.set_result(text)
+
+
+# --- adding, and naming
+
+
+@pytest.mark.parametrize(
+    ("words", "topic"),
+    [
+        (("--service", "/map", "--provider", "server"), Topic("/map", "transmit", kind="service")),
+        (("/map", "--kind", "service", "provider=client"), Topic("/map", "receive", kind="service")),
+        (
+            ("--action", "/go", "--provider", "client", "timeout=5", "remote_action=/far", "arm=yes"),
+            Topic("/go", "receive", kind="action", timeout=5.0, remote_topic="/far", arm=True),
+        ),
+        (
+            ("/map", "--service", "type=nav_msgs/srv/GetMap", "--provider", "client", "max_rate=2"),
+            Topic("/map", "receive", kind="service", type="nav_msgs/srv/GetMap", max_rate=2.0),
+        ),
+        (("--parameters", "/n", "provider=client"), Topic("/n", "receive", kind="parameters")),
+    ],
+)
+def test_what_is_called_is_added_with_its_provider(
+    ran: Any, engine: ScriptedEngine, words: tuple[str, ...], topic: Topic
+) -> None:
+    assert ran("add", *words).code == 0
+    assert engine.commands == [("add", topic, "")]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (
+            ("--service", "/map"),
+            "the provider is missing. It is the side whose node answers",
+        ),
+        (("--service", "/map", "transmit"), "'transmit' is no KEY=VALUE"),
+        (("/map", "transmit", "--provider", "client"), "a topic has a direction, and no provider; --service adds"),
+        (("--service", "/map", "provider=robot"), "provider: 'robot' is not one of client, server"),
+        (
+            ("--service", "/map", "provider=client", "qos=5"),
+            "qos=5: calls have ROS's own QoS: leave it out (keys",
+        ),
+        (("--service", "/map", "provider=client", "timout=5"), "timout=5: unknown key; did you mean timeout?"),
+        (("--service", "/map", "provider=client", "timeout=0"), "timeout: 0.0 is out of range: 0.1 to 86400 s"),
+        (("--service", "map", "provider=client"), "service: 'map' is not an absolute service name"),
+        (("--service", "/map", "provider=client", "remote_service=x"), "remote_service: 'x' is not an absolute"),
+        (("--service", "/map", "provider=client", "type=Trigger"), "type: 'Trigger' is no type of a service"),
+        (("--service", "/dock", "provider=client"), "service: /dock (provider: client) is there already, as number 1"),
+        (("/map", "transmit", "timeout=5"), "timeout=5: a topic has none"),
+    ],
+)
+def test_what_is_not_valid_is_said_in_words(ran: Any, engine: ScriptedEngine, words: tuple[str, ...], why: str) -> None:
+    refused = ran("add", *words)
+    assert (refused.code, why in refused.err) == (2, True), refused.err
+    assert engine.commands == []
+
+
+def test_every_kind_is_edited_paused_armed_and_removed_by_its_name(ran: Any, engine: ScriptedEngine) -> None:
+    for each in (DOCK, NAVIGATE, NODE):
+        assert ran("edit", each.topic, "timeout=5", "paused=yes").code == 0
+        for command in ("remove", "pause", "disarm"):
+            assert ran(command, each.topic).code == 0
+    changes = [replace_spec(each, timeout=5.0, paused=True) for each in (DOCK, NAVIGATE, NODE)]
+    assert [each[:3] for each in engine.commands if each[0] == "edit"] == [
+        ("edit", each.key, changed) for each, changed in zip((DOCK, NAVIGATE, NODE), changes, strict=True)
+    ]
+    assert [each[1] for each in engine.commands if each[0] == "remove"] == [DOCK.key, NAVIGATE.key, NODE.key]
+
+
+def replace_spec(route: RouteSnapshot, **changes: Any) -> Topic:
+    return msgspec.structs.replace(route.spec, **changes)
+
+
+def test_a_topic_and_a_service_of_one_name_are_told_apart_by_their_kind(ran: Any, engine: ScriptedEngine) -> None:
+    engine.now = replace(engine.now, routes=(DOCK, SCAN))
+    asked = ran("pause", "/dock")
+    assert asked.code == 2
+    assert "/dock is bridged 2 times; say which: --kind service; --kind topic" in asked.err
+    assert ran("pause", "/dock", "--kind", "service").code == 0
+    assert ran("remove", "/dock", "--kind", "topic").code == 0
+    assert engine.commands == [("pause", DOCK.key, True), ("remove", "scan")]
+    other = replace(DOCK, link="robot2", key="other")
+    engine.now = replace(engine.now, routes=(DOCK, SCAN, other))
+    both = "--link robot1 --direction receive --kind service; --kind topic; --link robot2 --direction receive --kind"
+    assert both in ran("pause", "/dock").err
+
+
+def test_a_command_that_is_not_for_a_kind_says_what_there_is_instead(ran: Any, engine: ScriptedEngine) -> None:
+    echoed = ran("echo", "/dock", "--once")
+    assert (echoed.code, "/dock is bridged as a service, and not as a topic" in echoed.err) == (2, True)
+    engine.now = replace(engine.now, routes=(SCAN, NODE))
+    assert "/dock is bridged as a topic, and not as a service or an action or" in ran("call", "/dock").err
+    assert "/contrller is not bridged; did you mean /controller?" in ran("param", "list", "/contrller").err
+
+
+# --- what is printed
+
+
+def test_status_and_topics_tell_of_calls(ran: Any, engine: ScriptedEngine) -> None:
+    refused = replace(NODE, state=State.DOWN, reason="no server of /controller/get_parameters")
+    armed = replace(NAVIGATE, arming=ArmingSnapshot(armed=True, by="anna"))
+    engine.now = replace(engine.now, routes=(DOCK, armed, refused))
+    lines = [line.strip() for line in ran("status").out.splitlines()]
+    assert "← service /dock 2.5 calls/s, 1 under way (1 expired, 2 refused, 1 lost)" in lines
+    assert "← action /navigate ARMED (anna): 0.0 calls/s" in lines
+    assert "← parameters /controller DOWN: no server of /controller/get_parameters" in lines
+    assert ran("topics").out.splitlines()[0] in lines
+    down = replace(engine.now.links[0], state=State.DOWN, reason="no answer")
+    engine.now = replace(engine.now, links=(down,))
+    assert (
+        "1 service, 1 action, parameters of 1 node wait for it: /dock, /navigate and /controller" in ran("status").out
+    )
+
+
+def test_programs_get_the_calls_and_the_goals(ran: Any, engine: ScriptedEngine) -> None:
+    engine.now = replace(engine.now, routes=(DOCK, NAVIGATE, SCAN))
+    dock, navigate, scan = ran("status", "--json").json["routes"]
+    assert (dock["kind"], dock["provider"], navigate["kind"], scan["kind"]) == (
+        "service", "client", "action", "topic"
+    )  # fmt: skip
+    assert (dock["calls"]["asked"], dock["calls"]["refused"]) == (9, {"calls a second": 2})
+    assert [goal["state"] for goal in navigate["goals"]] == ["executing"]
+    assert not {"calls", "goals", "provider"} & scan.keys()
+    assert (dock["goals"], "delivered" in dock) == ([], False)
+
+
+@pytest.mark.parametrize(("offered", "code"), [(True, 0), (None, 1)])
+def test_a_service_flows_once_it_can_be_called(
+    ran: Any, engine: ScriptedEngine, offered: bool | None, code: int
+) -> None:
+    stages = (Stage("server seen", True), Stage("offered", offered), Stage("called", None))
+    waits = replace(DOCK, state=State.WAITING, reason="not called yet", stages=stages)
+    engine.now = replace(engine.now, routes=(waits,))
+    assert ran("wait", "--for", "flowing", "/dock", "--timeout", "0").code == code
+
+
+# --- calling
+
+
+def test_a_call_prints_the_response(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    answer(engine, "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n")
+    assert ran("call", "/dock").out == "success: true\nmessage: 'docked'\n# the first 3 of 9 elements\n"
+    assert ran("call", "/dock", "{speed: 1}", "--json").json == {
+        "ok": True, "response": {"success": True, "message": "docked"}
+    }  # fmt: skip
+    monkeypatch.setattr("sys.stdin", io.StringIO("speed: 2\n"))
+    assert ran("call", "/dock", "-").code == 0
+    assert ran("call", "/navigate", "--lane", "cancel_goal").code == 0
+    assert engine.commands == [
+        ("call", DOCK.key, "", ""),
+        ("call", DOCK.key, "{speed: 1}", ""),
+        ("call", DOCK.key, "speed: 2\n", ""),
+        ("call", NAVIGATE.key, "", "cancel_goal"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("/navigate",), "consists of several: say which with --lane (send_goal, cancel_goal)"),
+        (("/navigate", "--lane", "send_gaol"), "has no 'send_gaol'; did you mean send_goal?: say which with"),
+        (("/dock", "--lane", "send_goal"), "/dock is one service: leave out --lane"),
+    ],
+)
+def test_which_service_is_called_has_to_be_clear(
+    ran: Any, engine: ScriptedEngine, words: tuple[str, ...], why: str
+) -> None:
+    refused = ran("call", *words)
+    assert (refused.code, why in refused.err) == (2, True)
+    assert engine.commands == []
+
+
+def test_a_call_without_an_answer_fails(ran: Any, engine: ScriptedEngine) -> None:
+    engine.called.set_exception(EngineError("/dock gave no answer within 30 s"))
+    failed = ran("call", "/dock")
+    assert (failed.code, failed.err) == (1, "rsb-console: /dock gave no answer within 30 s\n")
+    assert ran("call", "/dock", "--json").json == {"ok": False, "error": "/dock gave no answer within 30 s"}
+
+
+class Node:
+    """Answers calls of its parameter services, in an engine's place."""
+
+    def __init__(self, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch, **answers: str) -> None:
+        self.asked: list[tuple[str, Any]] = []
+        self._answers = answers
+
+        def call(key: str, request: str, lane: str = "") -> Future[str]:
+            from concurrent.futures import Future as MadeFuture
+
+            from rsb_bridge.config.fields_text import read_fields
+
+            self.asked.append((lane, read_fields(request)))
+            future: Future[str] = MadeFuture()
+            future.set_result(self._answers[lane])
+            return future
+
+        monkeypatch.setattr(engine, "call", call)
+
+
+def test_parameters_are_listed_got_and_set(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine.now = replace(engine.now, routes=(NODE,))
+    value = "type: 6\n  bool_value: false\n  byte_array_value: []\n  bool_array_value: [true, false]\n"
+    node = Node(
+        engine,
+        monkeypatch,
+        list_parameters="result:\n  names: [use_sim_time, gains]\n  prefixes: []\n",
+        get_parameters=f"values:\n- {value}",
+        set_parameters="results:\n- {successful: true, reason: ''}\n",
+    )
+    assert ran("param", "list", "/controller").out == "use_sim_time\ngains\n"
+    assert ran("param", "get", "/controller", "flags").out == "[true, false]\n"
+    assert ran("param", "get", "/controller", "flags", "--json").json == {"ok": True, "value": [True, False]}
+    for text in ("true", "3", "-0.5", "fast", "'3'", "[1, 2]", "[1.0, 2.5]", "[a, b]", ""):
+        assert ran("param", "set", "/controller", "gain", text).code == 0
+    assert node.asked[:2] == [("list_parameters", {}), ("get_parameters", {"names": ["flags"]})]
+    assert [asked["parameters"] for _, asked in node.asked[3:]] == [
+        [{"name": "gain", "value": {"type": kind, field: value}}]
+        for kind, field, value in (
+            ("1", "bool_value", "true"),
+            ("2", "integer_value", "3"),
+            ("3", "double_value", "-0.5"),
+            ("4", "string_value", "fast"),
+            ("4", "string_value", "3"),
+            ("7", "integer_array_value", ["1", "2"]),
+            ("8", "double_array_value", ["1.0", "2.5"]),
+            ("9", "string_array_value", ["a", "b"]),
+            ("4", "string_value", ""),
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    "text", ["{a: 1}", "[1, a]", "[]", "null", "[1", "[[1]]", "9223372036854775808", "[1, -1e5, 99999999999999999999]"]
+)
+def test_what_is_no_value_is_not_sent(ran: Any, engine: ScriptedEngine, text: str) -> None:
+    refused = ran("param", "set", "/controller", "gain", text)
+    assert refused.code == 2
+    assert refused.err.startswith(f"rsb-console: {text}: ")
+    assert engine.commands == []
+
+
+def test_a_node_that_refuses_is_quoted(ran: Any, engine: ScriptedEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    Node(
+        engine,
+        monkeypatch,
+        set_parameters="results:\n- {successful: false, reason: 'read only'}\n",
+        get_parameters="values: []\n",
+        list_parameters="# not read further: too short\n",
+    )
+    refused = ran("param", "set", "/controller", "gain", "1")
+    assert (refused.code, refused.err) == (1, "rsb-console: /controller does not set gain: read only\n")
+    unknown = ran("param", "get", "/controller", "gian")
+    assert (unknown.code, unknown.err) == (1, "rsb-console: /controller has no parameter gian, or it has no value\n")
+    unreadable = ran("param", "list", "/controller")
+    assert (unreadable.code, "cannot be read" in unreadable.err) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("call", "/dock"),
+        ("param", "dump", "/n"),
+        ("param", "describe", "/n", "a"),
+        ("param", "list", "/n"),
+        ("param", "get", "/n", "a"),
+        ("param", "set", "/n", "a", "1"),
+    ],
+)
+def test_without_a_bridge_they_say_so(ran: Any, machine: Machine, words: tuple[str, ...]) -> None:
+    machine.serve()
+    refused = ran(*words, "--bridge", "robot7")
+    assert (refused.code, "no bridge 'robot7' runs here" in refused.err) == (3, True)

@@ -1,0 +1,64 @@
+"""What the documents say of the JSON streams and of exit codes is what the programs print."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.console.scripted import EVENTS, ScriptedEngine, route
+
+from rsb_bridge.model.calls import CallsSnapshot
+from rsb_console.command import shell
+from rsb_console.command.arguments import EPILOG
+from rsb_console.command.reports import json_event, json_status, route_of
+
+HEADLESS = (Path(__file__).parents[2] / "docs" / "headless.md").read_text()
+
+
+def rows(heading: str) -> list[str]:
+    """The first cells of the table under a heading."""
+    section = re.split(r"\n#+ ", HEADLESS.partition(f"# {heading}\n")[2])[0]
+    return [line.split("|")[1] for line in section.splitlines() if line.startswith("|")][2:]
+
+
+def fields(heading: str) -> set[str]:
+    """The fields that a table lists, each in code."""
+    return {field for cell in rows(heading) for field in re.findall(r"`(\w+)`", cell)}
+
+
+STATUS = json.loads(json_status(ScriptedEngine().now))["status"]
+
+
+@pytest.mark.parametrize(
+    ("heading", "printed"),
+    [
+        ("An event", json.loads(json_event(EVENTS[0]))),
+        ("A link", STATUS["links"]["robot1"]),
+        ("A route", STATUS["routes"][0]),
+    ],
+)
+def test_the_fields_that_are_documented_are_printed(heading: str, printed: dict[str, object]) -> None:
+    assert fields(heading) == printed.keys()
+
+
+def test_the_fields_of_calls_that_are_documented_are_printed() -> None:
+    topic, called = (
+        route_of(replace(route("/dock"), calls=calls)) for calls in (None, CallsSnapshot())
+    )  # fmt: skip
+    shared = [*topic][: [*topic].index("latency_p99") + 1]
+    assert [*called] == [*shared, *re.findall(r"^\| `(\w+)` \|", called_section(), re.MULTILINE)]
+
+
+def called_section() -> str:
+    """What is said of the fields of what is called."""
+    return re.split(r"\n#+ ", HEADLESS.partition("### A route of calls\n")[2])[0]
+
+
+def test_exit_codes_stand_in_one_table_and_in_the_help() -> None:
+    codes = [int(code) for cell in rows("Exit codes") for code in cell.split(",")]
+    names = ("OK", "FAILURE", "USAGE", "NOT_RUNNING", "ALREADY_RUNNING", "INTERRUPTED", "TERMINATED")
+    assert codes == [getattr(shell, name) for name in names]
+    assert codes == [int(code) for code in re.findall(r"^  (\d+) ", EPILOG, re.MULTILINE)]

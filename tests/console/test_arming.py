@@ -1,0 +1,230 @@
+"""Arming on the console: the question, the marks, the keys, and a console that dies."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.console.driving import drive, engine_of, gone, on_main, put, scripted_app, shown, text, until
+from tests.console.live import COMMAND, Pair, running, talker
+from tests.console.scripted import route
+from tests.console.side import every_so_often
+from tests.console.tmux import Tmux
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import ArmingSnapshot, State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from textual.pilot import Pilot
+
+    from rsb_console.app import ConsoleApp
+
+CHATTER = "/chatter"
+DISARMED = route(
+    "/cmd_vel", State.DISARMED, outgoing=True, reason="nobody has armed it: arm it", cause="disarmed", rate=0.0,
+    arming=ArmingSnapshot(armed=False, deadman=60.0),
+)  # fmt: skip
+ARMED = replace(
+    DISARMED, state=State.OK, reason="", cause="",
+    arming=ArmingSnapshot(armed=True, by="robot1 says: anna (uid 1000)", here=True, left=42.0, deadman=60.0),
+)  # fmt: skip
+
+
+@on_main()
+async def test_a_question_that_names_topic_and_robot_comes_before(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, DISARMED)
+    await shown(pilot, "A arm")
+    await shown(pilot, "⊘ DISARMED")
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("enter")  # the focus is on No
+    await gone(pilot, "Arm /cmd_vel of robot1?")
+    assert engine_of(app).commands == []
+    await pilot.press("A")
+    await shown(pilot, "Arm /cmd_vel of robot1?")
+    await pilot.press("y")
+    await until(pilot, lambda: engine_of(app).commands == [("arm", "/cmd_vel")], "armed")
+
+
+@on_main()
+async def test_an_armed_topic_is_marked_and_disarmed_at_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, ARMED)
+    await shown(pilot, "◆ ARMED    /cmd_vel")
+    await shown(pilot, "◆ 1 ARMED 42 s")
+    await shown(pilot, "robot1 says: anna")
+    await shown(pilot, "A disarm")
+    await pilot.press("A")
+    await until(pilot, lambda: engine_of(app).commands == [("disarm", "/cmd_vel")], "disarmed")
+
+
+@on_main((80, 24))
+async def test_the_marks_are_there_on_a_small_screen(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, ARMED)
+    await shown(pilot, "◆ ARMED    /cmd_vel")
+    await shown(pilot, "◆ 1 ARMED 42 s")
+
+
+@on_main(ascii_only=True)
+async def test_the_marks_are_there_in_ascii(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, ARMED)
+    await shown(pilot, "* ARMED    /cmd_vel")
+
+
+@on_main()
+async def test_keys_keep_it_armed(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    put(app, ARMED)
+    kept = engine_of(app).kept
+    await until(pilot, lambda: len(kept) > 2, "signs of life")
+    assert not any(kept)
+    await pilot.press("j")
+    await until(pilot, lambda: any(kept), "a key")
+    kept.clear()
+    await until(pilot, lambda: len(kept) > 2, "signs of life")
+    assert not any(kept)
+
+
+@on_main()
+async def test_what_need_not_be_armed_has_no_key(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert "A arm" not in text(app)
+    await pilot.press("A")
+    await pilot.press("p")
+    await until(pilot, lambda: engine_of(app).commands, "paused")
+    assert [command[0] for command in engine_of(app).commands] == ["pause"]
+    assert engine_of(app).kept == []
+
+
+def test_a_console_that_only_watches_arms_nothing() -> None:
+    app = scripted_app(readonly=True)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        put(app, DISARMED)
+        await pilot.press("A")
+        await shown(pilot, "read-only: nothing can be changed here")
+        assert engine_of(app).commands == []
+
+    drive(app, steps)
+
+
+# --- with real processes
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Pair:
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    return Pair(tmp_path, Topic(CHATTER, "transmit", arm=True, deadman=0.0))
+
+
+class Robot:
+    """The client's bridge, without a console, as others attach to it."""
+
+    def __init__(self, control: Path) -> None:
+        self._control = str(control)
+
+    def command(self, *words: str) -> list[str]:
+        return [str(COMMAND), *words, "--control", self._control]
+
+    def ask(self, *words: str) -> list[dict[str, Any]]:
+        command = self.command(*words, "--json")
+        ran = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        return [json.loads(line) for line in ran.stdout.splitlines()]
+
+    def topic(self) -> dict[str, Any]:
+        answers = self.ask("topics")
+        found = answers[0].get("topics") if answers else None
+        return dict(found[0]) if found else {"state": "", "arming": {"armed": None}}
+
+    def is_set_up(self) -> None:
+        every_so_often(lambda: self.topic()["state"] == "disarmed", "disarmed")
+
+    def why_disarmed(self) -> str:
+        causes = [event["cause"] for event in self.ask("events") if event["code"] == "route.disarmed"]
+        return causes[-1] if causes else ""
+
+
+@pytest.fixture
+def robot(pair: Pair, tmp_path: Path) -> Iterator[Robot]:
+    """It is linked with a server, and its topic is published."""
+    made = Robot(tmp_path / "robot.sock")
+    with (
+        pair.server(),
+        talker(CHATTER),
+        running(*made.command("run", "--no-ui", str(pair.client_path))),
+    ):
+        made.is_set_up()
+        yield made
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+@pytest.mark.parametrize("end", ["killed", "terminal gone"])
+def test_a_console_that_dies_disarms(end: str, robot: Robot, tmp_path: Path) -> None:
+    tmux = Tmux(tmp_path, *robot.command("attach"), size=(160, 40))
+    try:
+        tmux.wait_for("⊘ DISARMED")
+        tmux("send-keys", "A")
+        tmux.wait_for(f"Arm {CHATTER} of robot1?")
+        tmux("send-keys", "y")
+        tmux.wait_for("◆ ARMED")
+        assert robot.topic()["arming"]["armed"] is True
+        if end == "killed":
+            os.kill(int(tmux("display-message", "-p", "#{pane_pid}")), signal.SIGKILL)
+        else:
+            tmux("kill-server")
+    finally:
+        with contextlib.suppress(subprocess.CalledProcessError):  # it ends with its last pane
+            tmux("kill-server")
+    robot.is_set_up()
+    assert robot.why_disarmed() == "console_gone"
+
+
+def test_the_robot_s_own_console_that_dies_disarms_the_other_side(pair: Pair, tmp_path: Path) -> None:
+    """Its bridge dies with it: the link drops."""
+    there = Robot(tmp_path / "server.sock")
+    with (
+        running(*there.command("run", "--no-ui", str(pair.server_path))),
+        talker(CHATTER),
+        Tmux(tmp_path, str(COMMAND), str(pair.client_path), "--control", str(tmp_path / "own.sock")) as tmux,
+    ):
+        tmux.wait_for("⊘ DISARMED")
+        tmux("send-keys", "A")
+        tmux.wait_for(f"Arm {CHATTER} of robot1?")
+        tmux("send-keys", "y")
+        tmux.wait_for("◆ ARMED")
+        armed = every_so_often(lambda: there.topic()["arming"], "armed there, too")
+        assert (armed["armed"], armed["here"]) == (True, False)
+        tmux("set-option", "-g", "remain-on-exit", "on")
+        os.kill(int(tmux("display-message", "-p", "#{pane_pid}")), signal.SIGKILL)
+        every_so_often(there.why_disarmed, "disarmed")
+        assert there.why_disarmed() in ("link_lost", "channel_lost"), "whichever connection is seen to end first"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "kill -9"])
+def test_the_command_holds_it_armed_while_it_runs(number: signal.Signals, robot: Robot) -> None:
+    command = robot.command("arm", CHATTER)
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as arming:
+        assert arming.stdout is not None
+        assert "ARMED" in arming.stdout.readline()
+        assert robot.topic()["arming"]["armed"] is True
+        arming.send_signal(number)
+        assert arming.wait(60) == (130 if number is signal.SIGINT else -signal.SIGKILL)
+    robot.is_set_up()
+    assert robot.why_disarmed() == "console_gone"
+
+
+def test_another_disarms_what_the_command_holds_armed(robot: Robot) -> None:
+    command = robot.command("arm", CHATTER)
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as arming:
+        assert arming.stdout is not None
+        assert "ARMED" in arming.stdout.readline()
+        assert robot.ask("disarm", CHATTER) == [{"ok": True}]
+        assert arming.wait(60) == 1

@@ -1,0 +1,495 @@
+"""Calling a service by hand, sending a goal and setting a parameter, on an engine that plays a script."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from rich.cells import cell_len
+from tests.console.driving import (
+    NARROW,
+    AppSteps,
+    choose,
+    drive,
+    engine_of,
+    fill,
+    form_of,
+    gone,
+    put,
+    scripted_app,
+    settled,
+    shown,
+    text,
+    until,
+)
+from tests.console.scripted import CALL_ROUTES, ROUTES, ScriptedEngine, call_route
+from textual.pilot import Pilot
+from textual.widgets import Button
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.fields_text import read_fields
+from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.snapshot import State
+from rsb_console.actions.registry import BY_ID
+from rsb_console.app import ConsoleApp
+from rsb_console.screens.call import answer_lines
+from rsb_console.session.parameters import KIND_NAMES, refusal, set_request
+from rsb_console.widgets.scrolled import ScrolledLines
+
+MODE, MAP, NAVIGATE, PARAMETERS = CALL_ROUTES
+TEMPLATES = {"": "data: false\n", "send_goal": "pose:\n  x: 0.0\n", "get_parameters": "names: []\n"}
+
+
+def on(route: Any, size: tuple[int, int] = (120, 36), **options: Any) -> Callable[[AppSteps], Callable[[], None]]:
+    """A test's steps run with one thing bridged, whose requests' fields are known."""
+
+    def decorate(steps: AppSteps) -> Callable[[], None]:
+        def test() -> None:
+            def make(session: Any, base: Any) -> ScriptedEngine:
+                engine = ScriptedEngine(session, base, (route,))
+                engine.templates = dict(TEMPLATES)
+                return engine
+
+            app = scripted_app(make_engine=make, **options)
+
+            async def run(pilot: Pilot[None]) -> None:
+                await shown(pilot, route.topic)
+                await steps(app, pilot)
+
+            drive(app, run, size)
+
+        return test
+
+    return decorate
+
+
+def calls(app: ConsoleApp) -> list[tuple[object, ...]]:
+    return [command for command in engine_of(app).commands if command[0] == "call"]
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_a_service_is_called_once_it_is_confirmed_and_answers(size: tuple[int, int]) -> None:
+    @on(MODE, size=size)
+    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await pilot.press("C")
+        await shown(pilot, "data: false")
+        await shown(pilot, "nothing has been called yet")
+        await fill(pilot, request="data: true")
+        await pilot.press("f9")
+        await shown(pilot, "Call /robot1/set_mode?")
+        assert app.focused is app.screen.query_one("#no", Button), "No is what enter gives"
+        await shown(pilot, "It is sent once, to the node behind 10.0.0.20:49152:")
+        assert calls(app) == []
+        await pilot.press("y")
+        await until(pilot, lambda: calls(app) == [("call", MODE.key, "data: true", "")], "the call")
+        await shown(pilot, "▸ waiting for the answer")
+        assert "given up after 30 s" in text(app)
+        engine_of(app).called.set_result("success: true\nmessage: moved\n")
+        await shown(pilot, "message: moved")
+        assert "✓ answered after" in text(app)
+        assert "waiting for the answer" not in text(app)
+
+    test()
+
+
+@on(MODE)
+async def test_no_is_no_and_the_form_stays(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9")
+    await shown(pilot, "Call /robot1/set_mode?")
+    await pilot.press("enter")
+    await gone(pilot, "Call /robot1/set_mode?")
+    assert calls(app) == []
+    await shown(pilot, "nothing has been called yet")
+    await pilot.press("escape")
+    await gone(pilot, "nothing has been called yet")
+
+
+@on(MODE)
+async def test_why_there_is_no_answer_is_said_and_one_can_try_again(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    engine_of(app).called.set_exception(EngineError("/set_mode gave no answer within 30 s\x1b[2J"))
+    await shown(pilot, "✗ /set_mode gave no answer within 30 s")
+    await settled(pilot)
+    assert all(line.isprintable() for line in text(app).split("\n"))
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: len(calls(app)) == 2, "another call")
+
+
+@on(MODE)
+async def test_what_is_under_way_is_not_sent_again_and_keys_still_do_something(
+    app: ConsoleApp, pilot: Pilot[None]
+) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
+    await shown(pilot, "✗ DOWN  std_srvs/srv/SetBool  no server any more")
+    await pilot.press("f9")
+    await until(pilot, lambda: app._notifications, "why not")
+    assert len(calls(app)) == 1
+    await pilot.press("escape")
+    await gone(pilot, "waiting for the answer")
+    assert engine_of(app).called.cancelled(), "nobody waits any more"
+    put(app, *ROUTES)
+    await shown(pilot, "/robot1/scan")
+
+
+@on(MODE)
+async def test_what_is_no_request_is_said_as_it_is_typed(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    for wrong, words in (
+        ("- 1\n- 2", "not a mapping of fields"),
+        ("data: [", "while parsing"),
+        ("a: &x 1\nb: *x", "alias"),
+    ):
+        await fill(pilot, request=wrong)
+        await shown(pilot, words)
+        await pilot.press("f9")
+        await settled(pilot)
+        assert "Call /robot1/set_mode?" not in text(app)
+    await fill(pilot, request="")
+    await gone(pilot, "aliases")
+    await pilot.press("f9")
+    await shown(pilot, "(the default of every field)")
+    await pilot.press("y")
+    await until(pilot, lambda: calls(app) == [("call", MODE.key, "", "")], "an empty request")
+
+
+@on(call_route("service", "/unknown"))
+async def test_without_the_type_the_form_says_why_and_can_be_filled_in(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).templates = {}
+    await pilot.press("C")
+    await shown(pilot, "Its fields are not known: std_srvs is not installed here")
+    await fill(pilot, request="data: true")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+
+
+@on(MODE)
+async def test_what_the_operator_has_written_is_not_replaced(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    engine_of(app).templates = {}
+    await pilot.press("C")
+    await shown(pilot, "not installed")
+    await fill(pilot, request="data: true")
+    engine_of(app).templates = dict(TEMPLATES)
+    form = form_of(app)
+    assert form.values["request"] == "data: true"
+
+
+@on(NAVIGATE)
+async def test_of_an_action_each_service_can_be_called(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "◉ send_goal   ○ cancel_goal   ○ get_result")
+    await shown(pilot, "pose:")
+    await choose(pilot, "lane", "cancel_goal")
+    await gone(pilot, "pose:")
+    await fill(pilot, request="goal_info: {}")
+    await pilot.press("f9")
+    await shown(pilot, "Call cancel_goal of /navigate_to_pose?")
+    await pilot.press("y")
+    await until(pilot, lambda: calls(app) == [("call", NAVIGATE.key, "goal_info: {}", "cancel_goal")], "the call")
+    await shown(pilot, "waiting for the answer")
+    assert "given up" not in text(app), "a result may take as long as it likes"
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW])
+def test_a_parameter_is_set_by_its_name_and_value(size: tuple[int, int]) -> None:
+    @on(PARAMETERS, size=size)
+    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await pilot.press("C")
+        await shown(pilot, "set one parameter")
+        await pilot.press("f9")
+        await shown(pilot, "missing: name the parameter")
+        await shown(pilot, "missing: 5, 5.0, true")
+        await fill(pilot, name="max_vel_x", value="0.5")
+        await pilot.press("enter")
+        await shown(pilot, "Set max_vel_x of /controller_server?")
+        await shown(pilot, "0.5 (double)")
+        await pilot.press("y")
+        await until(pilot, lambda: calls(app), "the call")
+        _, key, request, lane = calls(app)[0]
+        assert (key, lane) == (PARAMETERS.key, "set_parameters")
+        assert read_fields(str(request)) == {
+            "parameters": [{"name": "max_vel_x", "value": {"type": "3", "double_value": "0.5"}}]
+        }
+        engine_of(app).called.set_result("results:\n- successful: true\n  reason: ''\n")
+        await shown(pilot, ": the node has set it")
+
+    test()
+
+
+@on(PARAMETERS)
+async def test_a_node_that_refuses_a_value_is_believed(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await fill(pilot, name="max_vel_x", value="fast")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    engine_of(app).called.set_result("results:\n- successful: false\n  reason: Wrong parameter type\n")
+    await shown(pilot, "✗ answered after")
+    await shown(pilot, "the node refuses it: Wrong parameter type")
+
+
+@on(PARAMETERS)
+async def test_parameters_have_their_other_services_too(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "set one parameter")
+    await choose(pilot, "lane", "get_parameters")
+    await shown(pilot, "names: []")
+    assert "Parameter  " not in text(app)
+    await fill(pilot, request="names: [max_vel_x]")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    assert calls(app) == [("call", PARAMETERS.key, "names: [max_vel_x]", "get_parameters")]
+
+
+@on(MODE, size=NARROW)
+async def test_a_long_answer_scrolls_and_is_cut_with_a_note(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    answer = "".join(f"line_{number}: {number}\n" for number in range(3000))
+    engine_of(app).called.set_result(answer)
+    await shown(pilot, "line_0: 0")
+    await pilot.press("G")
+    await shown(pilot, "only the first 2 000 lines are shown")
+    await shown(pilot, "line_1999: 1999")
+    await pilot.press("y")
+    await until(pilot, lambda: app.clipboard == answer, "all of it, copied")
+
+
+@pytest.mark.parametrize("size", [(120, 36), NARROW, (80, 12)])
+@pytest.mark.parametrize(
+    ("request_", "last"),
+    [
+        ("data: " + "long " * 600 + "last", "last"),
+        ("\n".join(f"line_{number}: {number}" for number in range(100)), "line_99: 99"),
+        ("data:" + " long" * 2000, "characters more)"),
+    ],
+    ids=["a long line", "many lines", "too much"],
+)
+def test_the_buttons_stay_in_sight_below_a_long_request(size: tuple[int, int], request_: str, last: str) -> None:
+    @on(MODE, size=size)
+    async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await pilot.press("C")
+        await until(pilot, lambda: form_of(app).values["request"], "the template")
+        await fill(pilot, request=request_)
+        await pilot.press("f9")
+        await shown(pilot, "Call        No")
+        await shown(pilot, "↑ ↓ scroll")
+        assert last not in text(app)
+        await pilot.press("G")
+        await shown(pilot, last)
+        await shown(pilot, "Call        No")
+        assert calls(app) == []
+        await pilot.press("y")
+        await until(pilot, lambda: calls(app) == [("call", MODE.key, request_, "")], "all of it")
+
+    test()
+
+
+@on(MODE)
+async def test_a_short_question_has_nothing_to_scroll(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9")
+    await shown(pilot, "y yes   n no")
+    await settled(pilot)
+    assert "scroll" not in text(app)
+
+
+@on(MODE)
+async def test_an_answer_is_laid_out_once(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    engine_of(app).called.set_result("".join(f"line_{number}: {number}\n" for number in range(10_000)))
+    await shown(pilot, "line_0: 0")
+    pane = app.screen.query_one("#answer", ScrolledLines)
+    await pilot.press("G")
+    await shown(pilot, "line_1999: 1999")
+    shown_lines, at = pane._lines, pane.scroll_offset
+    put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
+    await shown(pilot, "no server any more")  # drawn by the timer
+    assert pane._lines is shown_lines
+    assert pane.scroll_offset == at
+    await pilot.resize_terminal(70, 36)
+    await until(pilot, lambda: pane._lines is not shown_lines, "laid out for the new width")
+
+
+@on(MODE)
+async def test_what_is_copied_is_told_in_few_words(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("C")
+    await shown(pilot, "data: false")
+    await pilot.press("f9", "y")
+    await until(pilot, lambda: calls(app), "the call")
+    engine_of(app).called.set_result("message: " + "x" * 50_000)
+    await shown(pilot, "message: xxx")
+    await pilot.press("y")
+    await until(pilot, lambda: app._notifications, "that it is copied")
+    assert max(len(each.message) for each in app._notifications) < 300
+    assert len(app.clipboard) > 50_000
+
+
+def test_wide_characters_are_wrapped_by_the_room_that_they_take() -> None:
+    lines = ["".join(piece for piece, _ in line) for line in answer_lines("a: " + "地図" * 20, 21)]
+    assert "".join(lines) == "a: " + "地図" * 20
+    assert all(cell_len(line) <= 21 for line in lines)
+
+
+def test_answers_are_wrapped_and_nothing_in_them_is_obeyed() -> None:
+    lines = [
+        "".join(piece for piece, _ in line) for line in answer_lines("a: '" + "x" * 30 + "\x1b[2J\u202e'\n# cut", 20)
+    ]
+    assert lines[0] == "a: 'xxxxxxxxxxxxxxxx"
+    assert all(len(line) <= 20 and line.isprintable() for line in lines)
+    assert lines[-1] == "# cut"
+    assert list(answer_lines("", 20)) == []
+
+
+@on(MODE, readonly=True)
+async def test_read_only_calls_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert "C call" not in text(app)
+    await pilot.press("C")
+    await settled(pilot)
+    assert app.screen is app.main
+    await until(pilot, lambda: any("read-only" in each.message for each in app._notifications), "why not")
+    assert calls(app) == []
+
+
+def test_the_key_stands_in_the_footer_only_where_there_is_something_to_call() -> None:
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, (*ROUTES, MODE)))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        await shown(pilot, "q quit")
+        assert "C call" not in text(app)
+        await pilot.press("C")
+        await settled(pilot)
+        assert app.screen is app.main
+        await pilot.press("slash", *"set_mode", "enter")
+        await shown(pilot, "C call")
+        assert BY_ID["call"].changes
+        await pilot.press("question_mark")
+        await pilot.press("G")
+        await shown(pilot, "Call the service or action by hand")
+
+    drive(app, steps)
+
+
+@on(MODE)
+async def test_a_service_has_no_message_to_look_at(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    for keys in (["v"], ["enter", "enter"]):
+        await pilot.press(*keys)
+        await until(pilot, lambda: app._notifications, "what it has instead")
+        assert app.screen is app.main
+        assert any("C calls it by hand" in each.message for each in app._notifications)
+        app.clear_notifications()
+    assert not any(command[0] == "peek" for command in engine_of(app).commands)
+
+
+# -- values of parameters --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "type_number", "field", "made", "words"),
+    [
+        ("true", "1", "bool_value", "true", "(bool)"),
+        ("-5", "2", "integer_value", "-5", "(integer)"),
+        ("5.0", "3", "double_value", "5.0", "(double)"),
+        ("1e3", "3", "double_value", "1000.0", "(double)"),
+        ("-.inf", "3", "double_value", "-.inf", "(double)"),
+        ("map", "4", "string_value", "map", "(string)"),
+        ("'5'", "4", "string_value", "5", "(string)"),
+        ("''", "4", "string_value", "", "(string)"),
+        ("a b", "4", "string_value", "a b", "(string)"),
+        ("no", "4", "string_value", "no", "(string)"),
+        ("[1, 2]", "7", "integer_array_value", ["1", "2"], "(array of integers)"),
+        ("[1, 2.5]", "8", "double_array_value", ["1.0", "2.5"], "(array of doubles)"),
+        ("[a, '1']", "9", "string_array_value", ["a", "1"], "(array of strings)"),
+        ("[true]", "6", "bool_array_value", ["true"], "(array of bools)"),
+        ("9223372036854775807", "2", "integer_value", "9223372036854775807", "(integer)"),
+        ("-9223372036854775808", "2", "integer_value", "-9223372036854775808", "(integer)"),
+        ("0x1F", "2", "integer_value", "31", "(integer)"),
+        ("1e400", "3", "double_value", ".inf", "(double)"),
+        (".nan", "3", "double_value", ".nan", "(double)"),
+        ("[.inf, -.inf, 1]", "8", "double_array_value", [".inf", "-.inf", "1.0"], "(array of doubles)"),
+        ("'true'", "4", "string_value", "true", "(string)"),
+        ("yes", "4", "string_value", "yes", "(string)"),
+        ("inf", "4", "string_value", "inf", "(string)"),
+        ("['true', 'null']", "9", "string_array_value", ["true", "null"], "(array of strings)"),
+    ],
+)
+def test_the_value_says_its_type(value: str, type_number: str, field: str, made: object, words: str) -> None:
+    request = set_request("p", value)
+    assert read_fields(request.text) == {"parameters": [{"name": "p", "value": {"type": type_number, field: made}}]}
+    assert request.meaning.endswith(words)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "field", "made"),
+    [
+        ("5", "string", "string_value", "5"),
+        ("true", "string", "string_value", "true"),
+        ("5", "double", "double_value", "5.0"),
+        ("[1, 2]", "double_array", "double_array_value", ["1.0", "2.0"]),
+        ("[0, 255]", "byte_array", "byte_array_value", ["0", "255"]),
+        *(
+            ("[]", f"{each}_array", f"{each}_array_value", [])
+            for each in ("byte", "bool", "integer", "double", "string")
+        ),
+    ],
+)
+def test_a_type_that_is_asked_for_is_had(value: str, kind: str, field: str, made: object) -> None:
+    wanted = {"type": str(KIND_NAMES.index(kind) + 1), field: made}
+    assert read_fields(set_request("p", value, kind).text) == {"parameters": [{"name": "p", "value": wanted}]}
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [("fast", "double"), ("5.0", "integer"), ("1", "bool"), ("[256]", "byte_array"), ("[true]", "byte_array"),
+     ("5", "integer_array"), ("[5]", "integer"), ("[1]", "string_array")],
+)  # fmt: skip
+def test_what_is_not_of_the_type_that_is_asked_for_is_refused(value: str, kind: str) -> None:
+    with pytest.raises(FieldError):
+        set_request("p", value, kind)
+
+
+@pytest.mark.parametrize(
+    "value", ["9223372036854775808", "-9223372036854775809", "9" * 5000, "[1, 0xffffffffffffffff]"]
+)
+def test_an_integer_beyond_64_bits_is_no_double_and_names_the_parameter(value: str) -> None:
+    with pytest.raises(FieldError, match=r"^max_rate: .* is no integer of 64 bits"):
+        set_request("max_rate", value)
+
+
+@pytest.mark.parametrize("value", ["", "# nothing", "[]", "[[1]]", "[1, a]", "{a: 1}", "[1", "a: b: c", "null", "~"])
+def test_what_is_no_value_is_refused_in_words(value: str) -> None:
+    with pytest.raises(FieldError):
+        set_request("p", value)
+
+
+def test_a_long_value_is_shown_by_its_beginning() -> None:
+    assert set_request("p", "x" * 500).meaning == f"{'x' * 60}… (string)"
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        ("results:\n- successful: true\n  reason: ''\n", None),
+        ("results:\n- successful: false\n  reason: too fast\n", "too fast"),
+        ("results:\n- successful: false\n  reason: ''\n", "it does not say why"),
+        ("results: []\n", None),
+        ("- 1\n", None),
+        ("[", None),
+    ],
+)
+def test_what_the_node_says_to_a_value(answer: str, why: str | None) -> None:
+    assert refusal(answer) == why

@@ -1,0 +1,113 @@
+"""The cause of every fault stands on the first screen, wherever the cursor is."""
+
+from dataclasses import replace
+
+import pytest
+from tests.console.driving import drive, engine_of, put, scripted_app, shown, text, until
+from tests.console.scripted import LINK, NOW, ROUTES, ScriptedEngine, route
+from textual.pilot import Pilot
+
+from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.route.verdict import no_publisher
+from rsb_console.widgets.faults import MoreKeys, fault_lines, faults_of
+
+QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
+TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", 3, "/w_typo"))
+SIZES = [(200, 50), (120, 36), (80, 24), (60, 24), (39, 20)]
+
+
+def said(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...] = (LINK,), role: str = "client") -> list[str]:
+    """The faults as they begin: sign and sentence."""
+    snapshot = Snapshot(NOW, "robot1", role, "10.0.0.20:49152", 3, True, links, routes)
+    return [f"{fault.sign} {fault.text}" for fault in faults_of(snapshot)]
+
+
+def drawn(*routes: RouteSnapshot, width: int, most: int) -> list[str]:
+    snapshot = Snapshot(NOW, "robot1", "client", "10.0.0.20:49152", 3, True, (LINK,), routes)
+    lines = fault_lines(faults_of(snapshot), width, most, MoreKeys("c", "f"))
+    made = ["".join(piece for piece, _ in line).rstrip() for line in lines]
+    assert len(made) <= most
+    assert all(len(line) <= width for line in made)
+    return made
+
+
+def test_faults_come_first_then_what_waits_for_a_remedy() -> None:
+    assert said(TYPO, *ROUTES, route("/a", State.WAITING, cause="no_publisher", reason=no_publisher("/a", 3))) == [
+        "✗ /robot2/scan: no publisher of /scan in domain 4",
+        "▲ /robot1/map: nothing for 15 s",
+        "◌ /w_tpyo: no publisher of /w_tpyo in domain 3; did you mean /w_typo?",
+    ]
+
+
+def test_what_a_link_explains_is_told_once() -> None:
+    down = [route(f"/{n}", State.DOWN, cause="link_down", reason="Connection refused") for n in range(3)]
+    link = replace(LINK, state=State.DOWN, cause="unreachable", reason="Connection refused")
+    assert said(*down, links=(link,)) == ["✗ robot1: Connection refused"]
+
+
+def test_those_of_one_cause_are_told_of_together_each_robots_apart() -> None:
+    links = (LINK, *(replace(LINK, name=f"robot{n}", state=State.WAITING, cause="not_yet", peer="") for n in (2, 3)))
+    unheard = [
+        route(f"/{robot}/{n}", State.UNHEARD, link=robot, reason=f"nobody subscribes to /{robot}/{n}")
+        for robot in ("robot1", "robot2")
+        for n in range(5)
+    ]
+    one, other, link = said(*unheard, links=links, role="server")
+    assert link.endswith("not seen yet (also robot3)")
+    assert one == (
+        "◇ robot1: /robot1/0: nobody subscribes to /robot1/0 (also /robot1/1, /robot1/2, /robot1/3 and 1 more)"
+    )
+    assert other.startswith("◇ robot2: /robot2/0: nobody subscribes to /robot2/0 (also")
+
+
+def test_the_first_is_whole_and_the_others_are_counted() -> None:
+    first, second = route("/a", State.DOWN, reason=QOS), route("/b", State.DOWN, reason="refused there")
+    assert drawn(first, second, width=120, most=3) == [f" ✗ /a: {QOS}", " ✗ /b: refused there"]
+    assert drawn(first, second, width=60, most=3) == [
+        " ✗ /a: /camera offers best effort, but this topic asks for",
+        "   reliable: its messages are not received; set qos: auto",
+        " ✗ /b: refused there",
+    ]
+    assert drawn(first, second, width=60, most=2)[1:] == ["   and 1 more: press f"]
+    assert drawn(first, width=39, most=2)[-1].endswith("…")
+
+
+def test_a_long_one_hides_no_short_one() -> None:
+    longest, short = route("/b", State.DOWN, reason="x " * 200), route("/c", State.SLOW, reason="2 Hz of 20 expected")
+    assert drawn(route("/a", State.DOWN, reason="refused"), longest, short, width=80, most=4) == [
+        " ✗ /a: refused",
+        " ≈ /c: 2 Hz of 20 expected",
+        "   and 1 more: press f",
+    ]
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_without_a_key_at_every_width(size: tuple[int, int]) -> None:
+    routes = (route("/camera", State.DOWN, reason="refused there"), TYPO, *ROUTES[:3])
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, routes))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/camera: refused there")
+        await until(pilot, lambda: "did you mean /w_typo?" in " ".join(text(app).split()), "the name that was meant")
+        assert app.main.selected is not None
+        assert app.main.selected.topic == "/camera"
+
+    drive(app, steps, size)
+
+
+def test_faults_only_gives_them_more_room() -> None:
+    many = [route(f"/{n}", State.DOWN, reason=f"reason number {n}") for n in range(10, 30)]
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, tuple(many)))
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "and 15 more: press f")
+        await pilot.press("f")
+        await shown(pilot, "and 9 more: press ⏎ on one")
+        put(app, *many[:1])
+        await shown(pilot, "/10: reason number 10")
+        assert "more: press" not in text(app)
+        engine_of(app).now = replace(engine_of(app).now, routes=(route("/fine"),))
+        await pilot.press("f")
+        await until(pilot, lambda: app.main.faults.size.height == 0, "no line for no fault")
+
+    drive(app, steps, (80, 24))

@@ -1,0 +1,130 @@
+"""The console on a real engine: services and parameters of a node on the other side."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tests.console.driving import NOWHERE, AppSteps, choose, drive, fill, form_of, gone, shown, until
+from tests.console.live import THERE, Pair, running
+from textual.pilot import Pilot
+
+from rsb_bridge.config.session_file import load
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_console.app import ConsoleApp
+
+pytest.importorskip("rclpy", reason="needs ROS 2")
+pytest.importorskip("std_srvs", reason="needs ROS 2's services")
+NODE = f"console_{os.getpid()}"
+MODE = f"/{NODE}/set_mode"
+
+
+@pytest.fixture(autouse=True)
+def _on_this_machine_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+@contextlib.contextmanager
+def answerer() -> Iterator[None]:
+    """The node, on the other side."""
+    script = Path(__file__).with_name("answerer.py")
+    with running(sys.executable, str(script), str(THERE), NODE, MODE):
+        yield
+
+
+def watch(pair: Pair, steps: AppSteps) -> None:
+    """Open the console on the pair's client, run `steps`, stop its engine."""
+    app = ConsoleApp(load(pair.client_path), pair.client_path, config=NOWHERE, theme="dark")
+
+    async def run(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: app.engine is not None, "an engine")
+        await steps(app, pilot)
+
+    try:
+        drive(app, run)
+    finally:
+        if app.engine is not None:
+            app.engine.stop()
+
+
+def found(app: ConsoleApp, name: str) -> RouteSnapshot | None:
+    """What is bridged of that name."""
+    return next((route for route in app.snapshot().routes if route.topic == name), None)
+
+
+def is_offered(app: ConsoleApp, name: str) -> bool:
+    """Whether it can be called on this side."""
+    route = found(app, name)
+    return route is not None and next(stage for stage in route.stages if stage.name == "offered").done is True
+
+
+async def usable(app: ConsoleApp, pilot: Pilot[None], name: str) -> None:
+    """Wait until it can be called, and put the cursor there."""
+    await until(pilot, lambda: is_offered(app, name), f"{name} is offered")
+    await pilot.press("escape", "slash", *f"topic:{name}$", "enter")
+    await until(pilot, lambda: app.main.selected is not None and app.main.selected.topic == name, "the cursor on it")
+
+
+def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
+    pair = Pair(tmp_path, Topic(MODE, "transmit", kind="service"), Topic(f"/{NODE}", "transmit", kind="parameters"))
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await shown(pilot, "● LINKED")
+        await shown(pilot, "1 service, parameters of 1 node")
+        await usable(app, pilot, MODE)
+        await pilot.press("C")
+        await shown(pilot, "data: false")
+        await fill(pilot, request="data: true")
+        await pilot.press("f9")
+        await shown(pilot, f"It is sent once, to /{NODE} behind 127.0.0.1")
+        await pilot.press("y")
+        await shown(pilot, "message: moved on")
+        await pilot.press("escape")
+        await shown(pilot, "answered            1  100.0 %")
+        await usable(app, pilot, f"/{NODE}")
+        await pilot.press("C")
+        await shown(pilot, "set one parameter")
+        for value, words in (("0.9", "the node has set it"), ("1.5", "refuses it: too fast"), ("fast", "refuses it: ")):
+            await fill(pilot, name="speed", value=value)
+            await pilot.press("f9")
+            await shown(pilot, f"Set speed of /{NODE}?")
+            await pilot.press("y")
+            await shown(pilot, words)
+        await choose(pilot, "lane", "get_parameters")
+        await shown(pilot, "names: []")
+        await fill(pilot, request="names: [speed, speed]")
+        await pilot.press("f9", "y")
+        await shown(pilot, "double_value: 0.9")
+
+    with pair.server(), answerer():
+        watch(pair, steps)
+
+
+def test_a_service_is_picked_from_the_far_graph_and_told_of_when_it_goes(tmp_path: Path) -> None:
+    pair = Pair(tmp_path)
+
+    async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
+        await shown(pilot, "● LINKED")
+        with answerer():
+            await pilot.press("a")
+            await shown(pilot, "type to look for")
+            await fill(pilot, topic=NODE)
+            await shown(pilot, "1 server there")
+            await shown(pilot, "parameters there")
+            await choose(pilot, "kind", "service")
+            await gone(pilot, "parameters there")
+            form_of(app).fields["topic"].control.focus()
+            await pilot.press("enter")
+            await shown(pilot, "std_srvs/srv/SetBool")
+            await pilot.press("enter")
+            await usable(app, pilot, MODE)
+            assert app.engine is not None
+            assert app.engine.session.topics == (Topic(MODE, "transmit", "std_srvs/srv/SetBool", kind="service"),)
+        await until(pilot, lambda: (route := found(app, MODE)) and route.state is State.DOWN, "nobody answers")
+        await shown(pilot, "✗ server seen")
+
+    with pair.server():
+        watch(pair, steps)
