@@ -18,6 +18,8 @@ class Climate:
         name: of the climate.
         robots: how many there may be.
         topics: how many each robot's session may have.
+        services: likewise, services.
+        actions: likewise, actions.
         periods: s, between which the average time from one message of a topic to the next is.
         latched: part of the topics that are latched.
         size: bytes of a message, at most, on average.
@@ -33,6 +35,8 @@ class Climate:
     name: str
     robots: Sequence[int] = (1,)
     topics: Sequence[int] = (1, 2, 3)
+    services: Sequence[int] = (0, 1)
+    actions: Sequence[int] = (0,)
     periods: tuple[float, float] = (2.0, 60.0)
     latched: float = 0.2
     size: int = 400
@@ -47,16 +51,36 @@ QUIET = Climate("quiet", topics=(1, 1, 2), periods=(10.0, 300.0), faults=400.0, 
 """A robot that is used by day, where something happens a few times an hour."""
 LIVELY = Climate("lively", robots=(1, 1, 2))
 """A robot or two, where something happens every minute."""
-STORM = Climate("storm", robots=(1, 1, 2), periods=(0.2, 20.0), size=20_000, faults=15.0, commands=30.0)
+STORM = Climate(
+    "storm", robots=(1, 1, 2), services=(1, 2), periods=(0.2, 20.0), size=20_000, faults=15.0, commands=30.0
+)
 """Where something happens every few seconds."""
 FLEET = Climate("fleet", robots=(5, 6, 7, 8), topics=(1, 2, 3, 4), periods=(1.0, 60.0), faults=180.0, commands=300.0)
 """Many robots on one server."""
 STILL = Climate(
-    "still", topics=(1,), periods=(600.0, 600.0), faults=0.0, commands=0.0, nights=0.0, latched=0.0, checks=(60.0, 60.0)
+    "still",
+    topics=(1,),
+    services=(0,),
+    periods=(600.0, 600.0),
+    faults=0.0,
+    commands=0.0,
+    nights=0.0,
+    latched=0.0,
+    checks=(60.0, 60.0),
 )
 """Where nothing happens but what is made to happen."""
+
+CALLS = Climate("calls", robots=(1, 2), topics=(1,), services=(2, 3), periods=(0.5, 10.0), faults=30.0, nights=0.2)
+"""Where services are called all the time."""
+
+ACTIONS = Climate(
+    "actions", topics=(1,), services=(0,), actions=(1, 2), periods=(10.0, 60.0), faults=60.0, commands=0.0, nights=0.0
+)
+"""Where goals are sent all the time, and nobody at a console changes anything."""
+_WITH_ACTIONS = 0.15
 
 
 def climate_of(random: Random) -> Climate:
     """A climate."""
-    return random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
+    climate = random.choices((QUIET, LIVELY, STORM, FLEET), (4, 4, 2, 1))[0]
+    return ACTIONS if random.random() < _WITH_ACTIONS else climate

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 from tests.simulation import station
+from tests.simulation.action_server import Plan
 
 from rsb_bridge import bridge
 from rsb_bridge.link import graph_watch, keepalive
+from rsb_bridge.link.shut_down import ASKED_EVERY
 from rsb_bridge.route import route
 
 if TYPE_CHECKING:
@@ -49,6 +51,29 @@ async def server_restarts(world: World, times: int) -> None:
             world.server.start()
 
 
+async def shut_down_for(world: World, seconds: float, *, cuts: int) -> None:
+    """An operator of the server shuts its links down, and lets the robots in again.
+
+    Args:
+        world: in which.
+        seconds: for how long.
+        cuts: how often a robot's network goes for a minute meanwhile.
+    """
+    await asyncio.sleep(60.0)
+    server, robot = world.server.run, world.robots[0]
+    assert server is not None
+    with world.trouble("shut down", *world.robots, fault=False):
+        await server.command(server.bridge.shut_down())
+        for _ in range(cuts):
+            await asyncio.sleep(seconds / cuts - 60.0)
+            world.network.cut(robot.station.machine, world.server.machine)
+            await asyncio.sleep(60.0)
+            world.network.heal(robot.station.machine, world.server.machine)
+        await asyncio.sleep(0.0 if cuts else seconds)
+        await server.command(server.bridge.retry())
+        await asyncio.sleep(1.2 * ASKED_EVERY)
+
+
 async def client_restarts(world: World, times: int) -> None:
     """A robot's engine is stopped as an operator does it, and started again."""
     robot = world.robots[0]
@@ -58,6 +83,24 @@ async def client_restarts(world: World, times: int) -> None:
             await robot.station.stop()
             await asyncio.sleep(10.0)
             robot.station.start()
+
+
+async def cancelled_while_cut(world: World) -> None:
+    """A robot's network is gone for half a minute; meanwhile one of its goals is over, and another one cancelled."""
+    (errand,), (robot,) = world.errands.values(), world.robots
+    ends = robot.station.machine, world.server.machine
+    await asyncio.sleep(20.0)
+    goals = [errand.send(Plan(runs=runs)) for runs in (5.0, 600.0, 45.0)]
+    await asyncio.sleep(1.0)
+    errand.send(Plan(after=20.0))
+    await asyncio.sleep(0.3)
+    with world.trouble("cut", robot):
+        world.network.cut(*ends)
+        await asyncio.sleep(10.0)
+        if goals[1] is not None:
+            errand.cancel(goals[1])
+        await asyncio.sleep(20.0)
+        world.network.heal(*ends)
 
 
 async def type_differs_for(world: World, seconds: float) -> None:

@@ -18,13 +18,18 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
     from random import Random
 
+    from tests.simulation.errands import Errand
+    from tests.simulation.exchanges import Exchange
     from tests.simulation.flows import Flow
+    from tests.simulation.services import Client, Server
     from tests.simulation.station import Station
     from tests.simulation.world import Robot, World
 
 _MINUTE, _HOUR = 60.0, 3600.0
 _NIGHT = 7.5 * _HOUR
 """s, of a robot, on average."""
+_SLOW_ANSWERS = 20.0
+"""s that an answer of a slow server takes at most."""
 _LATEST = 25.0
 """s until the last packet has arrived that was sent over a bad network."""
 
@@ -183,11 +188,11 @@ async def wrong_key(world: World, robot: Robot, random: Random) -> None:
     session, keys = station.session, station.keys
     with world.trouble("wrong key or name", robot):
         await station.stop()
-        if None in keys.values() or random.random() < 0.5:
+        if () in keys.values() or random.random() < 0.5:
             station.session = msgspec.structs.replace(session, name="stranger")
             station.keys = {"stranger": keys[session.name]}
         else:
-            station.keys = {session.name: Key(random.randbytes(32))}
+            station.keys = {session.name: (Key(random.randbytes(32)),)}
         station.start()
         await asyncio.sleep(duration(random))
         await station.stop()
@@ -266,6 +271,51 @@ async def take_fails(world: World, flow: Flow, random: Random) -> None:
             reader.fail()
 
 
+async def server_ends(world: World, exchange: Exchange | Errand, random: Random) -> None:
+    """A node that serves ends, and is started again."""
+    with world.flow_trouble(exchange, "server gone"):
+        exchange.vanish()
+        await asyncio.sleep(duration(random))
+        exchange.appear()
+
+
+async def server_dies(world: World, exchange: Exchange | Errand, random: Random) -> None:
+    """A node that serves is killed, which others see late, and is started again."""
+    with world.flow_trouble(exchange, "server killed"):
+        exchange.vanish(killed=True)
+        await asyncio.sleep(random.choice((duration(random), random.uniform(0.0, 2.0))))
+        exchange.appear()
+
+
+async def server_hesitates(world: World, exchange: Exchange | Errand, random: Random) -> None:
+    """A node that serves takes its time, and leaves some calls without an answer."""
+    with world.flow_trouble(exchange, "slow server"):
+        exchange.hesitate(slow=True)
+        await asyncio.sleep(random.uniform(1.0, 60.0))
+        exchange.hesitate(slow=False)
+        await asyncio.sleep(_SLOW_ANSWERS)
+
+
+async def caller_restarts(world: World, exchange: Exchange | Errand, random: Random) -> None:
+    """A node that calls ends, with calls under way, and is started again."""
+    world.chronicle.fault("caller restarts")
+    exchange.call()
+    await asyncio.sleep(random.uniform(0.0, 1.0))
+
+
+async def offer_fails(world: World, exchange: Exchange | Errand, random: Random) -> None:
+    """The middleware fails to take from the bridge's server, or from its client."""
+    with world.flow_trouble(exchange, "taking calls fails"):
+        near, far = exchange.near.services, exchange.far.services
+        service = random.randrange(len(exchange.near_services)) if len(exchange.near_services) > 1 else 0
+        servers = near.servers[exchange.near_services[service]]
+        clients = far.clients[exchange.far_services[service]]
+        ends: tuple[tuple[Server | Client, ...], ...] = (tuple(servers), tuple(clients))
+        for end in random.choice(ends):
+            if end.node.startswith("/rsb_"):
+                end.fail()
+
+
 async def busy_ros(world: World, flow: Flow, random: Random) -> None:
     """The ROS thread has much to do, while a burst of messages comes."""
     world.chronicle.fault("burst")
@@ -294,6 +344,7 @@ _ROBOT = {
     wrong_key: 1,
 }
 _SERVER = {server_killed: 3, server_off: 2, server_upgrade: 2}
+_EXCHANGE = {server_ends: 3, server_dies: 3, server_hesitates: 3, caller_restarts: 2, offer_fails: 1}
 _FLOW = {publisher_gone: 4, listener_gone: 2, type_differs: 1, take_fails: 1, busy_ros: 4}
 
 
@@ -306,6 +357,8 @@ def of(world: World) -> Iterator[Coroutine[None, None, None]]:
         for robot in world.robots:
             yield _befall_robot(world, robot, pause)
             yield _befall_topics(world, robot, pause)
+            if robot.exchanges or robot.errands:
+                yield _befall_services(world, robot, pause)
 
 
 async def _befall_robot(world: World, robot: Robot, pause: float) -> None:
@@ -334,6 +387,15 @@ async def _befall_topics(world: World, robot: Robot, pause: float) -> None:
         await asyncio.sleep(random.expovariate(1 / pause))
         (fault,) = random.choices(tuple(_FLOW), tuple(_FLOW.values()))
         await fault(world, random.choice(robot.flows), random)
+
+
+async def _befall_services(world: World, robot: Robot, pause: float) -> None:
+    random = world.random(f"faults of {robot.name}'s services")
+    while True:
+        await asyncio.sleep(random.expovariate(1 / pause))
+        (fault,) = random.choices(tuple(_EXCHANGE), tuple(_EXCHANGE.values()))
+        called: list[Exchange | Errand] = [*robot.exchanges, *robot.errands]
+        await fault(world, random.choice(called), random)
 
 
 async def _set_clocks(world: World, pause: float) -> None:

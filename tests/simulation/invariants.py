@@ -11,7 +11,12 @@ import asyncio
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from tests.simulation.action_invariants import ActionInvariants
+from tests.simulation.call_invariants import CallInvariants
 from tests.simulation.tables import tables
+
+from rsb_bridge.route.calls.goals import MOST_GOALS
+from rsb_bridge.route.calls.kept_answers import MOST_KEPT
 
 if TYPE_CHECKING:
     from tests.simulation.flows import Account, Flow
@@ -41,6 +46,8 @@ _SEEN_WITHIN = 5.0
 _SWEEP_EVERY = 600.0
 _ITEMS, _ITEMS_EACH = 100, 20
 """In one table: so many, and so many more for each route and each link."""
+_BOUNDED = {".goals._goals": MOST_GOALS, "._answers._kept": MOST_KEPT}
+"""Tables that are kept for people, or for an hour."""
 _TASKS, _DESCRIPTORS, _TIMERS = 10, 10, 20
 """Of one engine: so many, and four more for each route and each link."""
 
@@ -51,6 +58,7 @@ class Invariants:
     Attributes:
         checks: how often everything was looked at.
         worst_recovery: s, the longest that a robot took to be linked once it could be.
+        actions: what must hold of actions.
     """
 
     def __init__(self, world: World) -> None:
@@ -64,6 +72,8 @@ class Invariants:
         self._can_flow: dict[Flow, float] = {}
         self._said: dict[Flow, tuple[float, tuple[str, ...]]] = {}
         self._next_sweep = _SWEEP_EVERY
+        self._calls = CallInvariants(world)
+        self.actions = ActionInvariants(world)
 
     async def watch(self) -> None:
         """Check everything, again and again."""
@@ -82,6 +92,8 @@ class Invariants:
                 self._check_flow(robot, flow)
                 self._check_verdicts(robot, flow)
         self._check_ledgers()
+        self._calls.check()
+        self.actions.check()
         sweep = world.loop.time() >= self._next_sweep
         for run in world.runs():
             self._check_tasks(run)
@@ -179,7 +191,7 @@ class Invariants:
         world, now = self._world, self._world.loop.time()
         ends = world.link_ends(robot)
         routes = [route_of(link, flow) for link in ends] if ends and all(link.linked for link in ends) else []
-        shown = [each.judged.shown(each.own_verdict).verdict for each in routes if each is not None and each.accepted]
+        shown = [each.judged.shown(each.verdict()).verdict for each in routes if each is not None and each.accepted]
         said = tuple([f"{each.state} {each.cause}" for each in shown])
         if robot.troubles or len(said) < 2 or len(set(said)) < 2:
             self._said.pop(flow, None)
@@ -262,13 +274,14 @@ class Invariants:
         links = run.links()
         most = _ITEMS + _ITEMS_EACH * (len(links) + sum(len(link.routes) for link in links))
         for way, length in tables(run.bridge).items():
-            if length > most:
+            if length > max(most, next((bound for end, bound in _BOUNDED.items() if way.endswith(end)), 0)):
                 self._world.wrong(f"{run.station.name} keeps {length} items in {way}")
         for link in links:
-            if not link.routes and (link.unfinished.held or link.latched.held):
+            unfinished = link.budget.unfinished.held
+            if not link.routes and (unfinished or link.budget.kept.held):
                 self._world.wrong(
-                    f"{run.station.name}: without a route, {link.name} is said to hold {link.unfinished.held} bytes "
-                    f"of unfinished messages and {link.latched.held} of latched ones"
+                    f"{run.station.name}: without a route, {link.name} is said to hold {unfinished} bytes "
+                    f"of unfinished messages and {link.budget.kept.held} of latched ones"
                 )
 
     def _check_timers(self) -> None:

@@ -12,15 +12,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.climate import LIVELY, STILL, STORM, Climate
-from tests.simulation.episodes import restarted_while_cut, server_away, type_differs_for
+from tests.simulation.climate import ACTIONS, CALLS, LIVELY, STILL, STORM, Climate
+from tests.simulation.episodes import cancelled_while_cut, restarted_while_cut, server_away, type_differs_for
 
 from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
 from rsb_bridge.route.both_sides import BothSides
+from rsb_bridge.route.calls import kept_calls
+from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers
+from rsb_bridge.route.calls.kept_calls import KeptCalls
+from rsb_bridge.route.calls.under_way import UnderWay
 from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.send_queue import SendQueue
@@ -37,7 +44,7 @@ class Mutation(NamedTuple):
 
     Attributes:
         what: it is.
-        changes: what is put in the place of which attribute of which class.
+        changes: what is put in the place of which attribute of which class or module.
         finds: part of the violation, a regular expression.
         climate: of the world.
         seed: of the world.
@@ -46,7 +53,7 @@ class Mutation(NamedTuple):
     """
 
     what: str
-    changes: tuple[tuple[type, str, object], ...]
+    changes: tuple[tuple[object, str, object], ...]
     finds: str
     climate: Climate
     seed: int
@@ -87,6 +94,42 @@ def _counted_before(self: Any) -> Any:
     return self._before[1] if self._before is not None else None
 
 
+def _end_oldest(self: Any, number: int) -> Any:
+    """As `UnderWay.end`, but of the oldest call: answers in order, whoever asked."""
+    return _end(self, next(iter(self._calls), number))
+
+
+def _end_for_nothing(self: Any, number: int) -> Any:
+    """As `UnderWay.end`, without giving back what the call held."""
+    return self._calls.pop(number, None)
+
+
+def _ask_again_anyway(self: Any, question: Any, call: int, *, again: bool) -> Any:
+    """As `KeptAnswers.take`, but whatever is asked again goes to the server again."""
+    return Do.ASK if again and question.lane == SEND_GOAL else _take(self, question, call, again=again)
+
+
+def _answer_oldest(self: Any, lane: int, number: int, *rest: Any, **linked: Any) -> Any:
+    """As `KeptAnswers.answered`, but of the oldest result that is awaited."""
+    oldest = next((each for kind, each in self._by_number if kind == lane == GET_RESULT), number)
+    return _answered(self, lane, oldest, *rest, **linked)
+
+
+def _keep_no_cancel(self: Any, call: Any, now: float) -> Any:
+    """As `KeptCalls.keep`, but cancels are given up."""
+    return call.lane != CANCEL_GOAL and _keep(self, call, now)
+
+
+def _forget_all(self: Any, _: float) -> None:
+    """As `KeptAnswers.interrupted`, but what the server has answered is forgotten."""
+    for question in [each for each, kept in self._kept.items() if kept.answer is not None]:
+        self._forget(question)
+
+
+_answered = KeptAnswers.answered
+_take = KeptAnswers.take
+_keep = KeptCalls.keep
+_end = UnderWay.end
 _settle = RouteLedger.settle
 _propose = RouteTable._propose
 
@@ -102,7 +145,7 @@ def _kept(self: Any, work: Coroutine[None, None, None]) -> Any:
     return task
 
 
-async def _unpaused(self: Any, route: Any, route_id: int) -> None:
+async def _unpaused(self: Any, route: Any, route_id: int, who: str, *, edited: bool) -> None:
     """As `RouteTable._propose`, but never paused."""
     send = self._owner.send
 
@@ -110,7 +153,7 @@ async def _unpaused(self: Any, route: Any, route_id: int) -> None:
         send(msgspec.structs.replace(message, paused=False, pause_revision=0))
 
     with patch.object(self._owner, "send", unpaused):
-        await _propose(self, route, route_id)
+        await _propose(self, route, route_id, who, edited=edited)
 
 
 def _away(world: World) -> Coroutine[None, None, None]:
@@ -122,6 +165,8 @@ def _differs(world: World) -> Coroutine[None, None, None]:
 
 
 _MANY = replace(STILL, topics=(4,), periods=(1.0, 4.0), checks=(1.0, 2.0))
+
+_GOALS = replace(STILL, topics=(0,), actions=(1,), periods=(0.0, 0.0), checks=(1.0, 2.0))
 
 _SILENT = replace(STILL, topics=(4,), periods=(1e9, 1e9))
 
@@ -181,6 +226,61 @@ MUTATIONS = (
         "what the other side makes of a topic is not taken in",
         ((BothSides, "take", _nothing),),
         "do not agree on", _SILENT, 1, 0.5,
+    ),
+    Mutation(
+        "an answer goes to whoever asked first",
+        ((UnderWay, "end", _end_oldest),),
+        "got for call", CALLS, 1, 1.0,
+    ),
+    Mutation(
+        "a call that is over keeps its place in the budget",
+        ((UnderWay, "end", _end_for_nothing),),
+        "calls are under way, and", CALLS, 1, 1.0,
+    ),
+    Mutation(
+        "a service is still offered when the link is down",
+        ((CallingRoute, "_withdraw", _nothing),),
+        "without a link|and the link is down", CALLS, 1, 1.0,
+    ),
+    Mutation(
+        "a goal that was under way is sent to the server again",
+        ((KeptAnswers, "take", _ask_again_anyway),),
+        "came to the server 2 times", replace(ACTIONS, faults=20.0), 4, 0.1,
+    ),
+    Mutation(
+        "a result goes to whoever asked first",
+        ((KeptAnswers, "answered", _answer_oldest),),
+        "got the result of another goal", ACTIONS, 1, 1.0,
+    ),
+    Mutation(
+        "who waits for a result is given up when the link drops",
+        ((CallingAction, "_keep", _nothing),),
+        "waits for its result", _GOALS, 1, 0.05, cancelled_while_cut,
+    ),
+    Mutation(
+        "what a server answered is not kept when the link drops",
+        ((KeptAnswers, "interrupted", _forget_all),),
+        "is unknown, and nothing explains that", _GOALS, 1, 0.05, cancelled_while_cut,
+    ),
+    Mutation(
+        "cancels that were asked while the link was down go last",
+        ((kept_calls, "_FIRST", (SEND_GOAL, GET_RESULT, CANCEL_GOAL)),),
+        "comes after other calls", _GOALS, 1, 0.05, cancelled_while_cut,
+    ),
+    Mutation(
+        "cancels that were asked while the link was down are not delivered",
+        ((KeptCalls, "keep", _keep_no_cancel),),
+        "is to be cancelled", _GOALS, 1, 0.05, cancelled_while_cut,
+    ),
+    Mutation(
+        "a call that waited for the action to be reached again is not counted when it is given up",
+        ((CallingAction, "_give_up_kept", _nothing),),
+        "calls in flight, and has", replace(ACTIONS, faults=20.0), 4, 0.2,
+    ),
+    Mutation(
+        "a call that waits for a goal's answer is not forgotten with its opening",
+        ((KeptAnswers, "is_over", _nothing),),
+        "of calls that are over", replace(ACTIONS, faults=20.0), 4, 0.1,
     ),
 )
 # fmt: on

@@ -6,14 +6,16 @@ import contextvars
 from typing import TYPE_CHECKING, Any
 
 from tests.simulation.ros import Domain, Reader, Writer
+from tests.simulation.services import Client, Server
 
 from rsb_bridge.ros.api import Endpoint, RosError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable
 
+    from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import OnFailure, Sink
+    from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink, Sink
 
 
 class Node:
@@ -24,6 +26,8 @@ class Node:
         node_name: as a real node's.
         writers: what it publishes with.
         readers: what it subscribes with.
+        servers_of_ours: what it serves with.
+        clients_of_ours: what it calls with.
         on_writer: told of each publisher made.
         on_reader: told of each subscription made.
     """
@@ -32,6 +36,8 @@ class Node:
         self.instance_id = instance_id
         self.writers: dict[Writer, None] = {}
         self.readers: dict[Reader, None] = {}
+        self.servers_of_ours: dict[Server, None] = {}
+        self.clients_of_ours: dict[Client, None] = {}
         self.on_writer: Callable[[Writer, Hashable], None] | None = None
         self.on_reader: Callable[[Reader, Hashable], None] | None = None
         self._domain = domain
@@ -62,8 +68,8 @@ class Node:
                 end.closed = True
                 self._domain.forget_later(end)
 
-    def _ends(self) -> list[Writer | Reader]:
-        return [*self.writers, *self.readers]
+    def _ends(self) -> list[Writer | Reader | Server | Client]:
+        return [*self.writers, *self.readers, *self.servers_of_ours, *self.clients_of_ours]
 
     def topics(self) -> dict[str, list[str]]:
         found = self._domain.topics()
@@ -80,6 +86,9 @@ class Node:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         self._check_running()
         return [_endpoint(each) for each in self._domain.readers(topic) if each.node != self._name]
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        raise RosError(f"{type_name} is not installed here")
 
     def installed_description(self, type_name: str) -> str | None:
         return None
@@ -115,6 +124,37 @@ class Node:
             self.on_writer(writer, origin)
         return writer
 
+    def services(self) -> dict[str, list[str]]:
+        found = self._domain.services.names()
+        return {name: sorted(types) for name, types in found.items() if self.servers(name) or self.callers(name)}
+
+    def servers(self, service: str) -> list[Endpoint]:
+        self._check_running()
+        return [_endpoint(each) for each in self._domain.services.servers[service] if each.node != self._name]
+
+    def callers(self, service: str) -> list[Endpoint]:
+        self._check_running()
+        return [_endpoint(each) for each in self._domain.services.clients[service] if each.node != self._name]
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        return self._domain.installed.get(type_name)
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> Server:
+        self._check_type(type_name, type_hash)
+        server = Server(self._domain.services, self._name, service, type_name, type_hash, sink, on_failure)
+        _keep(self.servers_of_ours, server)
+        return server
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> Client:
+        self._check_type(type_name, type_hash)
+        client = Client(self._domain.services, self._name, service, type_name, type_hash, sink, on_failure)
+        _keep(self.clients_of_ours, client)
+        return client
+
     def _check_running(self) -> None:
         if self._stopped:
             raise RosError("the ROS node is not running")
@@ -131,5 +171,5 @@ def _keep(kept: dict[Any, None], end: Any) -> None:
     kept[end] = None
 
 
-def _endpoint(end: Writer | Reader) -> Endpoint:
+def _endpoint(end: Writer | Reader | Server | Client) -> Endpoint:
     return Endpoint(end.node, end.type_name, end.type_hash, end.seen_qos, end.gid)

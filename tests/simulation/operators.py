@@ -11,6 +11,7 @@ from tests.simulation.faults import duration
 from tests.simulation.sessions import some_topic
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.link.server_link import ServerLink
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
@@ -19,11 +20,12 @@ if TYPE_CHECKING:
     from tests.simulation.station import Run
     from tests.simulation.world import Robot, World
 
+    from rsb_bridge.link.link import Link
     from rsb_bridge.route.route import Route
 
 _MOST_TOPICS = 8
-_LOOKS = 25
-"""How often, once a second, an operator looks whether a robot is to be connected again."""
+_LOOKS = 40
+"""How often, once a second, an operator looks whether a link is to be opened again; a robot asks every 24 to 36 s."""
 
 
 class Operator:
@@ -63,7 +65,12 @@ class Operator:
         if run is None or len(self._routes(run)) >= _MOST_TOPICS:
             return
         gone = [flow for flow in self._robot.flows if not any(r.topic == flow.source_topic for r in self._routes(run))]
-        if gone and self._random.random() < 0.7:
+        calls = [
+            each for each in self._robot.exchanges if not any(r.topic == each.near_name for r in self._routes(run))
+        ]
+        if calls and self._random.random() < 0.5:
+            topic = self._random.choice(calls).topic
+        elif gone and self._random.random() < 0.7:
             topic = self._random.choice(gone).topic
         elif len(self._robot.flows) < _MOST_TOPICS:
             topic = some_topic(self._robot.name, len(self._robot.flows), self._random)
@@ -137,9 +144,9 @@ class Operator:
             await self._command("shut down", run, run.bridge.shut_down())
             await asyncio.sleep(duration(self._random))
             for _ in range(_LOOKS):  # one may be told of it later, over a bad network
-                for robot in robots:
-                    if (client := robot.station.run) is not None and client.links()[0].shut_down:
-                        await self._command("retry", client, client.bridge.retry())
+                for station in (self._world.server, *(robot.station for robot in robots)):
+                    if (shut := station.run) is not None and any(is_shut_down(link) for link in shut.links()):
+                        await self._command("retry", shut, shut.bridge.retry())
                 await asyncio.sleep(1.0)
 
     # --- how
@@ -163,6 +170,11 @@ class Operator:
         with contextlib.suppress(EngineError):
             await run.command(work)
         robot.commanded = world.loop.time()
+
+
+def is_shut_down(link: Link) -> bool:
+    """Whether an operator of the side that has the link has shut it down."""
+    return link.shut_down or (isinstance(link, ServerLink) and link.shut_down_by is not None)
 
 
 def of(world: World) -> Iterator[Coroutine[None, None, None]]:

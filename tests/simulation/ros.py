@@ -17,6 +17,7 @@ from collections import defaultdict, deque
 from typing import TYPE_CHECKING
 
 import msgspec
+from tests.simulation.services import Client, Server, Services
 
 from rsb_bridge.model.qos import Qos, incompatible
 from rsb_bridge.ros.api import RawMessage, RosError
@@ -57,6 +58,7 @@ class Domain:
         taking: s, between which messages wait until they are taken: more where the ROS thread is busy.
         installed: hash by type name, of the types that nodes here were built with.
         numbers: whether messages carry their publisher's numbers, which some middleware does not give.
+        services: its servers and clients.
     """
 
     def __init__(self, loop: SimulatedLoop, random: Random, wall_ns: Callable[[], int]) -> None:
@@ -78,6 +80,7 @@ class Domain:
         self._readers: defaultdict[str, list[Reader]] = defaultdict(list)
         self._watchers: dict[Node, Callable[[], None]] = {}
         self._telling = False
+        self.services = Services(self)
 
     def new_gid(self) -> bytes:
         """An id for an endpoint."""
@@ -103,14 +106,14 @@ class Domain:
     def add_writer(self, writer: Writer) -> None:
         """A publisher is there."""
         self._writers[writer.topic].append(writer)
-        self._changed()
+        self.changed()
         for reader in self.readers(writer.topic):
             self._match_soon(writer, reader)
 
     def add_reader(self, reader: Reader) -> None:
         """A subscription is there."""
         self._readers[reader.topic].append(reader)
-        self._changed()
+        self.changed()
         for writer in self.writers(reader.topic):
             self._match_soon(writer, reader)
 
@@ -118,13 +121,13 @@ class Domain:
         """A publisher is gone."""
         if writer in self.writers(writer.topic):
             self._writers[writer.topic].remove(writer)
-            self._changed()
+            self.changed()
 
     def remove_reader(self, reader: Reader) -> None:
         """A subscription is gone."""
         if reader in self.readers(reader.topic):
             self._readers[reader.topic].remove(reader)
-            self._changed()
+            self.changed()
             for writer in self.writers(reader.topic):
                 writer.matched.pop(reader, None)
 
@@ -136,7 +139,8 @@ class Domain:
         """Tell it no more."""
         self._watchers.pop(node, None)
 
-    def _changed(self) -> None:
+    def changed(self) -> None:
+        """The graph has changed: the nodes are told soon."""
         if self._watchers and not self._telling:
             self._telling = True
             self.loop.call_later(self.random.uniform(*_DISCOVERY), self._tell, context=_OF_NOBODY)
@@ -146,15 +150,17 @@ class Domain:
         for on_change in tuple(self._watchers.values()):
             on_change()
 
-    def forget_later(self, end: Writer | Reader) -> None:
+    def forget_later(self, end: Writer | Reader | Server | Client) -> None:
         """Drop an endpoint whose process has died, once its lease is over."""
         self.loop.call_later(self.random.uniform(*_LEASE), self._forget, end, context=_OF_NOBODY)
 
-    def _forget(self, end: Writer | Reader) -> None:
+    def _forget(self, end: Writer | Reader | Server | Client) -> None:
         if isinstance(end, Writer):
             self.remove_writer(end)
-        else:
+        elif isinstance(end, Reader):
             self.remove_reader(end)
+        else:
+            self.services.remove(end)
 
     def _match_soon(self, writer: Writer, reader: Reader) -> None:
         if (writer.type_name, writer.type_hash) == (reader.type_name, reader.type_hash):
@@ -217,6 +223,10 @@ class Writer:
     @property
     def subscriber_count(self) -> int:
         return sum(reader.node != self.node for reader in self.matched)
+
+    @property
+    def acknowledged(self) -> bool:
+        return True
 
     def close(self) -> None:
         if not self.closed:

@@ -42,6 +42,34 @@ def client_session(name: str, domain_id: int, topics: tuple[Topic, ...], random:
         use_name=True,
         use_encryption=encrypted,
         topics=topics,
+        allow=("/*",),  # the server's operators add and edit topics of both directions
+    )
+
+
+def some_service(robot: str, number: int, random: Random) -> Topic:
+    """A service of a robot's session, of that number."""
+    return Topic(
+        topic=f"/service{number}",
+        direction=random.choice(("transmit", "receive")),
+        kind="service",
+        protocol=random.choice(("tcp", None)),
+        port=random.choice((None, None, None, 21_000 + number)),
+        remote_topic=random.choice((None, None, f"/{robot}/served{number}")),
+        compression=random.choice((None, None, "zstd")),
+        timeout=random.choice((None, 2.0, 5.0)),
+        paused=random.random() < 0.05,
+    )
+
+
+def some_action(robot: str, number: int, random: Random) -> Topic:
+    """An action of a robot's session, of that number."""
+    return Topic(
+        topic=f"/action{number}",
+        direction=random.choice(("transmit", "receive")),
+        kind="action",
+        remote_topic=random.choice((None, None, f"/{robot}/done{number}")),
+        compression=random.choice((None, None, "zstd")),
+        timeout=random.choice((None, 5.0)),
     )
 
 

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Event, Level
-    from rsb_bridge.ros.api import RawMessage
 
 _EPOCH = 1_700_000_000
 _SNAPSHOT_EVERY = 60.0
@@ -61,7 +60,7 @@ class WallClock(Clock):
 class _Queue(RosToLoopQueue):
     """Messages from the ROS side, whose thread never has to wait: it is the loop's own."""
 
-    def put(self, receiver: Receiver, batch: Sequence[RawMessage]) -> None:
+    def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
         self._loop.call_soon(receiver.offer, batch)
 
 
@@ -109,7 +108,7 @@ class Station:
         self.clock = WallClock(network.loop, random)
         self.domain = Domain(network.loop, Random(random.random()), self.clock.time_ns)
         self.session: Session
-        self.keys: dict[str, Key | None] = {}
+        self.keys: dict[str, tuple[Key, ...]] = {}
         self.run: Run | None = None
         self.on_run: Callable[[Run], None] = _ignore
         self.on_end: Callable[[Run], None] = _ignore

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from tests.simulation.conftest import Play
 
 DAYS = {
-    1: 0.5,
+    1: 0.3,
     3: 0.7,
     5: 0.8,
-    6: 0.6,
+    6: 0.8,
     8: 0.4,
-    58: 0.05,
+    58: 0.03,
 }
 """Simulated days by seed: robots that are used now and then (3, 6) or all the time (1, 5), a world where something
 happens every few seconds (8), and many robots on one server (58)."""

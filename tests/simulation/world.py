@@ -9,14 +9,26 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import TYPE_CHECKING
 
+import msgspec
 from tests.simulation import faults, operators
+from tests.simulation.call_invariants import half_of
 from tests.simulation.chronicle import Chronicle
 from tests.simulation.climate import Climate, climate_of
+from tests.simulation.errands import Errand
+from tests.simulation.exchanges import Exchange
 from tests.simulation.flows import Account, Flow, label_of
 from tests.simulation.invariants import Invariants, route_of
 from tests.simulation.loop import SimulatedLoop
 from tests.simulation.network import Network
-from tests.simulation.sessions import SERVER_ADDRESS, SERVER_NAME, client_session, server_session, some_topic
+from tests.simulation.sessions import (
+    SERVER_ADDRESS,
+    SERVER_NAME,
+    client_session,
+    server_session,
+    some_action,
+    some_service,
+    some_topic,
+)
 from tests.simulation.sockets import simulated
 from tests.simulation.station import Run, Station
 
@@ -50,6 +62,8 @@ class Robot:
         name: the client's, unless somebody has started it with a wrong one.
         station: its computer.
         flows: its topics.
+        exchanges: its services.
+        errands: its actions.
         troubles: what goes on that may keep it from being linked, each with how often.
         clear_since: s, since when there is nothing.
         commanded: s, when an operator last changed something.
@@ -59,6 +73,8 @@ class Robot:
     name: str
     station: Station
     flows: list[Flow] = field(default_factory=list)
+    exchanges: list[Exchange] = field(default_factory=list)
+    errands: list[Errand] = field(default_factory=list)
     troubles: Counter[str] = field(default_factory=Counter)
     clear_since: float = 0.0
     commanded: float = 0.0
@@ -75,6 +91,8 @@ class World:
         server: the PC that the robots call.
         robots: the clients.
         flows: by number.
+        exchanges: services, by number.
+        errands: actions, by number.
         accounts: what each route's sending half did, by the route.
         chronicle: what has happened.
     """
@@ -92,6 +110,8 @@ class World:
         self.loop.on_error = self._failed
         self.network = Network(self.loop, self.random("network"))
         self.flows: dict[int, Flow] = {}
+        self.exchanges: dict[int, Exchange] = {}
+        self.errands: dict[int, Errand] = {}
         self.accounts: dict[OutgoingRoute, Account] = {}
         self.chronicle = Chronicle(self.loop)
         self.stations: list[Station] = []
@@ -100,7 +120,7 @@ class World:
         random = self.random("world")
         encrypted = random.random() < 0.7
         names = [f"robot{number}" for number in range(1, random.choice(self.climate.robots) + 1)]
-        secret = {name: Key(random.randbytes(32)) if encrypted else None for name in names}
+        secret: dict[str, tuple[Key, ...]] = {name: (Key(random.randbytes(32)),) if encrypted else () for name in names}
         self.network.names[SERVER_NAME] = random.choice(([SERVER_ADDRESS], ["10.255.0.1", SERVER_ADDRESS]))
         self.server = self._station("pc", SERVER_ADDRESS, server_session(names, random, encrypted=encrypted), secret)
         self.robots = [self._robot(name, 2 + index, {name: secret[name]}, random) for index, name in enumerate(names)]
@@ -111,13 +131,61 @@ class World:
 
     # --- how it is made
 
-    def _robot(self, name: str, number: int, keys: dict[str, Key | None], random: Random) -> Robot:
+    def _robot(self, name: str, number: int, keys: dict[str, tuple[Key, ...]], random: Random) -> Robot:
         topics = tuple(some_topic(name, index, random) for index in range(random.choice(self.climate.topics)))
         session = client_session(name, number, topics, random, encrypted=None not in keys.values())
+        calls = self.random(f"services of {name}")
+        services = [some_service(name, index, calls) for index in range(calls.choice(self.climate.services))]
+        goals = self.random(f"actions of {name}")
+        actions = [some_action(name, index, goals) for index in range(goals.choice(self.climate.actions))]
+        session = msgspec.structs.replace(session, topics=(*topics, *services, *actions))
         robot = Robot(name, self._station(name, f"10.0.0.{number}", session, keys))
         for topic in topics:
             self.add_flow(robot, topic, random)
+        for service in services:
+            self._add_exchange(robot, service, calls)
+        for action in actions:
+            self.add_errand(robot, action, self.climate.periods[0])
         return robot
+
+    def add_errand(self, robot: Robot, action: Topic, period: float) -> Errand:
+        """Have clients at one end of an action, with a goal every `period` s (0: none), and a server at the other."""
+        here, there = robot.station.domain, self.server.domain
+        on_server = action.remote_topic or f"/{robot.name}{action.topic}"
+        transmit, number = action.direction == "transmit", len(self.errands) + 1
+        errand = Errand(
+            number,
+            action,
+            robot.name,
+            (here, there) if transmit else (there, here),
+            (action.topic, on_server) if transmit else (on_server, action.topic),
+            random=self.random(f"errand {number}"),
+            period=period,
+            on_wrong=self.wrong,
+        )
+        errand.explains = lambda goal: self.invariants.actions.explains(errand, goal)
+        self.errands[number] = errand
+        robot.errands.append(errand)
+        return errand
+
+    def _add_exchange(self, robot: Robot, service: Topic, random: Random) -> None:
+        """Have callers at one end of a service and a server at the other."""
+        here, there = robot.station.domain, self.server.domain
+        on_server = service.remote_topic or f"/{robot.name}{service.topic}"
+        transmit = service.direction == "transmit"
+        number, (shortest, longest) = len(self.exchanges) + 1, self.climate.periods
+        exchange = Exchange(
+            number,
+            service,
+            robot.name,
+            (here, there) if transmit else (there, here),
+            (service.topic, on_server) if transmit else (on_server, service.topic),
+            random=self.random(f"exchange {number}"),
+            period=shortest * (longest / shortest) ** random.random(),
+            on_wrong=self.wrong,
+        )
+        self.exchanges[number] = exchange
+        robot.exchanges.append(exchange)
 
     def add_flow(self, robot: Robot, topic: Topic, random: Random) -> Flow:
         """Have a publisher at one end of a topic and a subscription at the other."""
@@ -157,7 +225,7 @@ class World:
             self.stations.remove(station)
             self.network.leave(address)
 
-    def _station(self, name: str, address: str, session: Session, keys: dict[str, Key | None]) -> Station:
+    def _station(self, name: str, address: str, session: Session, keys: dict[str, tuple[Key, ...]]) -> Station:
         station = Station(self.network, name, address, self.random(f"station {name}"))
         station.session, station.keys = session, keys
         station.on_run = self._begins
@@ -179,7 +247,7 @@ class World:
         Raises:
             Violation: something happened that must not.
         """
-        with simulated():
+        with simulated(), self.invariants.actions.tapped():
             try:
                 self.loop.run_until_complete(self._play(seconds, doings))
             finally:
@@ -206,6 +274,12 @@ class World:
             for flow in robot.flows:
                 flow.listen()
                 flow.appear()
+            for exchange in robot.exchanges:
+                exchange.appear()
+                exchange.call()
+            for errand in robot.errands:
+                errand.appear()
+                errand.call()
         await asyncio.sleep(seconds)
         for task in tasks:
             task.cancel()
@@ -227,9 +301,12 @@ class World:
     def summary(self) -> str:
         """What it was, in a few lines."""
         messages = sum(flow.heard for flow in self.flows.values())
+        answers = sum(exchange.answered for exchange in self.exchanges.values())
+        answers += sum(errand.answered for errand in self.errands.values())
         return (
             f"world {self.seed} ({self.climate.name}): {len(self.robots)} robots, {len(self.flows)} topics, "
             f"{self.chronicle.stamp()}, {self.invariants.checks} checks, {messages} messages came out, "
+            f"{answers} calls were answered, "
             f"{self.chronicle.events[EventCode.LINK_UP]} ends linked, "
             f"at most {self.invariants.worst_recovery:.1f} s after it was possible, "
             f"digest {self.chronicle.digest:08x}\n{self.chronicle.summary()}"
@@ -254,7 +331,7 @@ class World:
             self.chronicle.tell(f"{what} is over: {', '.join(robot.name for robot in robots)}")
 
     @contextlib.contextmanager
-    def flow_trouble(self, flow: Flow, what: str) -> Iterator[None]:
+    def flow_trouble(self, flow: Flow | Exchange | Errand, what: str) -> Iterator[None]:
         """While this lasts, a topic need not flow."""
         self.chronicle.fault(what)
         self.chronicle.tell(f"{flow}: {what}")
@@ -318,6 +395,12 @@ class World:
             told.append(f"{snapshot.state} {snapshot.reason!r} {snapshot.ledger}" if snapshot else "no route")
         return "; ".join(told)
 
+    def said(self, exchange: Exchange) -> str:
+        """What both sides say of a service, its robot's first."""
+        halves = [half_of(link, exchange) for link in self.link_ends(self.robot(exchange.robot)) or ()]
+        shown = [half.snapshot() for half in halves if half is not None]
+        return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.stages}" for each in shown)
+
     # --- the outside truth
 
     def forget(self, run: Run) -> None:
@@ -352,7 +435,7 @@ class World:
         reader.on_take = took
 
     def _advertised(self, writer: Writer) -> None:
-        if writer.topic == ANNOUNCEMENT_TOPIC:
+        if writer.topic == ANNOUNCEMENT_TOPIC or "/_action/" in writer.topic:
             return  # no flow's
 
         def published(payload: bytes) -> None:

@@ -1,0 +1,220 @@
+"""What must hold of actions all along, beside what holds of all calls (`tests.simulation.call_invariants`)."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+from rsb_bridge.model.lanes import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from rsb_bridge.route.calls.calling import CallingRoute
+from rsb_bridge.route.calls.calling_action import CallingAction
+from rsb_bridge.route.calls.kept_calls import INTERRUPTION
+from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.providing_action import ProvidingAction
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.simulation.errands import Errand
+    from tests.simulation.goals import Goal
+    from tests.simulation.station import Run
+    from tests.simulation.world import World
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.route.calls.route import CallsRoute
+    from rsb_bridge.wire.calls import CallFrame
+
+REACHED_WITHIN = 15.0
+"""s from when nothing keeps an action from being reached until its clients see it."""
+WITHDRAWN_WITHIN = 45.0
+"""s until a server that was killed is seen no more, and is offered no more."""
+TOLD_WITHIN = 10.0
+"""s from then, or from when something has happened, until whoever waits for it knows."""
+_BEFORE = 1.0
+"""s before an opening in which what is asked may not be with the bridge yet."""
+_MUCH_LATER = 0.9 * INTERRUPTION
+
+
+class ActionInvariants:
+    """Watches a world's actions."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._patience = world.climate.patience
+        self._can_be_reached: dict[Errand, float] = {}
+        self._openings: dict[ProvidingAction, tuple[int, bool, set[bytes]]] = {}
+
+    def check(self) -> None:
+        """Check everything once."""
+        for errand in self._world.errands.values():
+            self._check_errand(errand)
+
+    def _check_errand(self, errand: Errand) -> None:
+        world, now = self._world, self._world.loop.time()
+        robot = world.robot(errand.robot)
+        ends = world.link_ends(robot)
+        halves = halves_of(world, errand)
+        near, _ = near_and_far(world, errand)
+        dead_is_seen = errand.dead_is_seen
+        gone = errand.server is None and not dead_is_seen
+        if near is not None and _offered(near, errand):
+            if not any(link.linked for link in near.links() if link.name == robot.name):
+                world.wrong(f"{errand}: clients see a server, and the link is down")
+            waited = now - max(errand.changed, world.clear_since(robot))
+            if gone and waited > self._patience * WITHDRAWN_WITHIN and not robot.troubles:
+                world.wrong(f"{errand}: clients see a server, and it has been gone for {waited:.1f} s")
+        if (
+            ends is None or robot.troubles or errand.troubles or errand.server is None or dead_is_seen
+            or len(halves) < len(ends)
+            or not all(link.linked for link in ends) or any(half.paused for half in halves)
+        ):  # fmt: skip
+            self._can_be_reached.pop(errand, None)
+            return
+        since = self._can_be_reached.setdefault(errand, now)
+        clear = max(since, errand.changed, robot.commanded, world.clear_since(robot)) + self._patience * REACHED_WITHIN
+        if now > clear:
+            assert near is not None
+            self._check_reached(errand, near, clear)
+
+    def _check_reached(self, errand: Errand, near: Run, clear: float) -> None:
+        world, now, server = self._world, self._world.loop.time(), errand.server
+        assert server is not None
+        if not _offered(near, errand):
+            world.wrong(f"{errand}: it can be reached, and is not offered; {said(world, errand)}")
+        soon = self._patience * TOLD_WITHIN
+        for goal in errand.waiting():
+            if now - goal.sent > _MUCH_LATER:
+                goal.result = "given up"
+                continue
+            asked = goal.asks
+            if asked is None or asked.at is None:
+                waited = now - max(clear, goal.sent)
+            else:
+                waited = now - max(clear, asked.at, goal.ended)
+            if waited > soon and not server.runs(goal.id):
+                world.wrong(f"{errand}: {goal} waits for its result for {waited:.1f} s; {said(world, errand)}")
+        for goal in errand.to_cancel():
+            assert goal.cancel is not None
+            waited = now - max(clear, goal.cancel.at or 0.0)
+            if waited > soon:
+                world.wrong(f"{errand}: {goal} is to be cancelled for {waited:.1f} s; {said(world, errand)}")
+        waited = now - max(clear, server.said_at)
+        if waited > soon and server.said and errand.heard != server.said:
+            world.wrong(f"{errand}: clients hear another status than the server's; {said(world, errand)}")
+
+    def explains(self, errand: Errand, goal: Goal) -> bool:
+        """Whether what happened explains that nobody knows the result of a goal."""
+        world = self._world
+        _, far = near_and_far(world, errand)
+        if goal.server is not errand.server or far is None or far.began > goal.sent:
+            return True  # whoever knew it has been started again
+        if errand.server is not None and errand.server.remembers(goal.id):
+            return False
+        robot = world.robot(errand.robot)
+        return max(robot.commanded, errand.changed) > goal.sent or world.loop.time() - goal.sent > _MUCH_LATER
+
+    # --- on the wire
+
+    @contextlib.contextmanager
+    def tapped(self) -> Iterator[None]:
+        """See what comes over the links to where the servers are."""
+        take = ProvidingAction._take
+
+        def tap(route: ProvidingAction, frame: CallFrame) -> None:
+            self._came(route, frame)
+            take(route, frame)
+
+        with patch.object(ProvidingAction, "_take", tap):
+            yield
+
+    def _came(self, route: ProvidingAction, frame: CallFrame) -> None:
+        """A cancel that was asked before an opening began comes before everything else."""
+        errand = next((each for each in self._world.errands.values() if _is_half(route, each)), None)
+        if errand is None:
+            return
+        opening, begun, cancels = self._openings.get(route, (0, False, set()))
+        if opening != route.id:
+            opening, begun, cancels = route.id, False, set()
+        about = frame.content[4:20]
+        goal = errand.goals.get(about)
+        if frame.lane == CANCEL_GOAL and goal is not None and goal.cancel is not None and goal.cancel.at is not None:
+            if begun and about not in cancels and goal.cancel.at < route.opened_at - _BEFORE:
+                self._world.wrong(
+                    f"{errand}: the cancel of {goal} comes after other calls: {said(self._world, errand)}"
+                )
+            cancels.add(about)
+        self._openings[route] = opening, begun or frame.lane in (SEND_GOAL, GET_RESULT), cancels
+
+
+def _is_half(route: CallsRoute, errand: Errand) -> bool:
+    return (route.topic == errand.near_name and route.remote_topic == errand.far_name) or (
+        route.local_topic == errand.far_name and route.peer.name == errand.robot
+    )
+
+
+def near_and_far(world: World, errand: Errand) -> tuple[Run | None, Run | None]:
+    """The engines on the clients' and on the server's side."""
+    ends = world.robot(errand.robot).station.run, world.server.run
+    return ends if errand.topic.direction == "transmit" else ends[::-1]
+
+
+def halves_of(world: World, errand: Errand) -> list[CallsRoute]:
+    """The halves of its route."""
+    links: list[Link] = list(world.link_ends(world.robot(errand.robot)) or ())
+    found: list[Any] = [route for link in links for route in link.routes.values() if route.topic == errand.near_name]
+    return [route for route in found if isinstance(route, (CallingAction, ProvidingAction))]
+
+
+def said(world: World, errand: Errand) -> str:
+    """What both sides say of an action."""
+    shown = [half.snapshot() for half in halves_of(world, errand)]
+    return "; ".join(f"{each.state} {each.reason!r} {each.calls} {each.goals}" for each in shown)
+
+
+def _offered(run: Run, errand: Errand) -> bool:
+    servers, node = run.station.domain.services.servers, f"/{run.node.node_name}"
+    return any(each.node == node for each in servers[errand.near_services[0]])
+
+
+def in_flight(route: CallsRoute) -> int:
+    """The calls of a half for which anybody waits."""
+    waiting = len(route._waiting) if isinstance(route, CallingAction) else 0
+    return len(route._under_way) + waiting  # type: ignore[attr-defined]
+
+
+def left_of_ended_calls(route: CallsRoute) -> list[str]:
+    """What a half still has of calls that are over."""
+    under_way = route._under_way  # type: ignore[attr-defined]
+    found = [
+        f"{frame.what.name} {frame.call} in the outbox"
+        for frame in route._outbox._frames.values()
+        if frame.call and frame.what.name != "REFUSED" and frame.call not in under_way
+    ]
+    if isinstance(route, ProvidingRoute):
+        found += [f"number {number}" for number, call in route._by_number.items() if call not in under_way]
+    if isinstance(route, ProvidingAction):
+        kept = route._answers._kept.items()
+        found += [f"{each} of {what}" for what, one in kept for each in one.calls if each not in under_way]
+    if not len(under_way) and under_way._timer is not None and not under_way._deadlines:
+        found.append("a timer")
+    return found
+
+
+def left_at_rest(route: CallsRoute) -> list[str]:
+    """What a half has though no goal runs, nobody asks anything, and whatever may be asked again has been forgotten."""
+    found = left_of_ended_calls(route)
+    tables: dict[str, object] = {
+        "calls in flight": route.calls.in_flight,
+        "calls under way": len(route._under_way),  # type: ignore[attr-defined]
+        "frames": len(route._outbox._frames),
+    }
+    if isinstance(route, CallingAction):
+        tables |= {"waiting calls": len(route._waiting)}
+    if isinstance(route, ProvidingAction):
+        tables |= {"kept answers": len(route._answers._kept), "numbers": len(route._answers._by_number)}
+    if isinstance(route, (CallingAction, ProvidingAction)):
+        tables |= {"running goals": len(route.goals.running())}
+    budget = route.peer.budget
+    tables |= {"held of the budget": max((budget.asked if isinstance(route, CallingRoute) else budget.provided).held)}
+    return found + [f"{length} {what}" for what, length in tables.items() if length]

@@ -1,0 +1,204 @@
+"""One service between two domains in a world where nothing else goes on, and what happened at both ends of it."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from tests.simulation.climate import STILL
+from tests.simulation.ros import hash_of
+from tests.simulation.services import Client, Server
+from tests.simulation.world import World
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.calls.route import CallsRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from tests.simulation.ros import Domain
+    from tests.simulation.station import Station
+
+    from rsb_bridge.model.calls import CallsSnapshot
+    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.ros.api import Request, Response
+
+TYPE = "std_srvs/srv/SetBool"
+SETTLED = 3.0
+"""s in which what is possible has come about: discovery, a look at the graph, a report to the other side."""
+
+
+class Teller:
+    """A server: says of each request what it was, at once or when it is told to.
+
+    Attributes:
+        asked: what it was asked, oldest first.
+        server: as the domain knows it.
+    """
+
+    def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str, *, waits: bool) -> None:
+        self.asked: list[bytes] = []
+        self.node = node
+        self._domain = domain
+        self._waiting: list[Request] = []
+        self._waits = waits
+        self.server = Server(domain.services, node, service, type_name, type_hash, self._take)
+
+    def _take(self, batch: Sequence[Request]) -> None:
+        for request in batch:
+            self.asked.append(request.payload)
+            self._waiting.append(request)
+        if not self._waits:
+            self.answer()
+
+    def answer(self, order: Callable[[list[Request]], object] = lambda _: None) -> None:
+        """Answer whatever waits, in the order that a function puts it in."""
+        waiting, self._waiting = self._waiting, []
+        order(waiting)
+        for request in waiting:
+            self.server.answer(request.caller, answer_to(request.payload, self.node))
+
+    def die(self) -> None:
+        """Its process is killed: it is seen for a while, and answers nothing."""
+        self.server.closed = True
+        self._domain.forget_later(self.server)
+
+
+class Asker:
+    """A client.
+
+    Attributes:
+        client: as the domain knows it.
+        requests: what it has asked, by number.
+        answers: what came, by number; more than one to a call would be wrong.
+    """
+
+    def __init__(self, domain: Domain, service: str, node: str, type_name: str, type_hash: str) -> None:
+        self.node = node
+        self.requests: dict[int, bytes] = {}
+        self.answers: dict[int, bytes] = {}
+        self.client = Client(domain.services, node, service, type_name, type_hash, self._take)
+
+    def ask(self, content: bytes = b"") -> int:
+        """Make a call."""
+        request = b"\0\1\0\0" + f"{self.node} {len(self.requests)} ".encode() + content
+        number = self.client.call(request)
+        self.requests[number] = request
+        return number
+
+    def _take(self, batch: Sequence[Response]) -> None:
+        for response in batch:
+            assert response.number not in self.answers, "answered twice"
+            self.answers[response.number] = response.payload
+
+    @property
+    def right(self) -> int:
+        """How many calls had an answer, each of which is the one to what was asked."""
+        for number, answer in self.answers.items():
+            assert answer.startswith(answer_to(self.requests[number], ""))
+        return len(self.answers)
+
+
+def answer_to(request: bytes, node: str) -> bytes:
+    """What a server says."""
+    return b"\0\1\0\0you asked " + request + b", says " + node.encode()
+
+
+class Booth:
+    """The service of a robot's session.
+
+    Args:
+        seed: of the world.
+        provider: which side answers.
+        spec: fields of its entry.
+
+    Attributes:
+        world: in which it is.
+        near: the callers' computer.
+        far: the providers'.
+    """
+
+    def __init__(self, seed: int = 1, provider: str = "server", kind: str = "service", **spec: Any) -> None:
+        self.world = World(seed, replace(STILL, topics=(0,)))
+        (self.robot,) = self.world.robots
+        self.spec = Topic("/set", "transmit" if provider == "server" else "receive", kind=kind, **spec)  # type: ignore[arg-type]
+        station = self.robot.station
+        station.session = msgspec.structs.replace(station.session, topics=(self.spec,))
+        on_server = f"/{self.robot.name}/set"
+        client, server = (station, "/set"), (self.world.server, on_server)
+        (self.near, self.near_name), (self.far, self.far_name) = (
+            (client, server) if provider == "server" else (server, client)
+        )
+
+    def teller(
+        self,
+        node: str = "/teller",
+        *,
+        far: bool = True,
+        waits: bool = False,
+        suffix: str = "",
+        type_name: str = TYPE,
+        type_hash: str | None = None,
+    ) -> Teller:
+        """A server on the providing side, or on the callers'."""
+        station, name = (self.far, self.far_name) if far else (self.near, self.near_name)
+        return Teller(
+            station.domain,
+            name + suffix,
+            node,
+            type_name,
+            hash_of(type_name) if type_hash is None else type_hash,
+            waits=waits,
+        )
+
+    def asker(
+        self, node: str = "/asker", *, suffix: str = "", type_name: str = TYPE, type_hash: str | None = None
+    ) -> Asker:
+        """A client on the callers' side."""
+        return Asker(
+            self.near.domain,
+            self.near_name + suffix,
+            node,
+            type_name,
+            hash_of(type_name) if type_hash is None else type_hash,
+        )
+
+    def halves(self) -> tuple[CallsRoute, CallsRoute]:
+        """The callers' half of the route, and the providing one."""
+        return _half(self.near), _half(self.far)
+
+    def shown(self) -> tuple[RouteSnapshot, RouteSnapshot]:
+        """What both sides show, the callers' first."""
+        near, far = self.halves()
+        return near.snapshot(), far.snapshot()
+
+    def counted(self) -> tuple[CallsSnapshot, CallsSnapshot]:
+        """What both sides count, the callers' first; each adds up, and what is in flight is held in the budget."""
+        near, far = (shown.calls for shown in self.shown())
+        assert near is not None
+        assert far is not None
+        for calls in (near, far):
+            parts = calls.answered + calls.expired + sum(calls.refused.values()) + calls.lost + calls.in_flight
+            assert calls.asked == parts
+            assert calls.in_flight >= 0
+        return near, far
+
+    @property
+    def offered(self) -> bool:
+        """Whether the bridge offers the service on the callers' side."""
+        return any(each.node.startswith("/rsb_") for each in self.near.domain.services.servers[self.near_name])
+
+    async def ready(self, asker: Asker) -> None:
+        """Wait until a call of an asker would reach somebody."""
+        async with asyncio.timeout(30.0):
+            while not asker.client.ready:  # noqa: ASYNC110 — plain state of a simulated world
+                await asyncio.sleep(0.05)
+
+
+def _half(station: Station) -> CallsRoute:
+    assert station.run is not None
+    (route,) = [each for link in station.run.links() for each in link.routes.values() if each.proposal.kind != "topic"]
+    assert isinstance(route, CallsRoute)
+    return route

@@ -1,0 +1,337 @@
+"""Actions with a server at one end and clients at the other, and what they know of their goals: the outside truth."""
+
+from __future__ import annotations
+
+import contextvars
+import struct
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from tests.simulation.action_server import CDR, SERVICES, ActionServer, Plan, lane_type, names
+from tests.simulation.goals import Asked, Goal
+from tests.simulation.ros import Reader
+from tests.simulation.services import Client
+
+from rsb_bridge.model.lanes import CANCEL_GOAL, FEEDBACK, GET_RESULT, LANES, SEND_GOAL, STATUS
+from rsb_bridge.route.calls.goal_messages import STATES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from random import Random
+
+    from tests.simulation.ros import Domain
+
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.ros.api import RawMessage, Response
+
+_ID = struct.Struct("<4sIII")
+_ASKED_AGAIN_EVERY = 1.0
+"""s until a client looks whether the server that it asked is gone, and asks again."""
+_REMEMBERED = 2000
+_OF_NOBODY = contextvars.Context()
+
+
+class Errand:
+    """One action that is to be bridged.
+
+    Attributes:
+        number: of the errand.
+        topic: the action as the client's session has it.
+        robot: the client's name.
+        near: where the clients are.
+        far: where the server is.
+        near_name: the action's name there.
+        far_name: likewise.
+        near_services: the names of the services that it consists of there.
+        far_services: likewise.
+        changed: s, when something was last done to its ends.
+        troubles: what goes on that may keep it from being reached.
+        server: None: there is none.
+        dead: servers that were killed, as long as they may be seen.
+        goals: by id, the newest.
+        answered: results that came to those who asked.
+        heard: the last status message that a client of it heard.
+        explains: whether what happened in the world explains that nobody knows the result of a goal.
+        log: what came to its servers, in order: ``goal`` or ``cancel``, and the goal.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        topic: Topic,
+        robot: str,
+        ends: tuple[Domain, Domain],
+        action: tuple[str, str],
+        *,
+        random: Random,
+        period: float,
+        on_wrong: Callable[[str], None],
+    ) -> None:
+        self.number = number
+        self.topic = topic
+        self.robot = robot
+        self.near, self.far = ends
+        self.near_name, self.far_name = action
+        self.changed = 0.0
+        self.troubles: Counter[str] = Counter()
+        self.server: ActionServer | None = None
+        self.dead: list[ActionServer] = []
+        self.goals: dict[bytes, Goal] = {}
+        self.answered = 0
+        self.heard = b""
+        self.explains: Callable[[Goal], bool] = lambda _: True
+        self.log: list[tuple[str, Goal]] = []
+        self.near_services = [names(self.near_name)[lane] for lane in SERVICES]
+        self.far_services = [names(self.far_name)[lane] for lane in SERVICES]
+        self._random = random
+        self._period = period
+        self._loop = self.near.loop
+        self._on_wrong = on_wrong
+        self._slow = False
+        self._life = 0
+        self._sent = 0
+        self._clients: dict[int, Client] = {}
+        self._readers: list[Reader] = []
+        self._calls: dict[tuple[int, int], Goal] = {}  # that wait for their answers, by lane and number
+
+    def __str__(self) -> str:
+        return f"{self.robot}'s action {self.near_name}"
+
+    # --- the nodes at its ends
+
+    def appear(self) -> None:
+        """A server is there."""
+        if self.server is None:
+            self.changed = self._loop.time()
+            self.server = ActionServer(self.far, self.far_name, f"/doer{self.number}", self)
+
+    def vanish(self, *, killed: bool = False) -> None:
+        """The server is gone, and its goals with it; if it is killed, others see it for a while."""
+        server, self.server = self.server, None
+        if server is not None:
+            self.changed = self._loop.time()
+            server.close(killed=killed)
+            self.dead += [server] if killed else []
+
+    @property
+    def dead_is_seen(self) -> bool:
+        """Whether others see a server that is no more: what they asked it may be asked of another one later only."""
+        self.dead = [each for each in self.dead if each.seen]
+        return bool(self.dead)
+
+    def hesitate(self, slow: bool) -> None:
+        """Whether the server takes its time, and sometimes never answers to a goal."""
+        self._slow = slow
+        self.changed = self._loop.time()
+
+    def call(self) -> None:
+        """A new client is there, in the place of the one before, and sends goals; it knows nothing of earlier ones."""
+        for client in self._clients.values():
+            client.close()
+        for reader in self._readers:
+            reader.close()
+        self._life += 1
+        self._calls.clear()
+        self.heard = b""
+        called, node = names(self.near_name), f"/asker{self.number}"
+        takes = {SEND_GOAL: self._take_answer, CANCEL_GOAL: self._take_cancelled, GET_RESULT: self._take_result}
+        self._clients = {
+            lane: Client(self.near.services, node, called[lane], *lane_type(lane), take) for lane, take in takes.items()
+        }
+        hears = {FEEDBACK: self._hear_feedback, STATUS: self._hear_status}
+        self._readers = [
+            Reader(self.near, node, called[lane], *lane_type(lane), qos, hear)
+            for lane, hear in hears.items()
+            if (qos := LANES["action"][lane].qos) is not None
+        ]
+        life = self._life
+        self._loop.call_later(_ASKED_AGAIN_EVERY, self._look, life, context=_OF_NOBODY)
+        if self._period:
+            self._loop.call_later(self._random.uniform(0.0, self._period), self._beat, life, context=_OF_NOBODY)
+
+    def rest(self) -> None:
+        """Send no more goals."""
+        self._period = 0.0
+
+    def busy(self, period: float) -> None:
+        """Send goals from now on, one every so many s on average."""
+        self._period = period
+        self._beat(self._life)
+
+    def _beat(self, life: int) -> None:
+        if life != self._life or not self._period:
+            return
+        for _ in range(self._random.choice((1, 1, 1, 4))):
+            goal = self.send(self._plan())
+            if goal is not None and self._random.random() < 0.3:
+                after = self._random.uniform(0.0, 2.0 * goal.plan.runs)
+                self._loop.call_later(after, self._cancel_if, life, goal, context=_OF_NOBODY)
+        self._loop.call_later(self._period * self._random.uniform(0.5, 1.5), self._beat, life, context=_OF_NOBODY)
+
+    def _plan(self) -> Plan:
+        random = self._random
+        if self._slow:
+            after = random.choice((None, random.uniform(0.0, 20.0), random.uniform(0.0, 5.0)))
+        else:
+            after = random.uniform(0.0, 0.1)
+        runs = random.choice((random.uniform(0.1, 5.0), random.uniform(1.0, 40.0), random.uniform(10.0, 200.0)))
+        return Plan(random.random() < 0.9, after, runs, random.choice(("succeeded", "succeeded", "aborted")))
+
+    # --- what clients do
+
+    @property
+    def ready(self) -> bool:
+        """Whether clients see a server."""
+        return self._clients[SEND_GOAL].ready and self._clients[GET_RESULT].ready and self._clients[CANCEL_GOAL].ready
+
+    def send(self, plan: Plan | None = None) -> Goal | None:
+        """Send a goal; None: no server is seen."""
+        plan = plan or Plan()
+        if not self.ready:
+            return None
+        self._sent += 1
+        goal = Goal(_ID.pack(b"goal", self.number, self._life, self._sent), plan, self._loop.time(), self._life)
+        if len(self.goals) >= _REMEMBERED:
+            del self.goals[next(iter(self.goals))]
+        self.goals[goal.id] = goal
+        self._calls[SEND_GOAL, self._clients[SEND_GOAL].call(CDR + goal.id + bytes(self._random.randrange(500)))] = goal
+        return goal
+
+    def cancel(self, goal: Goal) -> None:
+        """Have a goal cancelled."""
+        goal.cancel = goal.cancel or Asked()
+        self._ask(CANCEL_GOAL, goal, goal.cancel, CDR + goal.id + bytes(8))
+
+    def _cancel_if(self, life: int, goal: Goal) -> None:
+        if life == self._life and goal.told and not goal.result:
+            self.cancel(goal)
+
+    def ask_result(self, goal: Goal) -> None:
+        """Ask how a goal ended."""
+        goal.asks = goal.asks or Asked()
+        self._ask(GET_RESULT, goal, goal.asks, CDR + goal.id)
+
+    def _ask(self, lane: int, goal: Goal, asked: Asked, request: bytes) -> None:
+        client = self._clients[lane]
+        if client.ready:
+            asked.at, asked.servers = self._loop.time(), [each for each in client.matched if not each.closed]
+            self._calls[lane, client.call(request)] = goal
+
+    def _look(self, life: int) -> None:
+        """Ask again what was asked of a server that is gone: the bridge beside the client was started again."""
+        if life != self._life:
+            return
+        for goal in [each for each in self.goals.values() if each.client == life and each.told and not each.result]:
+            if goal.cancel is not None and goal.cancel.is_lost:
+                self.cancel(goal)
+            if goal.asks is not None and goal.asks.is_lost:
+                self.ask_result(goal)
+        self._loop.call_later(_ASKED_AGAIN_EVERY, self._look, life, context=_OF_NOBODY)
+
+    def waiting(self) -> list[Goal]:
+        """The goals of the present client that were accepted, and whose result has not come."""
+        return [each for each in self.goals.values() if each.client == self._life and each.told and not each.result]
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether any goal does."""
+        return self.server is not None and any(self.server.runs(each) for each in self.goals)
+
+    def to_cancel(self) -> list[Goal]:
+        """The goals of the present client that go on, though it has asked for their cancel."""
+        return [
+            each
+            for each in self.waiting()
+            if each.cancel is not None and each.cancel.at is not None and not each.cancelled
+            if self.server is not None and self.server.runs(each.id)
+        ]
+
+    # --- what clients hear
+
+    def _asked(self, lane: int, response: Response) -> Goal | None:
+        goal = self._calls.pop((lane, response.number), None)
+        if goal is None:
+            self._on_wrong(f"{self}: an answer to nothing, or a second one: {lane} {response}")
+        return goal
+
+    def _take_answer(self, batch: Sequence[Response]) -> None:
+        for response in batch:
+            if (goal := self._asked(SEND_GOAL, response)) is None:
+                return
+            goal.told = response.payload[4] != 0
+            if goal.told != (goal.server is not None) and goal.arrived:
+                self._on_wrong(f"{self}: the client of {goal} is told {goal.told}, its server said {goal.server}")
+            if goal.told and not goal.arrived:
+                self._on_wrong(f"{self}: {goal} is accepted, and no server has seen it")
+            if goal.told:
+                self.ask_result(goal)
+
+    def _take_cancelled(self, batch: Sequence[Response]) -> None:
+        for response in batch:
+            if (goal := self._asked(CANCEL_GOAL, response)) is None:
+                return
+            assert goal.cancel is not None
+            goal.cancel.done = True
+            if response.payload != CDR + goal.id:
+                self._on_wrong(f"{self}: {goal} got the answer to another's cancel: {response.payload!r}")
+            elif not goal.cancelled:
+                self._on_wrong(f"{self}: the cancel of {goal} is answered, and no server has seen it")
+
+    def _take_result(self, batch: Sequence[Response]) -> None:
+        for response in batch:
+            if (goal := self._asked(GET_RESULT, response)) is None:
+                return
+            assert goal.asks is not None
+            goal.asks.done = True
+            goal.result, about = STATES[response.payload[4]], response.payload[5:]
+            self.answered += 1
+            if goal.result == "unknown":
+                if not self.explains(goal):
+                    self._on_wrong(f"{self}: the result of {goal} is unknown, and nothing explains that")
+            elif about != goal.id:
+                self._on_wrong(f"{self}: {goal} got the result of another goal: {about!r}")
+            elif goal.result != goal.state:
+                self._on_wrong(f"{self}: {goal} got the result {goal.result}, and is {goal.state or 'not over'}")
+
+    def _hear_feedback(self, batch: Sequence[RawMessage]) -> None:
+        for message in batch:
+            goal, part = self.goals.get(message.payload[4:20]), message.payload[20]
+            if goal is None or goal.server is None or part <= goal.fed:
+                self._on_wrong(f"{self}: feedback {part} of {goal}, after {goal.fed if goal else 'nothing'}")
+            else:
+                goal.fed = part
+
+    def _hear_status(self, batch: Sequence[RawMessage]) -> None:
+        self.heard = batch[-1].payload
+
+    # --- what the server says: `tests.simulation.action_server.Watcher`
+
+    def arrived(self, server: ActionServer, goal: bytes) -> Plan:
+        """A goal has come."""
+        known = self.goals[goal]
+        known.arrived += 1
+        self.log.append(("goal", known))
+        if known.arrived > 1:
+            self._on_wrong(f"{self}: {known} came to the server {known.arrived} times")
+        if known.told is not None:
+            self._on_wrong(f"{self}: {known} came to the server after its client was told {known.told}")
+        return known.plan
+
+    def accepted(self, server: ActionServer, goal: bytes) -> None:
+        """It goes on from now."""
+        if self.goals[goal].told is not None:
+            self._on_wrong(f"{self}: {self.goals[goal]} begins after its client was told {self.goals[goal].told}")
+        self.goals[goal].server = server
+
+    def ended(self, goal: bytes, state: str) -> None:
+        """It is over."""
+        known = self.goals[goal]
+        known.state, known.ended = state, self._loop.time()
+
+    def cancelled(self, goal: bytes) -> None:
+        """A cancel has come."""
+        known = self.goals[goal]
+        known.cancelled = True
+        self.log.append(("cancel", known))
+        if known.cancel is None:
+            self._on_wrong(f"{self}: {known} is cancelled, and nobody asked for that")

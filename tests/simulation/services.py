@@ -1,0 +1,217 @@
+"""Services of a ROS domain without ROS: servers and clients, as far as a bridge can tell them from DDS's.
+
+- They find each other a moment after they are made, and until then calls do not reach.
+- A call reaches every server of the service; a response reaches the client that asked, and no other.
+- Requests and responses are taken in batches, a moment after they came, on the loop instead of a thread.
+- What a process had that was killed is seen for up to 40 s more, and answers nothing.
+"""
+
+from __future__ import annotations
+
+import contextvars
+from collections import defaultdict, deque
+from functools import partial
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import Request, Response, RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from tests.simulation.ros import Domain
+
+    from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink
+
+SEEN = Qos(depth=0)
+"""What others see of a server's or a client's policies."""
+_DISCOVERY = (0.001, 0.05)
+_WAITS = 0.1
+"""s that a server waits until it knows the client that it answers: rmw_fastrtps does."""
+_BATCH = 64
+_OF_NOBODY = contextvars.Context()
+_GID = 16
+
+T = TypeVar("T")
+
+
+class Services:
+    """The services of one domain."""
+
+    def __init__(self, domain: Domain) -> None:
+        self.domain = domain
+        self.servers: defaultdict[str, list[Server]] = defaultdict(list)
+        self.clients: defaultdict[str, list[Client]] = defaultdict(list)
+        self._by_gid: dict[bytes, Client] = {}
+
+    def names(self) -> dict[str, set[str]]:
+        """Types by service."""
+        found: dict[str, set[str]] = {}
+        ends: list[Server | Client] = [end for servers in self.servers.values() for end in servers]
+        ends += [end for clients in self.clients.values() for end in clients]
+        for end in ends:
+            found.setdefault(end.service, set()).add(end.type_name)
+        return found
+
+    def add(self, end: Server | Client) -> None:
+        """A server or a client is there."""
+        if isinstance(end, Server):
+            self.servers[end.service].append(end)
+            pairs = [(client, end) for client in self.clients[end.service]]
+        else:
+            self.clients[end.service].append(end)
+            self._by_gid[end.gid] = end
+            pairs = [(end, server) for server in self.servers[end.service]]
+        self.domain.changed()
+        for client, server in pairs:
+            if client.type_name == server.type_name:
+                delay = self.domain.random.uniform(*_DISCOVERY)
+                self.domain.loop.call_later(delay, self._match, client, server, context=_OF_NOBODY)
+
+    def _match(self, client: Client, server: Server) -> None:
+        if not client.closed and not server.closed:
+            client.matched[server] = None
+
+    def remove(self, end: Server | Client) -> None:
+        """It is gone, for everybody."""
+        if isinstance(end, Client):
+            if self._by_gid.pop(end.gid, None) is None:
+                return
+            self.clients[end.service].remove(end)
+        else:
+            if end not in self.servers[end.service]:
+                return
+            self.servers[end.service].remove(end)
+            for client in self.clients[end.service]:
+                client.matched.pop(end, None)
+        self.domain.changed()
+
+    def respond(self, server: Server, caller: bytes, payload: bytes, *, again: bool = True) -> None:
+        """A response goes to the client that asked, if it is there and knows the server, or will in a moment."""
+        client = self._by_gid.get(caller[:_GID])
+        if client is None or client.closed:
+            return
+        if server in client.matched:
+            number = int.from_bytes(caller[_GID:], "big")
+            client.put(Response(payload, number, self.domain.wall_ns()))
+        elif again and not server.closed:
+            later = partial(self.respond, server, caller, payload, again=False)
+            self.domain.loop.call_later(_WAITS, later, context=_OF_NOBODY)
+
+
+class _End(Generic[T]):
+    """What servers and clients share."""
+
+    def __init__(
+        self,
+        services: Services,
+        node: str,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: Callable[[Sequence[T]], None],
+        on_failure: OnFailure | None,
+    ) -> None:
+        self.gid = services.domain.new_gid()
+        self.node = node
+        self.service = service
+        self.type_name = type_name
+        self.type_hash = type_hash
+        self.seen_qos = SEEN
+        self.closed = False
+        self._services = services
+        self._sink = sink
+        self._on_failure = on_failure
+        self._pending: deque[T] = deque()
+        self._draining = False
+        self._context = contextvars.copy_context()
+
+    def put(self, each: T) -> None:
+        """A request or a response came."""
+        self._pending.append(each)
+        self._drain_soon()
+
+    def _drain_soon(self) -> None:
+        if not self._draining:
+            self._draining = True
+            domain = self._services.domain
+            domain.loop.call_later(domain.random.uniform(*domain.taking), self._drain, context=self._context)
+
+    def _drain(self) -> None:
+        self._draining = False
+        if self.closed or not self._pending:
+            return
+        batch = [self._pending.popleft() for _ in range(min(_BATCH, len(self._pending)))]
+        if self._pending:
+            self._drain_soon()
+        self._sink(batch)
+
+    def fail(self) -> None:
+        """Let the next take fail: it is over."""
+        if not self.closed:
+            self.close()
+            if self._on_failure is not None:
+                self._context.run(self._on_failure, RosError(f"{self.service}: taking failed"))
+
+    def close(self) -> None:
+        """Free it."""
+        if not self.closed:
+            self.closed = True
+            self._services.remove(self)  # type: ignore[arg-type]
+
+
+class Server(_End[Request]):
+    """A server of any node's: `rsb_bridge.ros.api.ServiceServer`."""
+
+    def __init__(
+        self,
+        services: Services,
+        node: str,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: RequestSink,
+        on_failure: OnFailure | None = None,
+    ) -> None:
+        super().__init__(services, node, service, type_name, type_hash, sink, on_failure)
+        services.add(self)
+
+    def answer(self, caller: bytes, payload: bytes) -> None:
+        if not self.closed:
+            self._services.respond(self, caller, payload)
+
+
+class Client(_End[Response]):
+    """A client of any node's: `rsb_bridge.ros.api.ServiceClient`.
+
+    Attributes:
+        matched: the servers that its calls reach.
+        called: calls so far.
+    """
+
+    def __init__(
+        self,
+        services: Services,
+        node: str,
+        service: str,
+        type_name: str,
+        type_hash: str,
+        sink: ResponseSink,
+        on_failure: OnFailure | None = None,
+    ) -> None:
+        super().__init__(services, node, service, type_name, type_hash, sink, on_failure)
+        self.matched: dict[Server, None] = {}
+        self.called = 0
+        services.add(self)
+
+    @property
+    def ready(self) -> bool:
+        return bool(self.matched)
+
+    def call(self, payload: bytes) -> int:
+        self.called += 1
+        request = Request(payload, self.gid + self.called.to_bytes(8, "big"), self._services.domain.wall_ns())
+        for server in self.matched:
+            if not server.closed:
+                server.put(request)
+        return self.called

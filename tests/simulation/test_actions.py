@@ -1,0 +1,261 @@
+"""Actions over a bridge, in worlds where nothing happens but what is made to happen."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import msgspec
+import pytest
+from tests.simulation import action_invariants, faults
+from tests.simulation.action_invariants import halves_of, left_at_rest, said
+from tests.simulation.action_server import Plan
+from tests.simulation.climate import STILL
+from tests.simulation.world import World
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.calls import calling_action, kept_answers, kept_calls, providing_action
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Iterator
+
+    from tests.simulation.conftest import Play
+    from tests.simulation.errands import Errand
+    from tests.simulation.goals import Goal
+    from tests.simulation.station import Station
+
+_HOUR = 120.0
+"""s for which what outlives an interruption is kept here, so that its end can be waited for."""
+SIDES = ("server", "client")
+
+
+class Court:
+    """One action of a robot's session, its server and its client.
+
+    Args:
+        provider: which side has the server.
+        seed: of the world.
+
+    Attributes:
+        world: in which it is.
+        errand: the action.
+        near: the client's computer.
+        far: the server's.
+    """
+
+    def __init__(self, provider: str, seed: int = 1, **spec: Any) -> None:
+        self.world = World(seed, replace(STILL, topics=(0,), checks=(1.0, 2.0)))
+        (robot,) = self.world.robots
+        self.robot = robot
+        action = Topic("/do", "transmit" if provider == "server" else "receive", kind="action", **spec)
+        robot.station.session = msgspec.structs.replace(robot.station.session, topics=(action,))
+        self.errand: Errand = self.world.add_errand(robot, action, 0.0)
+        ends: tuple[Station, Station] = robot.station, self.world.server
+        self.near, self.far = ends if provider == "server" else ends[::-1]
+
+    async def begin(self) -> None:
+        """Wait until the client sees a server."""
+        await until(lambda: self.errand.ready, 30.0)
+
+    async def goal(self, **plan: Any) -> Goal:
+        """Send a goal that is accepted."""
+        goal = self.errand.send(Plan(**plan))
+        assert goal is not None
+        await until(lambda: goal.told, 5.0)
+        return goal
+
+    @contextlib.contextmanager
+    def cut(self) -> Iterator[None]:
+        """There is no network."""
+        ends = self.near.machine, self.far.machine
+        with self.world.trouble("cut", self.robot):
+            self.world.network.cut(*ends)
+            yield
+            self.world.network.heal(*ends)
+
+    async def restart(self, station: Station) -> None:
+        """A bridge is killed and started again."""
+        with self.world.trouble("killed", self.robot):
+            station.kill()
+            await asyncio.sleep(2.0)
+            station.start()
+
+
+async def until(condition: Callable[[], object], within: float) -> None:
+    """Wait for something, with a deadline."""
+    async with asyncio.timeout(within):
+        while not condition():  # noqa: ASYNC110 — plain state of a simulated world
+            await asyncio.sleep(0.05)
+
+
+@contextlib.contextmanager
+def short_interruptions() -> Iterator[None]:
+    """What outlives an interruption does so for minutes instead of an hour."""
+    with contextlib.ExitStack() as stack:
+        for module in (kept_calls, calling_action, kept_answers, providing_action):
+            stack.enter_context(patch.object(module, "INTERRUPTION", _HOUR))
+        stack.enter_context(patch.object(action_invariants, "_MUCH_LATER", 0.9 * _HOUR))
+        yield
+
+
+def lived(play: Play, court: Court, life: Coroutine[None, None, None], seconds: float = 500.0) -> None:
+    """Play a world until a life is over, and whatever it leaves behind has been forgotten."""
+    over: list[bool] = []
+
+    async def live() -> None:
+        await court.begin()
+        await life
+        court.errand.rest()
+        await until(lambda: not court.errand.goes_on, 250.0)
+        await asyncio.sleep(_HOUR + kept_answers.SENT_KEPT + 10.0)
+        halves = halves_of(court.world, court.errand)
+        assert len(halves) == 2
+        for half in halves:
+            if left := left_at_rest(half):
+                court.world.wrong(f"at rest, {half.key} still has {left}; {said(court.world, court.errand)}")
+        over.append(True)
+
+    async def guarded() -> None:
+        try:
+            await live()
+        except Exception as error:  # noqa: BLE001 — whatever fails in it fails here
+            court.world.loop.fail(error)
+
+    with short_interruptions():
+        play(court.world, seconds, guarded())
+    assert over, "it has not come to an end"
+
+
+@pytest.mark.parametrize("provider", SIDES)
+def test_a_goal_that_was_accepted_goes_on_over_a_cut(provider: str, play: Play) -> None:
+    """Its result is there though the action server forgets it after 10 s; another's is not taken for it."""
+    court = Court(provider)
+
+    async def live() -> None:
+        goals = [await court.goal(runs=runs, state=state) for runs, state in ((3.0, "aborted"), (50.0, "succeeded"))]
+        with court.cut():
+            await asyncio.sleep(40.0)
+            assert [each.state for each in goals] == ["aborted", ""]
+            assert not goals[0].result
+            assert not court.errand.server.remembers(goals[0].id)  # type: ignore[union-attr]
+        await until(lambda: goals[0].result, 15.0)
+        await until(lambda: goals[1].result, 30.0)
+        assert [each.result for each in goals] == ["aborted", "succeeded"]
+
+    lived(play, court, live())
+
+
+@pytest.mark.parametrize("provider", SIDES)
+def test_a_cancel_of_the_cut_comes_before_anything_else(provider: str, play: Play) -> None:
+    court = Court(provider)
+
+    async def live() -> None:
+        first, second = await court.goal(runs=300.0), await court.goal(runs=100.0)
+        with court.cut():
+            await asyncio.sleep(10.0)
+            assert court.errand.send() is None, "nobody can send a goal now"
+            court.errand.cancel(first)
+            await asyncio.sleep(20.0)
+            assert not first.cancelled
+        await until(lambda: court.errand.ready, 15.0)
+        third = court.errand.send()
+        await until(lambda: first.result and third and third.told, 5.0)
+        assert first.result == "canceled"
+        assert [what for what, _ in court.errand.log] == ["goal", "goal", "cancel", "goal"]
+        assert court.errand.log[2][1] is first
+        assert not second.result
+
+    lived(play, court, live())
+
+
+@pytest.mark.parametrize("provider", SIDES)
+def test_a_goal_on_its_way_begins_once_or_never(provider: str, play: Play) -> None:
+    """One that came before the cut is accepted, and its client is told so; one that did not is rejected."""
+    court = Court(provider, timeout=60.0)
+
+    async def live() -> None:
+        came = court.errand.send(Plan(after=15.0, runs=5.0))
+        assert came is not None
+        await until(lambda: came.arrived, 5.0)
+        with court.cut():
+            late = court.errand.send()
+            assert late is not None
+            await asyncio.sleep(20.0)
+            assert came.server is not None
+        await until(lambda: came.result and late.told is not None, 30.0)
+        assert (came.told, came.result, came.arrived) == (True, "succeeded", 1)
+        assert (late.told, late.arrived) == (False, 0)
+
+    lived(play, court, live())
+
+
+@pytest.mark.parametrize("provider", SIDES)
+@pytest.mark.parametrize("end", ["near", "far"])
+def test_a_bridge_that_is_killed_and_started_again(provider: str, end: str, play: Play) -> None:
+    """Beside the client, the client asks again; beside the server, the bridge does."""
+    court = Court(provider)
+
+    async def live() -> None:
+        goal = await court.goal(runs=60.0)
+        cancelled = await court.goal(runs=300.0)
+        station: Station = getattr(court, end)
+        if end == "far":
+            with court.cut():
+                await asyncio.sleep(8.0)
+                court.errand.cancel(cancelled)
+                await court.restart(station)
+        else:
+            await court.restart(station)
+            await until(lambda: court.errand.ready, 30.0)
+            court.errand.cancel(cancelled)
+        await until(lambda: cancelled.result, 30.0)
+        assert cancelled.result == "canceled"
+        await until(lambda: goal.result, 90.0)
+        assert (goal.result, goal.arrived) == ("succeeded", 1)
+
+    lived(play, court, live())
+
+
+def test_a_server_that_does_not_answer_leaves_nothing_behind(play: Play) -> None:
+    court = Court("client", timeout=2.0)
+
+    async def live() -> None:
+        for _ in range(5):
+            court.errand.send(Plan(after=None))
+        await asyncio.sleep(5.0)
+        expired = [half.calls.expired for half in halves_of(court.world, court.errand)]
+        assert expired == [5, 5]
+        await asyncio.sleep(kept_answers.SENT_KEPT + 5.0)
+        await court.goal(runs=1.0)  # the server says that it has no other goals
+
+    lived(play, court, live())
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_nothing_is_left_over_after_a_course_of_faults(seed: int, play: Play) -> None:
+    """Links drop, bridges and servers are killed, at either end, while goals are sent, and cancelled, all the time."""
+    court = Court(SIDES[seed % 2], seed, timeout=(None, 5.0)[seed // 2 % 2])
+    errand, world = court.errand, court.world
+
+    async def live() -> None:
+        errand.busy(2.0)
+        random = world.random("course")
+        courses: list[Callable[[], Coroutine[None, None, None]]] = [
+            lambda: faults.cut(world, court.robot, random),
+            lambda: faults.cut(world, court.robot, random),
+            lambda: faults.kill(world, court.robot, random),
+            lambda: faults.server_killed(world, random),
+            lambda: faults.server_ends(world, errand, random),
+            lambda: faults.server_dies(world, errand, random),
+            lambda: faults.offer_fails(world, errand, random),
+        ]
+        with patch.object(faults, "duration", lambda random: random.uniform(0.5, 20.0)):
+            for _ in range(8):
+                await random.choice(courses)()
+                await asyncio.sleep(random.uniform(0.0, 25.0))
+        assert errand.answered > 10
+
+    lived(play, court, live(), 900.0)

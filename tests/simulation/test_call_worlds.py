@@ -1,0 +1,36 @@
+"""Worlds in which services are called and goals are sent all the time, and much goes wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.simulation.climate import ACTIONS, CALLS
+from tests.simulation.world import Violation, World
+
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+
+_HOURS = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
+_OF_ACTIONS = {1: 0.5, 4: 0.7, 5: 0.5}
+
+
+@pytest.mark.parametrize("seed", _HOURS)
+def test_no_answer_is_wrong_and_nothing_is_left_over(seed: int, play: Play) -> None:
+    world = World(seed, CALLS if seed % 2 else replace(CALLS, faults=10.0, commands=60.0))
+    try:
+        play(world, _HOURS[seed] * 3600)
+    except Violation as violation:
+        pytest.fail(str(violation), pytrace=False)
+    assert sum(exchange.answered for exchange in world.exchanges.values()) > 100
+
+
+@pytest.mark.parametrize("seed", _OF_ACTIONS)
+def test_goals_outlive_whatever_goes_wrong(seed: int, play: Play) -> None:
+    world = World(seed, replace(ACTIONS, faults=20.0) if seed == 1 else ACTIONS)
+    try:
+        play(world, _OF_ACTIONS[seed] * 3600)
+    except Violation as violation:
+        pytest.fail(str(violation), pytrace=False)
+    assert sum(errand.answered for errand in world.errands.values()) > 30

@@ -1,0 +1,70 @@
+"""A link that an operator of the server has shut down for hours."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+import pytest
+from tests.simulation.climate import STILL
+from tests.simulation.episodes import shut_down_for
+from tests.simulation.world import World
+
+from rsb_bridge.link.link import Link
+from rsb_bridge.link.server_link import ServerLink
+from rsb_bridge.model.verdict import LinkCause
+
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+
+    from rsb_bridge.transport.streams import Stream
+
+_SHUT_DOWN = 3 * 3600.0
+_PLAYED = _SHUT_DOWN + 300.0
+
+
+@pytest.mark.parametrize("cuts", [0, 5])
+def test_a_client_that_is_shut_down_for_hours_asks_all_that_time_and_comes_back(cuts: int, play: Play) -> None:
+    """Nobody walks to the robot: its engine stays up, also where the network fails meanwhile."""
+    world = World(1, replace(STILL, topics=(1,)))
+    asked: list[float] = []
+    shown: set[str] = set()
+    up_at: list[float] = []
+    ask, tick = ServerLink.asked, ServerLink.tick
+
+    def note_question(self: ServerLink, stream: Stream) -> None:
+        asked.append(world.loop.time())
+        ask(self, stream)
+
+    def note_state(self: ServerLink) -> None:
+        tick(self)
+        if 60.0 + 2 * 36.0 < world.loop.time() < 60.0 + _SHUT_DOWN:
+            assert not self.linked
+            client = world.robots[0].station.run
+            assert client is not None
+            shown.update(str(link.snapshot().cause) for link in (self, *client.links()))
+            assert not client.links()[0].shut_down  # `run --no-ui` would end
+
+    up = Link.up
+
+    def note_link(self: Link, *args: object) -> None:
+        up_at.append(world.loop.time())
+        up(self, *args)  # type: ignore[arg-type]
+
+    with (
+        patch.object(ServerLink, "asked", note_question),
+        patch.object(ServerLink, "tick", note_state),
+        patch.object(Link, "up", note_link),
+    ):
+        play(world, _PLAYED, shut_down_for(world, _SHUT_DOWN, cuts=cuts))
+    gaps = [later - earlier for earlier, later in itertools.pairwise(asked)]
+    assert len(asked) > _SHUT_DOWN / 36.0 - 10 * cuts
+    assert min(gaps) > 23.0 or cuts  # a network that comes back is tried at once
+    assert max(gaps) < (140.0 if cuts else 37.0)
+    assert shown <= {LinkCause.SHUT_DOWN, LinkCause.UNREACHABLE}
+    assert (LinkCause.UNREACHABLE in shown) == bool(cuts)
+    back = [at for at in up_at if at > 60.0 + _SHUT_DOWN]
+    assert back
+    assert min(back) < 60.0 + _SHUT_DOWN + 37.0
