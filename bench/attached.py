@@ -1,15 +1,21 @@
-"""Prints what an attached console costs: 500 topics that flow, a headless bridge, and consoles at 2 Hz on it."""
+"""Prints what attached consoles cost: ``python -m bench.attached [ROUNDS]``, about ten minutes with three rounds.
+
+First what one console adds to a headless bridge of 500 topics: each figure is the difference to the same bridge without
+it, measured by turns. Then (`bench.attached_rates`) what consoles do to the messages that a bridge carries.
+"""
 
 from __future__ import annotations
 
 import os
+import statistics
+import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed
+from bench import attached_rates, bed
 from bench.console import OVER_SSH, Watched
 
 from rsb_bridge.config.keys import write_key
@@ -19,33 +25,50 @@ from rsb_bridge.model.session import Session, Topic
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-TOPICS, SECONDS = 500, 20.0
-IDLE = 0.05  # %
+TOPICS, SECONDS, ROUNDS = 500, 15.0, 3
+FIVE = 5
+SETTLES = 3.0
+AIM_CPU, AIM_LINE = 5.0, 25.0
 
 
 def main() -> None:
+    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS
+    print(f"load average {os.getloadavg()[0]:.1f}; CPU in % of a core\n")
+    _costs(rounds)
+    print()
+    attached_rates.main(rounds)
+
+
+def _costs(rounds: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        os.environ["XDG_RUNTIME_DIR"] = name
+        os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = name
         with (
             bed.Process("-m", "bench.many", str(bed.NEAR), str(TOPICS)),
             bed.headless(_session(folder, "server", bed.FAR, bed.free_port())),
             bed.headless(folder / "client.yaml") as bridge,
         ):
             _flowing()
-            print(f"{TOPICS} topics at 1 Hz on a headless bridge; CPU in % of a core, {SECONDS:.0f} s each")
-            print(
-                f"{'consoles':>9} {'bridge':>7} {'its control thread':>19} {'each console':>13} {'sent kB/s each':>15}"
-            )
-            quiet = _measure(bridge, 0)
-            for consoles in (0, 1, 0, 1, 0, 1, 5):
-                now = _measure(bridge, consoles)
-                # The thread that has nothing to do without a console. The whole process varies by more than it takes.
-                control = max(now.threads.get(tid, 0.0) for tid, used in quiet.threads.items() if used < IDLE)
-                print(
-                    f"{consoles:>9} {sum(now.threads.values()):>7.1f} {control:>19.2f} {now.console:>13.1f}"
-                    f" {now.written:>15.1f}"
-                )
+            print(f"{TOPICS} topics at 1 Hz on a headless bridge; consoles at 2 Hz; {rounds} x {SECONDS:.0f} s in turn")
+            pairs = [(_measure(bridge, 0), _measure(bridge, 1)) for _ in range(rounds)]
+            five = _measure(bridge, FIVE)
+    ros = pairs[0][0].busiest
+    bridge_alone = [none.without(ros) for none, _ in pairs]
+    bridge_with = [one.without(ros) for _, one in pairs]
+    added = [some - none for none, some in zip(bridge_alone, bridge_with, strict=True)]
+    consoles = [one.console for _, one in pairs]
+    _row("the bridge, without its ROS thread", added)
+    _row("the console", consoles)
+    both = [sum(parts) for parts in zip(added, consoles, strict=True)]
+    _row("both", both, f"aim: at most {AIM_CPU:g}")
+    _row("written to the terminal, kB/s", [one.written for _, one in pairs], f"aim: at most {AIM_LINE:g}")
+    each = (five.without(ros) - statistics.median(bridge_alone)) / FIVE
+    print(f"with {FIVE} consoles, each: the bridge {each:.2f}, the console {five.console:.2f}")
+
+
+def _row(name: str, figures: Sequence[float], aim: str = "") -> None:
+    ends = f"{min(figures):.2f} to {max(figures):.2f}"
+    print(f"  {name:<36} {statistics.median(figures):>6.2f}   ({ends})  {aim}".rstrip(), flush=True)
 
 
 class Costs(NamedTuple):
@@ -54,6 +77,15 @@ class Costs(NamedTuple):
     threads: dict[str, float]
     console: float
     written: float
+
+    @property
+    def busiest(self) -> str:
+        """The thread that waits for ROS. It does nothing for a console, and varies by more than one costs."""
+        return max(self.threads, key=lambda tid: self.threads[tid])
+
+    def without(self, thread: str) -> float:
+        """All threads but one."""
+        return sum(used for tid, used in self.threads.items() if tid != thread)
 
 
 def _session(folder: Path, role: str, domain: int, port: int) -> Path:
@@ -66,9 +98,9 @@ def _session(folder: Path, role: str, domain: int, port: int) -> Path:
 
 
 def _flowing() -> None:
-    command = ["wait", "--for", "flowing", f"/bench/topic_{TOPICS - 1:03d}", "--timeout", "60"]
+    waits = ["wait", "--for", "flowing", f"/bench/topic_{TOPICS - 1:03d}", "--timeout", "60", "--bridge", "bench-2"]
     deadline = time.monotonic() + 120
-    while os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-m", "rsb_console", *command, "--bridge", "bench-2"]):
+    while subprocess.run([sys.executable, "-m", "rsb_console", *waits], capture_output=True, check=False).returncode:
         if time.monotonic() > deadline:
             raise SystemExit("nothing flows")
 
@@ -78,7 +110,7 @@ def _measure(bridge: bed.Process, count: int) -> Costs:
     try:
         for each in consoles:
             each.until(lambda c=each: b"/bench/topic_" in c.terminal.output, 30.0)  # type: ignore[misc]
-        time.sleep(3.0)
+        time.sleep(SETTLES)
         threads, console, written = _threads(bridge.pid), *_of_all(consoles)
         time.sleep(SECONDS)
         threads_then, console_then, written_then = _threads(bridge.pid), *_of_all(consoles)
@@ -99,7 +131,7 @@ def _threads(pid: int) -> dict[str, float]:
 
 
 def _of_all(consoles: Sequence[Watched]) -> tuple[float, int]:
-    return sum(each.cpu() for each in consoles), sum(each.written for each in consoles)
+    return sum(sum(_threads(each.pid).values()) for each in consoles), sum(each.written for each in consoles)
 
 
 if __name__ == "__main__":

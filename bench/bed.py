@@ -27,17 +27,20 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 class Process:
     """A child that answers lines of commands with lines of JSON; None of it is left when the bench ends."""
 
-    def __init__(self, *command: str) -> None:
+    def __init__(self, *command: str, log: Path | None = None) -> None:
+        """Start it; with `log`, all that it writes goes there, and it cannot be asked."""
         environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        self._child = subprocess.Popen(
-            [sys.executable, *command],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            env=environment,
-            cwd=ROOT,
-        )
+        with contextlib.ExitStack() as files:
+            output = files.enter_context(log.open("wb")) if log else None
+            self._child = subprocess.Popen(
+                [sys.executable, *command],
+                stdin=subprocess.PIPE,
+                stdout=output or subprocess.PIPE,
+                stderr=output or subprocess.DEVNULL,
+                text=True,
+                env=environment,
+                cwd=ROOT,
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -46,11 +49,18 @@ class Process:
         self.stop()
 
     def ask(self, line: str) -> dict[str, float]:
+        self.tell(line)
+        answer: dict[str, float] = json.loads(self.line())
+        return answer
+
+    def tell(self, line: str) -> None:
+        """A command that is not waited for."""
         assert self._child.stdin is not None
         self._child.stdin.write(line + "\n")
         self._child.stdin.flush()
-        answer: dict[str, float] = json.loads(self.line())
-        return answer
+
+    def signal(self, number: int) -> None:
+        self._child.send_signal(number)
 
     def line(self) -> str:
         assert self._child.stdout is not None
@@ -69,6 +79,14 @@ class Process:
         """Resident memory, MB."""
         status = Path(f"/proc/{self.pid}/status").read_text()
         return int(status.split("VmRSS:")[1].split()[0]) / 1000
+
+    def descriptors(self) -> int:
+        """Open file descriptors."""
+        return sum(1 for _ in Path(f"/proc/{self.pid}/fd").iterdir())
+
+    @property
+    def running(self) -> bool:
+        return self._child.poll() is None
 
     def stop(self) -> None:
         self._child.terminate()
@@ -135,7 +153,7 @@ class Run:
 def direct(listener: str = "listen") -> Iterator[Bed]:
     """Nothing between them: one domain."""
     with _ends(NEAR, NEAR, listener) as bed:
-        yield _ready(bed)
+        yield ready(bed)
 
 
 @contextlib.contextmanager
@@ -155,15 +173,15 @@ def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> I
         bed.between.append(headless(folder / "server.yaml"))
         bed.between.append((client or headless)(folder / "client.yaml"))
         try:
-            yield _ready(bed)
+            yield ready(bed)
         finally:
             for process in bed.between:
                 process.stop()
 
 
-def headless(session: Path) -> Process:
+def headless(session: Path, log: Path | None = None) -> Process:
     """One side of our bridge."""
-    return Process("-m", "rsb_console", "run", "--no-ui", str(session))
+    return Process("-m", "rsb_console", "run", "--no-ui", str(session), log=log)
 
 
 @contextlib.contextmanager
@@ -175,7 +193,7 @@ def thesis() -> Iterator[Bed]:
             bed.between.append(Process("-m", "bench.thesis", part, str(domain), TOPIC, port, key))
             bed.between[-1].line()
         try:
-            yield _ready(bed)
+            yield ready(bed)
         finally:
             for process in bed.between:
                 process.stop()
@@ -194,7 +212,7 @@ def _ends(near: int, far: int, listener: str = "listen") -> Iterator[Bed]:
         bed.listener.stop()
 
 
-def _ready(bed: Bed) -> Bed:
+def ready(bed: Bed) -> Bed:
     """Wait until a message gets through, then warm up."""
     deadline = time.monotonic() + 20
     bed.listener.ask("reset")

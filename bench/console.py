@@ -65,6 +65,9 @@ def main() -> None:
     print(f"{'refresh':>8} {'first paint':>12} {'CPU of a core':>14} {'sent':>10} {'key p50':>8} {'key worst':>10}")
     for rate, environ in (("4 Hz", {}), ("2 Hz", OVER_SSH)):
         _alone(rate, environ)
+    print("the same, 100 of the rows services and 20 actions with goals")
+    for rate, environ in (("4 Hz", {}), ("2 Hz", OVER_SSH)):
+        _alone(rate, environ, "calls")
     print(f"\na bridge carrying {RATE} msg/s of {SIZE} bytes over TCP, {ROUNDS} x {SECONDS:.0f} s each, by turns")
     print(f"{'client':>8} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'of which':>12} {'CPU s':>7} {'p99 ratio':>10}")
     over_ssh = partial(_console, environ=OVER_SSH)
@@ -87,8 +90,8 @@ def _console(session: Path, environ: Mapping[str, str] = {}) -> Watched:
     return Watched("-m", "rsb_console", "run", str(session), environ=environ)
 
 
-def _alone(name: str, environ: dict[str, str]) -> None:
-    console = Watched("-m", "bench.console_alone", "500", environ=environ)
+def _alone(name: str, environ: dict[str, str], *kinds: str) -> None:
+    console = Watched("-m", "bench.console_alone", "500", *kinds, environ=environ)
     try:
         painted = console.until(lambda: b"Topics" in console.terminal.output)
         time.sleep(2.0)

@@ -1,4 +1,4 @@
-"""The console on a scripted engine with many topics whose figures move: ``python -m bench.console_alone TOPICS``."""
+"""The console on a scripted engine with many rows whose figures move: ``python -m bench.console_alone N [calls]``."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
+from tests.console.scripted import GOALS, NOW, SESSION, ScriptedEngine, call_route, route
 
 from rsb_console.app import ConsoleApp
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
-COUNT = int(sys.argv[1])
+COUNT, WITH_CALLS = int(sys.argv[1]), "calls" in sys.argv
 CHANGING = 0.3  # share of the topics in a refresh
 
 
@@ -31,13 +31,25 @@ class MovingEngine(ScriptedEngine):
         return self.now
 
     def start(self) -> None:
-        """Begin with as many topics as were asked for."""
+        """Begin with as many rows as were asked for: with calls, of 25 rows five are services, and one is an action."""
         self.began, self.second = time.monotonic(), 0
-        self.now = replace(self.now, routes=tuple(route(f"/robot{i % 3}/topic_{i:03d}") for i in range(COUNT)))
+        self.now = replace(self.now, routes=tuple(_row(i) for i in range(COUNT)))
 
     def _moved(self, before: RouteSnapshot, second: int) -> RouteSnapshot:
         if random.random() > CHANGING:
             return before
+        if before.calls is not None:
+            before = replace(
+                before,
+                calls=replace(
+                    before.calls,
+                    asked=before.calls.asked + 1,
+                    answered=before.calls.answered + 1,
+                    in_flight=random.randint(0, 3),
+                    node_p50=random.gauss(5e-3, 2e-4),
+                    way_p50=random.gauss(3e-3, 2e-4),
+                ),
+            )
         return replace(
             before,
             rate=random.gauss(10, 0.3),
@@ -46,6 +58,15 @@ class MovingEngine(ScriptedEngine):
             age=random.uniform(0, 0.1),
             history=(*before.history[1:], random.choice((9, 10, 11))) if second % 2 else before.history,
         )
+
+
+def _row(index: int) -> RouteSnapshot:
+    name, number = f"/robot{index % 3}/row_{index:03d}", index % 25
+    if not WITH_CALLS or number > 5:
+        return route(name)
+    if number:
+        return call_route("service", name)
+    return call_route("action", name, type_name="nav2_msgs/action/NavigateToPose", goals=GOALS)
 
 
 ConsoleApp(SESSION, None, theme="dark", config=Path("/nonexistent"), make_engine=MovingEngine).run()

@@ -10,7 +10,7 @@ import os
 import platform
 import time
 
-from bench import bed, opening
+from bench import bed, calls, opening
 
 SIZES = (2_500, 5_000, 10_000)
 CPU_RATES = (1_000, 10_000, 30_000)
@@ -43,6 +43,7 @@ def main() -> None:
     _print_cpu(rates, cpu)
     _print_latency()
     opening.report(opening.TOPICS)
+    calls.report(calls.ROUNDS)
 
 
 def _print_rates(rates: dict[tuple[str, int], bed.Run]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.locks import locked
+from tests.support.locks import two_domains
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,13 +43,13 @@ def _own_control_sockets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
 @pytest.fixture(scope="session")
 def _domains() -> int:
     """The first of two domains that no other run on this machine uses."""
-    return locked("domains", range(30, 60, 2))
+    return two_domains()
 
 
 @pytest.fixture(scope="session")
 def _further_domains() -> int:
     """The first of two more."""
-    return locked("domains", range(30, 60, 2))
+    return two_domains()
 
 
 @pytest.fixture(scope="session")

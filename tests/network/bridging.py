@@ -40,17 +40,22 @@ _LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "in_flight", "
 
 
 class Program:
-    """The program on a host; its log is read from a file."""
+    """The program on a host; its log is read from a file.
+
+    Attributes:
+        control: its control socket, which every host reaches: they share their files.
+    """
 
     def __init__(self, host: Host, session: Path) -> None:
         self._host = host
         self._session = session
         self._log = session.with_suffix(".log")
+        self.control = session.with_suffix(".sock")
         self._seen = self._log.stat().st_size if self._log.exists() else 0
         with self._log.open("a") as log:
             self._process = host.start(
                 *(str(_COMMAND), "run", "--no-ui", "--log-format", "json", "--status-every", "0.5", str(session)),
-                *("--control", str(session.with_suffix(".sock"))),  # these hosts share their files
+                *("--control", str(self.control)),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -207,12 +212,21 @@ class Sessions:
         server: the server's.
     """
 
-    def __init__(self, folder: Path, address: str, *topics: dict[str, Any], domains: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        address: str,
+        *topics: dict[str, Any],
+        services: tuple[dict[str, Any], ...] = (),
+        domains: tuple[int, int],
+    ) -> None:
         write_key(folder / "robot1.key")
         self.domains = domains
         common = {"name": "robot1", "server_port": PORT, "key_file": "robot1.key"}
         told = [{"direction": "transmit", "type": "String", "qos": {"depth": 200}} | topic for topic in topics]
         client = {"role": "client", "server_ip": address, "domain_id": domains[0], "topics": told}
+        if services:
+            client["services"] = [{"provider": "server"} | service for service in services]
         anywhere = "::" if ":" in address else "0.0.0.0"
         server = {"role": "server", "server_ip": anywhere, "domain_id": domains[1]}
         self.client, self.server = folder / "client.yaml", folder / "server.yaml"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.network.hosts import Cable, Host, NoHostError
+from tests.support.calls import CallNode
 
 from rsb_bridge.model.codes import EventCode
 
@@ -27,6 +28,7 @@ class Network:
         self._folder = folder
         self._hosts: list[Host] = []
         self._bridges: list[Bridge] = []
+        self._nodes: list[CallNode] = []
 
     def host(self, name: str) -> Host:
         """A machine without a network."""
@@ -39,18 +41,27 @@ class Network:
         host.run("sh", "-c", "echo 1 > /proc/sys/net/ipv4/ip_forward")
         return host
 
-    def bridge(self, robot: Host, pc: Host, address: str, *topics: dict[str, Any]) -> Bridge:
+    def bridge(
+        self, robot: Host, pc: Host, address: str, *topics: dict[str, Any], services: tuple[dict[str, Any], ...] = ()
+    ) -> Bridge:
         """A client on the robot and a server on the PC, which it reaches by `address`; linked."""
         from tests.network.bridging import Sessions
 
-        bridge = Sessions(self._folder, address, *topics, domains=_DOMAINS).run(robot, pc)
+        bridge = Sessions(self._folder, address, *topics, services=services, domains=_DOMAINS).run(robot, pc)
         self._bridges.append(bridge)
         bridge.client.happens(EventCode.LINK_UP)
         return bridge
 
+    def callers_and_servers(self, robot: Host, pc: Host) -> tuple[CallNode, CallNode]:
+        """A node that calls beside the client, and one that answers beside the server."""
+        self._nodes += (CallNode(domain, host.start) for domain, host in zip(_DOMAINS, (robot, pc), strict=True))
+        return self._nodes[-2], self._nodes[-1]
+
     def close(self) -> None:
         """End everything."""
         try:
+            for node in self._nodes:
+                node.close()
             for bridge in self._bridges:
                 bridge.close()
         finally:

@@ -1,24 +1,39 @@
-"""Large packets vanish on the way, and nobody says so: both sides name it, with the remedy."""
+"""Packets vanish on the way, and nobody says so: both sides name it, on their screens and as JSON, with the remedy."""
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 from typing import TYPE_CHECKING
 
+import pytest
+from tests.console.side import Side, in_order
+from tests.support.log_lines import check_lines
 from tests.support.waiting import eventually
 
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from tests.network.bridging import Program
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from tests.network.bridging import Bridge, Program
     from tests.network.conftest import Network
     from tests.network.hosts import Cable, Host
+
+pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs tmux (apt install tmux)")
 
 _PC = "10.99.1.1"
 _LARGE = 20_000
 """Bytes of a message: more than a packet."""
+_TWO_DATAGRAMS = 2_000
+"""Bytes of a message."""
 
 
-def test_large_packets_that_vanish_without_a_word(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
+def test_large_packets_that_vanish_without_a_word(
+    network: Network, robot: Host, pc: Host, cable: Cable, tmp_path: Path
+) -> None:
     topics = ({"topic": "/scan", "protocol": "udp"}, {"topic": "/odom", "protocol": "tcp"})
     bridge = network.bridge(robot, pc, _PC, *topics)
     bridge.listen(pc=("/scan", "/odom"))
@@ -31,20 +46,70 @@ def test_large_packets_that_vanish_without_a_word(network: Network, robot: Host,
         bridge.robot.talk(topic, rate=5, size=_LARGE)
     for topic, cause, remedy in (("/scan", Cause.LOSSY, "protocol: tcp"), ("/odom", Cause.NO_PATH, "MTU")):
         for side, who in ((bridge.client, ""), (bridge.server, "robot1: ")):
-            reason = eventually(lambda side=side, at=(topic, cause): _down(side, *at), what=f"{topic} down: {cause}")
-            assert reason.startswith(who), reason
+            reason = eventually(
+                lambda side=side, at=(topic, "down", cause): _why(side, *at), what=f"{topic} down: {cause}"
+            )
+            assert reason.startswith("robot1: ") is bool(who), reason
             assert remedy in reason, reason
+    with _consoles(bridge, tmp_path) as (client, server):
+        for topic, words in (("/scan", ("none of the last", "protocol: tcp")), ("/odom", ("data connection", "MTU"))):
+            for screen, who in ((client, ""), (server, "robot1: ")):
+                screen.choose(topic)
+                screen.says("✗ DOWN", who, *words)
     statuses = [each["status"]["routes"] for each in bridge.client.log if "status" in each]
-    odom = [(each["state"], each["reason"]) for routes in statuses for each in routes if each["topic"] == "/odom"]
-    first = next(reason for state, reason in odom if state == "down")
+    odom = [(each["cause"], each["reason"]) for routes in statuses for each in routes if each["topic"] == "/odom"]
+    first = next(reason for cause, reason in odom if cause == Cause.NO_PATH)
     assert "nothing gets through its data connection" in first, "it is told before the kernel gives the connection up"
     pc.nft("delete table inet narrow")
     for topic in ("/scan", "/odom"):
         for side in (bridge.client, bridge.server):
             eventually(lambda topic=topic, side=side: side.route(topic).get("state") == "ok", what=f"{topic} is ok")
+    _check_lines(bridge)
 
 
-def _down(side: Program, topic: str, cause: Cause) -> str:
-    """Why a topic is down; empty: it is not, or for another cause."""
+def test_half_of_the_datagrams_lost(network: Network, robot: Host, pc: Host, cable: Cable, tmp_path: Path) -> None:
+    bridge = network.bridge(robot, pc, _PC, {"topic": "/scan", "protocol": "udp"})
+    bridge.listen(pc=("/scan",))
+    bridge.robot.talk("/scan", rate=20, size=_TWO_DATAGRAMS)
+    for side in (bridge.client, bridge.server):
+        eventually(lambda side=side: side.route("/scan").get("state") == "ok", what="/scan is ok")
+    pc.nft(
+        "add table inet narrow;"
+        "add chain inet narrow in { type filter hook prerouting priority -500; };"
+        "add rule inet narrow in iif eth0 meta l4proto udp meta length > 300 numgen random mod 2 == 0 drop"
+    )
+    words = ("of the last", "did not arrive, for", "lost on the way", "2 datagrams", "protocol: tcp")
+    for side, who in ((bridge.client, ""), (bridge.server, "robot1: ")):
+        reason = eventually(lambda side=side: _why(side, "/scan", "slow", Cause.LOSSY), what="/scan is slow: lossy")
+        assert reason.startswith("robot1: ") is bool(who), reason
+        assert in_order(reason, words), reason
+        eventually(lambda side=side: side.happened(EventCode.ROUTE_FAULT, "did not arrive"), what="it is logged")
+    with _consoles(bridge, tmp_path) as (client, server):
+        for screen, who in ((client, ""), (server, "robot1: ")):
+            screen.choose("/scan")
+            screen.says("≈ SLOW", who, *words)
+    _check_lines(bridge)
+
+
+def _why(side: Program, topic: str, state: str, cause: Cause) -> str:
+    """Why a topic is in a state; empty: it is not, or for another cause."""
     shown = side.route(topic)
-    return shown["reason"] if (shown.get("state"), shown.get("cause")) == ("down", cause) else ""
+    return shown["reason"] if (shown.get("state"), shown.get("cause")) == (state, cause) else ""
+
+
+@contextlib.contextmanager
+def _consoles(bridge: Bridge, folder: Path) -> Iterator[tuple[Side, Side]]:
+    """A console in a real terminal that is attached to each side."""
+    with contextlib.ExitStack() as consoles:
+        made = [
+            Side(folder / f"screen{number}", program.control, "attach")
+            for number, program in enumerate((bridge.client, bridge.server))
+        ]
+        for side in made:
+            consoles.callback(side.close)
+        yield made[0], made[1]
+
+
+def _check_lines(bridge: Bridge) -> None:
+    for program in (bridge.client, bridge.server):
+        check_lines(line for line in program.log if "code" in line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from tests.support.domain import Domain, Listener
     from tests.support.relay import Relay
 
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.api import RosInterface
@@ -49,6 +51,7 @@ class Bridge:
         self.key_file = self.make_key("robot1")
         self._addresses = {"server": "127.0.0.1", "client": "127.0.0.1"}
         self._engines: list[Engine] = []
+        self._real: list[Engine] = []  # those of them that are nodes of a domain
 
     def move(self) -> None:
         """Have sessions from now on use another port."""
@@ -103,19 +106,34 @@ class Bridge:
 
     def start(self, session: Session, ros: RosInterface | None = None) -> Engine:
         """An engine that runs."""
+        self._wait_for_those_before(session)
         engine = Engine(session, base=self.folder, ros=ros)
         self._engines.append(engine)
         engine.start()
+        if ros is None:
+            self._real.append(engine)
         return engine
 
+    def _wait_for_those_before(self, session: Session) -> None:
+        """Two participants of one process that join a domain together may stay unknown to each other (Fast DDS)."""
+        node = next((each.node for each in (self.robot, self.pc) if each.id == session.domain_id), None)
+        if node is None:
+            return
+        begun = {
+            f"rsb_{re.sub('[^A-Za-z0-9_]', '_', engine.session.name)[:64]}_"
+            for engine in self._real
+            if engine.snapshot().running and engine.session.domain_id == session.domain_id
+        }
+        eventually(lambda: all(any(n.startswith(each) for n in node.get_node_names()) for each in begun))
+
     def close(self) -> None:
-        """Stop all engines: in time, without a thread left, and without ever having failed inside."""
+        """Stop all engines: in time, without ever having failed inside, and without a thread left a little later."""
         engines, self._engines = self._engines, []
         for engine in engines:
             began = time.monotonic()
             engine.stop()
             assert time.monotonic() - began < STOPS_WITHIN
-        assert [thread.name for thread in threading.enumerate() if thread.name in THREADS] == []
+        eventually(lambda: all(each.name not in THREADS for each in threading.enumerate()), what="no thread of theirs")
         assert [
             event.text for engine in engines for event in engine.events() if event.code == EventCode.ENGINE_ERROR
         ] == []
@@ -126,7 +144,7 @@ def protocol_of(topic: str) -> Protocol:
     return "udp" if topic.endswith("udp") else "tcp"
 
 
-def now(engine: Engine) -> Snapshot:
+def now(engine: EngineApi) -> Snapshot:
     """How an engine is now, not up to a second ago."""
     asked = time.time()
     return eventually(lambda: new if (new := engine.snapshot()).time > asked or not new.running else None)
@@ -143,14 +161,14 @@ def linked(engine: Engine, name: str = "robot1") -> bool:
     return any(link.linked for link in engine._bridge.links() if link.name == name)
 
 
-def route(engine: Engine, topic: str) -> RouteSnapshot:
+def route(engine: EngineApi, topic: str) -> RouteSnapshot:
     """An engine's route by the topic's name on its side."""
     found = find(engine, topic)
     assert found is not None, f"no route of {topic}: {[each.key for each in now(engine).routes]}"
     return found
 
 
-def find(engine: Engine, topic: str) -> RouteSnapshot | None:
+def find(engine: EngineApi, topic: str) -> RouteSnapshot | None:
     """As `route`; None where there is none."""
     return next((each for each in now(engine).routes if each.topic == topic), None)
 
@@ -174,6 +192,13 @@ def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[
     publishers, topics = tuple(publishers), set(topics)
     eventually(lambda: all(each.get_subscription_count() for each in publishers), what="subscribed")
     eventually(lambda: listened_to(receiver) >= topics, what="heard by the listeners")
+    from tests.support.domain import Domain
+
+    domain_id = now(receiver).domain_id
+    listeners = [each for domain in Domain.joined if domain.id == domain_id for each in domain.listeners]
+    for topic in topics & {each.topic for each in listeners}:
+        there = [each for each in listeners if each.topic == topic]
+        eventually(lambda there=there: any(each.matched for each in there), what="a listener knows who publishes")
 
 
 def listened_to(engine: Engine) -> set[str]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
+from weakref import WeakSet
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each context that joins a domain
 
@@ -27,10 +28,16 @@ class Domain:
     Attributes:
         id: its number.
         node: in it.
+        listeners: so far.
     """
 
+    joined: ClassVar[WeakSet[Domain]] = WeakSet()
+    """All of this process."""
+
     def __init__(self, domain_id: int) -> None:
+        self.joined.add(self)
         self.id = domain_id
+        self.listeners: list[Listener] = []
         self._context = Context()
         self._context.init([], domain_id=domain_id)
         self.node = Node(
@@ -40,6 +47,7 @@ class Domain:
             use_global_arguments=False,
             start_parameter_services=False,
         )
+        (self._describes_types,) = self.node.services
 
     def publisher(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Publisher:
         """A publisher; its `publish` takes messages and bytes."""
@@ -47,14 +55,25 @@ class Domain:
 
     def listener(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Listener:
         """A subscription that keeps what it hears."""
-        return Listener(self.node, topic, kind, qos)
+        self.listeners.append(Listener(self.node, topic, kind, qos))
+        return self.listeners[-1]
+
+    def serve(self, service: str, kind: Any) -> None:
+        """A server that nobody spins: others see it, and it answers nothing."""
+        self.node.create_service(kind, service, lambda _, response: response)
 
     def clear(self) -> None:
-        """Destroy all publishers and subscriptions."""
+        """Destroy all publishers, subscriptions, servers and clients."""
+        self.listeners.clear()
         for publisher in tuple(self.node.publishers):
             self.node.destroy_publisher(publisher)
         for subscription in tuple(self.node.subscriptions):
             self.node.destroy_subscription(subscription)
+        for service in tuple(self.node.services):
+            if service is not self._describes_types:
+                self.node.destroy_service(service)
+        for client in tuple(self.node.clients):
+            self.node.destroy_client(client)
 
     def close(self) -> None:
         """Leave the domain."""
@@ -68,6 +87,7 @@ class Listener:
     """A subscription, taken from whenever somebody looks: no executor, so no thread takes the engine's time."""
 
     def __init__(self, node: Node, topic: str, kind: Any, qos: QoSProfile) -> None:
+        self.topic = topic
         self._kind = kind
         self._payloads: list[bytes] = []
         self._received: list[int] = []

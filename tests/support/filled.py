@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 from rosidl_parser.definition import (
@@ -13,6 +12,8 @@ from rosidl_parser.definition import (
     BoundedSequence,
     NamespacedType,
 )
+
+from rsb_bridge.ros.typesupport import installed_class
 
 _SPECIAL = {"octet": b"\x07", "boolean": True, "float": 1.5, "double": 1.5}
 
@@ -27,7 +28,7 @@ def _value(slot: Any) -> Any:
     if isinstance(slot, AbstractNestedType):
         return [_value(slot.value_type) for _ in range(_length(slot))]
     if isinstance(slot, NamespacedType):
-        return filled(getattr(importlib.import_module(".".join(slot.namespaces)), slot.name))
+        return filled(installed_class("/".join(slot.namespaced_name())))
     if isinstance(slot, AbstractGenericString):
         return "größer"
     assert isinstance(slot, BasicType)

@@ -13,6 +13,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 
+_DOMAINS = range(22, 60, 2)
+
+
+def two_domains() -> int:
+    """The first of two ROS domains that no other run on this machine uses.
+
+    Raises:
+        AssertionError: others have them all.
+    """
+    return locked("domains", _DOMAINS)
+
+
 def locked(what: str, numbers: Iterable[int]) -> int:
     """The first of some numbers that no other run has taken; it is this process's as long as that lives.
 

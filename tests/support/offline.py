@@ -9,20 +9,31 @@ import pytest
 from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
+from rsb_bridge.model.lanes import FEATURE
 from rsb_bridge.model.session import Session
-from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.route.pause import Revisions
+from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.transport.registry import Transports, default_transports
-from rsb_bridge.wire.budget import Budget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator
 
+    from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.qos import Qos
-    from rsb_bridge.ros.api import Endpoint, OnFailure, Publisher, Sink, Subscription
+    from rsb_bridge.ros.api import (
+        Endpoint,
+        OnFailure,
+        Publisher,
+        RequestSink,
+        ResponseSink,
+        ServiceClient,
+        ServiceServer,
+        Sink,
+        Subscription,
+    )
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -57,6 +68,18 @@ class NoRos:
     def subscriptions(self, topic: str) -> list[Endpoint]:
         return []
 
+    def services(self) -> dict[str, list[str]]:
+        return {}
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def callers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        raise RosError(f"{type_name} is not installed here")
+
     def installed_description(self, type_name: str) -> str | None:
         return None
 
@@ -65,6 +88,19 @@ class NoRos:
 
     def installed_hash(self, type_name: str) -> str | None:
         return None
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        return None
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> ServiceServer:
+        raise RosError("there is no ROS")
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> ServiceClient:
+        raise RosError("there is no ROS")
 
     def subscribe(
         self,
@@ -117,6 +153,7 @@ class FakePeer:
     linked = True
     clock_offset = 0.0
     clock_uncertainty = 0.001
+    features: tuple[str, ...] = (FEATURE,)
     down_reason = ""
     connections = 1
 
@@ -125,9 +162,7 @@ class FakePeer:
         self.instance = "first"
         self.revisions = Revisions()
         self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
-        self.latched = Budget(1 << 30)
-        self.further_publishers = Budget(100)
-        self.expansion = TokenBucket(1 << 30, 1 << 30, 0.0)
+        self.budget = PeerBudget(0.0)
 
     def send(self, message: ControlMessage) -> None:
         self.sent.append(message)

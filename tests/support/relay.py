@@ -52,6 +52,7 @@ class Relay:
         self.to_server: Fate = lambda datagram: [datagram]
         self.to_client: Fate = lambda datagram: [datagram]
         self.datagrams: list[bytes] = []
+        self._stalls_new = False
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="relay", daemon=True)
         self._thread.start()
@@ -64,8 +65,9 @@ class Relay:
         """End every TCP connection that stands."""
         self._call(self._cut())
 
-    def stall(self, stalled: bool = True) -> None:
-        """Carry nothing more on any TCP connection that stands, or go on."""
+    def stall(self, stalled: bool = True, *, new: bool = False) -> None:
+        """Carry nothing more on any TCP connection that stands, with `new` on later ones either, or go on."""
+        self._stalls_new = stalled and new
         for connection in self.connections:
             connection.stall(stalled)
 
@@ -83,6 +85,8 @@ class Relay:
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             connection = Connection(self._loop)
             self.connections.append(connection)
+            if self._stalls_new:
+                connection.stall()
             await connection.run(reader, writer, port)
 
         listening = socket.socket()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import struct
+import threading
 from typing import TYPE_CHECKING, Self, TypeVar
 
+from rsb_bridge.model.lanes import FEATURE
 from rsb_bridge.wire.connection import ClientConnection, DataConnection
 from rsb_bridge.wire.datagram import PROBE_ROUTE, DatagramWriter, Probe
 from rsb_bridge.wire.events import Accepted, Established, Received
@@ -32,20 +35,32 @@ class Rogue:
     Attributes:
         keys: what the handshake left.
         streams: of its routes, as long as it lives.
+        probes: writes the probes of its datagrams' path.
     """
 
-    def __init__(self, port: int, key: bytes | None, name: str = "robot1") -> None:
-        self._address = ("127.0.0.1", port)
-        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0), key, Suite.AESGCM)
-        self._control = socket.create_connection(self._address, timeout=60)
+    def __init__(
+        self,
+        port: int,
+        key: bytes | None,
+        name: str = "robot1",
+        *,
+        host: str = "127.0.0.1",
+        timeout: float = 60.0,
+        features: tuple[str, ...] = (FEATURE,),
+    ) -> None:
+        self._address = (host, port)
+        self._timeout = timeout
+        self._connection = ClientConnection(Hello("0.1.0", name, "rogue", 0, features), key, Suite.AESGCM)
+        self._control = socket.create_connection(self._address, timeout=timeout)
         self._control.sendall(self._connection.start())
+        self._saying = threading.Lock()
         self._events: list[Event] = []
         self._next_route = 1
         self.streams: list[socket.socket] = []
-        self.udp = socket.socket(type=socket.SOCK_DGRAM)
+        self.udp = socket.socket(self._control.family, socket.SOCK_DGRAM)
         self.udp.connect(self._address)
         self.keys: SessionKeys = self.wait_for(Established).keys
-        self._probes = DatagramWriter(self.keys.route_sealer(PROBE_ROUTE, "client"), self.keys.link_id, PROBE_ROUTE)
+        self.probes = DatagramWriter(self.keys.route_sealer(PROBE_ROUTE, "client"), self.keys.link_id, PROBE_ROUTE)
 
     def wait_for(self, *kinds: type[T]) -> T:
         """The next event or control message of one of these kinds; all before it are dropped."""
@@ -61,27 +76,57 @@ class Rogue:
             self._control.sendall(self._connection.data_to_send())
 
     def say(self, *messages: ControlMessage) -> None:
-        """Send control messages, all at once."""
-        self._control.sendall(b"".join(self._connection.send(message) for message in messages))
+        """Send control messages, all at once. From any thread."""
+        with self._saying:
+            self._control.sendall(b"".join(self._connection.send(message) for message in messages))
 
-    def route(self, topic: str, transport: str, qos: Qos) -> int:
-        """Have the server open a route for what this side says that it sends; its id."""
+    def say_raw(self, content: bytes) -> None:
+        """Send a control message that need not be one."""
+        self._connection._write(content)
+        self._control.sendall(self._connection.data_to_send())
+
+    def new_route(self) -> int:
+        """An id that no route has had."""
         number = self._next_route
         self._next_route += 2
+        return number
+
+    def route(self, topic: str, transport: str, qos: Qos, kind: tuple[str, str] = BLOB) -> int:
+        """Have the server open a route for what this side says that it sends, of a type and its hash; its id."""
+        number, answer = self.describe(topic, transport, qos, kind)
+        assert isinstance(answer, Ready)
+        return number
+
+    def describe(
+        self, topic: str, transport: str, qos: Qos, kind: tuple[str, str] = BLOB
+    ) -> tuple[int, Ready | Refuse]:
+        """Propose a route and say what this side sends on it: its id, and what the server says to the latter."""
+        number = self.new_route()
         self.say(Propose(route=number, topic=topic, remote_topic=topic, from_client=True, transport=transport))  # type: ignore[arg-type]
         assert isinstance(self.wait_for(Accept, Refuse), Accept)
-        self.say(Describe(number, *BLOB, qos=qos, sources=(Source((f"rsb_rogue{topic}",)),)))
-        assert isinstance(self.wait_for(Ready, Refuse), Ready)
-        return number
+        self.say(Describe(number, *kind, qos=qos, sources=(Source((f"rsb_rogue{topic}",)),)))
+        answer = self.wait_for(Ready, Refuse)
+        assert isinstance(answer, Ready | Refuse)
+        return number, answer
+
+    def drain(self) -> None:
+        """Read and forget what the server says, until the connection ends."""
+        with contextlib.suppress(OSError):
+            while self._control.recv(CONTROL_LIMIT):
+                pass
 
     def stream(self, route: int) -> tuple[socket.socket, DataWriter]:
         """A route's stream, let in, and what writes its frames."""
-        stream = socket.create_connection(self._address, timeout=60)
+        assert self.has_stream(route)
+        return self.streams[-1], DataWriter(self.keys.route_sealer(route, "client"), route)
+
+    def has_stream(self, route: int) -> bool:
+        """Whether the server lets a route's stream in, which stays open."""
+        stream = socket.create_connection(self._address, timeout=self._timeout)
         self.streams.append(stream)
         data = DataConnection(self.keys, route)
         stream.sendall(data.start())
-        assert data.receive_data(stream.recv(4096)) == [Accepted()]
-        return stream, DataWriter(self.keys.route_sealer(route, "client"), route)
+        return data.receive_data(stream.recv(4096)) == [Accepted()]
 
     def takes_little(self) -> None:
         """Have the kernel hold as little as it can of what the server says from now on."""
@@ -106,9 +151,15 @@ class Rogue:
             return False
         return not _closed(stream)
 
+    def drain_for(self, seconds: float) -> None:
+        """As `drain`, but no longer than that."""
+        self._control.settimeout(seconds)
+        self.drain()
+        self._control.settimeout(self._timeout)
+
     def probe(self) -> None:
         """Show the server the way for datagrams."""
-        for datagram in self._probes.write(Probe(pong=False, opaque=0).pack(), 0, 0, 1400):
+        for datagram in self.probes.write(Probe(pong=False, opaque=0).pack(), 0, 0, 1400):
             self.udp.send(datagram)
 
     def datagrams(self, route: int) -> DatagramWriter:

@@ -13,7 +13,8 @@ from tests.support.bridge import link, linked
 from tests.support.domain import text
 from tests.support.waiting import eventually
 
-from rsb_bridge.config.session_file import load
+from rsb_bridge.config.session_file import load, save
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
@@ -24,10 +25,17 @@ if TYPE_CHECKING:
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
 
 
-def client(name: str, path: Path, *arguments: str) -> Any:
-    """Run the command for a session file and the program that runs it; its answer."""
+def run(name: str, path: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command for a session file and the program that runs it."""
     command = [COMMAND, "client", name, *arguments, str(path), "--control", f"{path}.sock", "--json"]
-    return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def client(name: str, path: Path, *arguments: str) -> Any:
+    """Run the command, which succeeds; its answer."""
+    done = run(name, path, *arguments)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout)
 
 
 def test_a_robot_joins_and_leaves_a_fleet_that_runs(
@@ -65,3 +73,40 @@ def test_a_robot_joins_and_leaves_a_fleet_that_runs(
     assert there.texts(last=1) == ["all the way"]
     assert link(first).since == since
     server.wait_for("client robot2: removed")
+
+
+def test_a_key_is_replaced_in_the_documented_steps(bridge: Bridge, programs: Programs) -> None:
+    """The link connects again once, when the robot takes the new key."""
+    folder = bridge.folder
+    robot_key = folder / "robot.key"
+    robot_key.write_bytes((folder / bridge.key_file).read_bytes())
+    server = programs.start(bridge.server_session())
+    path = folder / "server0.yaml"
+    robot = bridge.client(key_file=robot_key.name)
+    save(robot.session, folder / "robot.yaml")
+    robot.use_file(folder / "robot.yaml")
+    eventually(lambda: linked(robot))
+    old = link(robot).fingerprint
+    since = link(robot).since
+
+    begun = client("rekey", path, "--keep-old", "robot1")
+    assert "the link stays" in begun["running"]
+    (row,) = client("list", path)["clients"]
+    assert (row["state"], row["fingerprint"], row["next_fingerprint"]) == ("ok", old, begun["fingerprint"])
+    refused = run("rekey", path, "--finish", "robot1")
+    assert (refused.returncode, json.loads(refused.stdout)["ok"]) == (1, False)
+    assert link(robot).since == since
+
+    robot_key.write_bytes(Path(begun["key_file"]).read_bytes())
+    robot.reload().result(60)
+    eventually(lambda: linked(robot) and link(robot).fingerprint == begun["fingerprint"])
+    since = link(robot).since
+    finished = client("rekey", path, "--finish", "robot1")
+    assert "the link stays" in finished["running"]
+    assert finished["fingerprint"] == begun["fingerprint"]
+    server.wait_for("next key")
+    assert link(robot).since == since
+    ups = [event for event in robot.events() if event.code == EventCode.LINK_UP]
+    assert len(ups) == 2
+    (row,) = client("list", path)["clients"]
+    assert (row["state"], row["fingerprint"], row["next_fingerprint"]) == ("ok", begun["fingerprint"], "")

@@ -1,13 +1,24 @@
-"""Why a link is down, in the JSON that the programs of both sides print: their events, and their status."""
+"""Why a link is down: what both screens say, and the JSON that both programs print, their events and their status.
+
+The programs run headless, and a console in a real terminal is attached to each.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import re
+import shutil
+import signal
+import socket
 import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.console.live import COMMAND
+from tests.console.tmux import Tmux
+from tests.support.log_lines import check_lines
 from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import fingerprint, read_key
@@ -22,6 +33,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session
 
+pytestmark = pytest.mark.skipif(shutil.which("tmux") is None, reason="it needs tmux (apt install tmux)")
+
 _PROGRAM = """
 import sys
 from rsb_bridge.wire import preamble
@@ -30,15 +43,19 @@ from rsb_console.cli import main
 sys.exit(main(["run", *sys.argv[2:]]))
 """
 _VERSION = 2
+_WIDE = (240, 30)
+"""Columns and lines: a sentence fits in a line."""
 
 
 class Program:
-    """`rsb-console run --no-ui`, and what it prints."""
+    """`rsb-console run --no-ui`, what it prints, and a console that is attached to it."""
 
     def __init__(self, folder: Path, name: str, session: Session, version: int) -> None:
         path, self._log = folder / f"{name}.yaml", folder / f"{name}.log"
+        self._folder, self._control = folder / name, folder / f"{name}.sock"
+        self._screen: Tmux | None = None
         save(session, path)
-        options = ("--no-ui", "--log-format", "json", "--status-every", "0.2", "--control", f"{path}.sock")
+        options = ("--no-ui", "--log-format", "json", "--status-every", "0.2", "--control", str(self._control))
         with self._log.open("w") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", _PROGRAM, str(version), str(path), *options],
@@ -61,10 +78,28 @@ class Program:
         """Those of a kind."""
         return [line for line in self._lines if line.get("code") == code]
 
+    def screen(self, words: str) -> str:
+        """Wait until the console shows these words; all that it shows then."""
+        if self._screen is None:
+            eventually(self._control.exists, what="it serves consoles")
+            self._folder.mkdir()
+            command = (str(COMMAND), "attach", "--control", str(self._control))
+            self._screen = Tmux(self._folder, *command, size=_WIDE)
+        return self._screen.wait_for(words)
+
+    def freeze(self) -> None:
+        """It falls silent, without an end of its connections."""
+        self._process.send_signal(signal.SIGSTOP)
+
     def stop(self) -> None:
-        """End it, as a service manager does."""
+        """End it, as a service manager does. Every line that it wrote names the link."""
+        if self._screen is not None:
+            self._screen.__exit__()
+            self._screen = None
         self._process.terminate()
+        self._process.send_signal(signal.SIGCONT)
         assert self._process.wait(30) == 0, self._log.read_text()
+        check_lines(line for line in self._lines if "code" in line)
 
 
 class Sides:
@@ -86,8 +121,9 @@ class Sides:
         return program
 
     def close(self) -> None:
-        for program in self._programs:
-            program.stop()
+        with contextlib.ExitStack() as programs:  # all of them, whatever one has written
+            for program in self._programs:
+                programs.callback(program.stop)
 
 
 @pytest.fixture
@@ -113,7 +149,11 @@ def test_the_keys_differ(sides: Sides, bridge: Bridge) -> None:
         (event,) = program.events(code)
         assert words in event["text"]
         assert event["link"] == "robot1"
+        assert "✗ robot1: " in program.screen(words)
+    assert (event["state"], event["cause"]) == ("down", "wrong_key")
+    assert event["since"] <= event["time"]
     assert "127.0.0.1" in server.link()["reason"]
+    server.screen(f"✗ robot1: refused 127.0.0.1: {words}")
 
 
 @pytest.mark.parametrize(("there", "older", "newer"), [(1, "client", "server"), (3, "server", "client")])
@@ -127,6 +167,7 @@ def test_the_versions_differ(sides: Sides, there: int, older: str, newer: str) -
         assert f"version {there}" in shown["reason"]
         which = "this side" if role == older else "the peer"
         assert f"update rsb-console on {which}, which is older" in shown["reason"]
+        assert "✗ robot1: " in programs[role].screen(f"update rsb-console on {which}, which is older")
     assert len(server.events(EventCode.LINK_REJECTED)) == len(client.events(EventCode.LINK_REFUSED)) == 1
 
 
@@ -140,10 +181,34 @@ def test_two_clients_of_one_name(sides: Sides) -> None:
     assert server.link()["peer"] in shown["reason"]
     shown = has_cause(server, "name_taken")
     assert shown["state"] == "ok"
-    assert "a second client, from 127.0.0.1" in shown["reason"]
+    assert "a second client at 127.0.0.1" in shown["reason"]
     (event,) = server.events(EventCode.LINK_NAME_TAKEN)
     assert (event["link"], event["level"]) == ("robot1", "WARNING")
-    assert (first.link()["state"], first.link()["cause"]) == ("ok", "")
+    shown = has_cause(first, "name_taken")
+    assert shown["state"] == "ok"
+    assert "a second client at 127.0.0.1" in shown["reason"]
+    host = socket.gethostname()
+    since = r"since \d{4}-\d\d-\d\d \d\d:\d\d UTC"
+    said = second.screen("✗ robot1: 'robot1' is linked already, since ")
+    assert re.search(rf"{since}, at {server.link()['peer']} \(host {host}\)", said)
+    said = server.screen(f"robot1: a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too")
+    assert "● LINKED" in said
+    assert "is refused, for " in said
+    assert "● LINKED" in first.screen("robot1: a second client at 127.0.0.1")
+
+
+def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:
+    server, old = sides.server(), sides.client()
+    before = eventually(lambda: server.link()["state"] == "ok" and server.link()["peer"])
+    old.freeze()
+    new = sides.client()
+    eventually(lambda: new.link()["state"] == "ok")
+    (event,) = eventually(lambda: server.events(EventCode.LINK_REPLACED))
+    assert event["level"] == "WARNING"
+    eventually(lambda: server.link()["peer"] != before, what="its status")
+    assert event["text"].startswith(f"link with the client at {before} closed: replaced")
+    assert "● LINKED" in server.screen(f"WARN  link   robot1: link with the client at {before} closed")
+    new.screen("● LINKED")
 
 
 def test_a_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
@@ -155,7 +220,9 @@ def test_a_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
     assert (shown["state"], shown["peer"]) == ("down", seen_at)
     assert "the client left" in shown["reason"]
     (event,) = server.events(EventCode.LINK_CLOSED_BY_PEER)
-    assert f"link with {seen_at} closed" in event["text"]
+    assert f"link with the client at {seen_at} closed" in event["text"]
+    said = server.screen(f", last seen at {seen_at}: the client left")
+    assert re.search(r"✗ robot1: missing since \d\d:\d\d, last seen at ", said)
     again = sides.client()
     eventually(lambda: again.link()["state"] == "ok" and server.link()["cause"] == "")
 
@@ -164,3 +231,4 @@ def test_a_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
     assert (shown["state"], shown["peer"]) == ("down", server_at)
     refusals = eventually(lambda: again.events(EventCode.LINK_UNREACHABLE))
     assert [event["level"] for event in refusals] == ["WARNING"], "the server said goodbye before"
+    again.screen(f"✗ robot1: {server_at}: ")

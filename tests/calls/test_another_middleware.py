@@ -1,0 +1,73 @@
+"""Where calls cannot be carried raw, as with another middleware, rclpy carries those of installed types.
+
+None comes as a wheel, so the bridge is told that it has one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
+
+from rclpy.parameter import Parameter
+from tests.calls.ledgers import balanced, called, nothing_left, settled
+from tests.calls.test_parameters import client_of, parameters
+from tests.engine.test_actions import FIBONACCI
+from tests.support.fibonacci import FibonacciClient, FibonacciServer
+from tests.support.waiting import eventually
+
+from rsb_bridge.ros import service_types
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+    from tests.support.calls import CallNode
+    from tests.support.domain import Domain
+    from tests.support.spun import Spun
+
+
+@pytest.fixture(autouse=True)
+def _another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(service_types, "why_not_raw", lambda: "this is another middleware")
+
+
+def test_calls_are_answered_in_any_order(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
+    far.serve(service, delay=(0.0, 0.1), gather=10)
+    engines = bridge.both(called(service))
+    with balanced(*engines):
+        near.waits_for(service)
+        outcome = near.call(service, 100, at_once=50, size=1000, response=100_000)
+        assert outcome.right, outcome
+        assert not service_types.named_services.used
+        for engine in engines:
+            settled(engine, service, asked=100, answered=100)
+    nothing_left(*engines)
+
+
+def test_parameters_and_actions_cross(bridge: Bridge, start: Callable[..., Spun], robot: Domain, pc: Domain) -> None:
+    camera, program = start(robot, "camera"), start(pc, "program")
+    camera.node.declare_parameter("rate", 5)
+    server, client = FibonacciServer(robot.id), FibonacciClient(pc.id)
+    bridge.both(parameters("/camera"), FIBONACCI)
+    far = client_of(program, "/camera")
+    (done,) = program.result(far.set_parameters([Parameter("rate", value=7)])).results
+    assert done.successful
+    assert program.result(far.get_parameters(["rate"])).values[0].integer_value == 7
+
+    goals = [client.send(5), client.send(6)]
+    assert all(goal.handle().accepted for goal in goals)
+    for number, goal in enumerate(goals):
+        goal.ask()
+        server.feedback(number, number=number)
+        eventually(lambda goal=goal: goal.feedbacks)
+    cancelled = goals[1].cancel()
+    eventually(cancelled.done)
+    assert len(cancelled.result().goals_canceling) == 1
+    server.finish(1, state="canceled", number=1)
+    server.finish(0, 1, 1)
+    assert [goal.result() for goal in goals] == [("succeeded", [0, 1, 1]), ("canceled", [1])]
+    server.close()
+    client.close()

@@ -1,0 +1,372 @@
+"""Calls that operators make by hand, from either side, through the engine and through a control socket."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from nav_msgs.srv import GetPlan
+from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool, Trigger
+from tests.calls.ledgers import called, counts, nothing_left
+from tests.support.bridge import happened, route
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.contents import CALLS_AT_ONCE
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fields import FIELDS_LENGTH
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from concurrent.futures import Future
+
+    from tests.support.bridge import Bridge
+    from tests.support.control import Machine
+    from tests.support.domain import Domain
+    from tests.support.spun import Spun
+
+    from rsb_bridge.api import EngineApi
+
+
+class Lamp:
+    """A node that serves /set on the server's side."""
+
+    def __init__(self, spun: Spun) -> None:
+        self.was: list[bool] = []
+        self.goes_on = threading.Event()
+        self.goes_on.set()
+        spun.node.create_service(SetBool, "/set", self._set, qos_profile=QoSProfile(depth=2 * CALLS_AT_ONCE))
+
+    def _set(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self.was.append(request.data)
+        self.goes_on.wait(60)
+        response.success, response.message = True, f"größer: {request.data}"
+        return response
+
+
+@pytest.fixture
+def lamp(start: Callable[..., Spun], pc: Domain) -> Lamp:
+    """It serves /set."""
+    return Lamp(start(pc, "lamp"))
+
+
+def by_hand(engine: EngineApi, name: str, request: str, lane: str = "") -> Future[str]:
+    """Begin a call."""
+    return engine.call(route(engine, name).key, request, lane)
+
+
+def ready(engine: EngineApi, name: str) -> None:
+    """Wait until it can be called on the callers' side."""
+    eventually(lambda: all(each.done for each in route(engine, name).stages if each.name == "offered"), what="offered")
+
+
+def test_a_call_from_the_callers_side_goes_over_the_link(bridge: Bridge, lamp: Lamp) -> None:
+    server, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    assert route(client, "/set").lanes == ("",)
+    answer = by_hand(client, "/set", "data: true").result(60)
+    assert yaml.safe_load(answer) == {"success": True, "message": "größer: True"}
+    assert yaml.safe_load(by_hand(client, "/set", "").result(60))["message"] == "größer: False"
+    assert lamp.was == [True, False]
+    for engine in (server, client):
+        eventually(lambda engine=engine: counts(engine, "/set").answered == 2)
+        assert counts(engine, "/set").asked == 2
+    nothing_left(server, client)
+
+
+def test_a_call_from_the_providing_side_goes_to_the_node_even_without_a_link(bridge: Bridge, lamp: Lamp) -> None:
+    server, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    assert yaml.safe_load(by_hand(server, "/set", "{data: true}").result(60))["success"]
+    client.stop()
+    eventually(lambda: route(server, "/set").reason)
+    assert yaml.safe_load(by_hand(server, "/set", "{data: false}").result(60))["message"] == "größer: False"
+    assert lamp.was == [True, False]
+    assert counts(server, "/set").asked == 0
+
+
+def test_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:
+    server, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    for engine, other, says in ((client, server, "robot1"), (server, client, "server")):
+        by_hand(engine, "/set", "data:\n  true").result(60)
+        mine = eventually(lambda engine=engine: happened(engine, EventCode.OPERATOR_CALLED))
+        assert (mine.topic, mine.who, mine.new, mine.from_peer) == (
+            "/set",
+            "the bridge's own console",
+            "data: true",
+            False,
+        )
+        theirs = eventually(lambda other=other: happened(other, EventCode.OPERATOR_CALLED, "says"))
+        assert theirs.who == f"{says} says: the bridge's own console"
+        assert (theirs.topic, theirs.new, theirs.from_peer) == ("/set", "data: true", True)
+
+
+def test_both_sides_record_what_became_of_a_call(bridge: Bridge, lamp: Lamp) -> None:
+    """Answered on either side, expired, and given up by its operator."""
+    server, client = bridge.both(called("/set", timeout=2.0))
+    ready(client, "/set")
+
+    def ended(count: int) -> list[str]:
+        """The newest outcome, as both sides tell it."""
+        newest = []
+        for engine in (client, server):
+            found = [each for each in engine.events() if each.code == EventCode.OPERATOR_CALL_ENDED]
+            if len(found) < count:
+                return []
+            assert len(found) == count
+            assert found[-1].topic == "/set"
+            assert "the bridge's own console" in found[-1].who
+            newest.append(found[-1].new)
+        return newest
+
+    by_hand(client, "/set", "data: true").result(60)
+    assert all("answered" in each for each in eventually(lambda: ended(1)))
+    lamp.goes_on.clear()
+    with pytest.raises(EngineError) as expired:
+        by_hand(client, "/set", "data: true").result(60)
+    assert all(str(expired.value) in each for each in eventually(lambda: ended(2)))
+    lamp.goes_on.set()
+    by_hand(server, "/set", "data: true").result(60)
+    assert all("answered" in each for each in eventually(lambda: ended(3)))
+    lamp.goes_on.clear()
+    waiting = by_hand(client, "/set", "data: true")
+    eventually(lambda: counts(client, "/set").in_flight)
+    waiting.cancel()
+    assert len(set(eventually(lambda: ended(4)))) == 1
+    lamp.goes_on.set()
+    eventually(lambda: not counts(client, "/set").in_flight)
+    client.pause(route(client, "/set").key, True).result(60)
+    with pytest.raises(EngineError):
+        by_hand(client, "/set", "data: true").result(60)
+    for engine in (client, server):
+        codes = [each.code for each in engine.events()]
+        assert codes.count(EventCode.OPERATOR_CALLED) == codes.count(EventCode.OPERATOR_CALL_ENDED) == 4
+
+
+def test_a_call_that_is_refused_late_is_recorded_as_refused(bridge: Bridge, lamp: Lamp) -> None:
+    _, client = bridge.both(called("/set", max_rate=0.01))
+    ready(client, "/set")
+    by_hand(client, "/set", "data: true").result(60)
+    with pytest.raises(EngineError) as refused:
+        by_hand(client, "/set", "data: true").result(60)
+    event = eventually(lambda: happened(client, EventCode.OPERATOR_CALL_ENDED, str(refused.value)))
+    assert event.new == f"failed: {refused.value}"
+    assert lamp.was == [True]
+
+
+def test_a_console_of_another_process_calls_under_its_own_name_and_one_that_only_watches_is_refused(
+    bridge: Bridge, lamp: Lamp, machine: Machine
+) -> None:
+    _, client = bridge.both(called("/set"))
+    machine.serve(client)
+    remote, watcher = machine.attach(), machine.attach(read_only=True)
+    ready(client, "/set")
+    assert yaml.safe_load(by_hand(remote, "/set", "data: true").result(60))["success"]
+    event = eventually(lambda: happened(client, EventCode.OPERATOR_CALLED))
+    assert event.who != "the bridge's own console"
+    with pytest.raises(EngineError):
+        by_hand(watcher, "/set", "data: true").result(60)
+    with pytest.raises(EngineError, match="too long"):
+        by_hand(remote, "/set", "# " + "x" * FIELDS_LENGTH).result(60)
+    with pytest.raises(EngineError, match="too long"):
+        by_hand(remote, "/set", "# " + "x" * 1_000_000).result(60)
+    assert remote.unreachable == ""
+    assert lamp.was == [True]
+
+
+@pytest.mark.parametrize(
+    ("request_text", "lane", "words"),
+    [
+        ("data: maybe", "", "data: 'maybe' is not true or false"),
+        ("dat: true", "", "did you mean data"),
+        ("a: &x 1\nb: *x", "", "aliases"),
+        ("[" * 1000, "", "nested too deeply"),
+        ("", "set", "has no 'set' to call"),
+    ],
+)
+def test_what_cannot_be_called_is_said_and_nothing_is_sent(
+    bridge: Bridge, lamp: Lamp, request_text: str, lane: str, words: str
+) -> None:
+    engines = _, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    for engine in engines:
+        with pytest.raises(EngineError) as refused:
+            by_hand(engine, "/set", request_text, lane).result(60)
+        assert words in str(refused.value)
+        assert happened(engine, EventCode.OPERATOR_CALLED) is None
+    assert counts(client, "/set").asked == 0
+    assert lamp.was == []
+
+
+def test_a_topic_cannot_be_called_nor_what_nobody_serves_nor_what_is_gone(bridge: Bridge) -> None:
+    server, client = bridge.both(Topic("/chat", "transmit"), called("/nobody"))
+    with pytest.raises(EngineError, match="is a topic"):
+        by_hand(client, "/chat", "").result(60)
+    for engine in (server, client):
+        eventually(lambda engine=engine: "no server" in route(engine, "/nobody").reason)
+        with pytest.raises(EngineError, match="no server of /nobody"):
+            by_hand(engine, "/nobody", "").result(60)
+    with pytest.raises(EngineError, match="no route"):
+        client.call("nonsense", "").result(60)
+
+
+def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
+    bridge: Bridge, lamp: Lamp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rsb_bridge.ros import typesupport
+
+    server, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    for find in (typesupport.installed_class, typesupport.installed_service):
+        find.cache_clear()
+    monkeypatch.setattr(typesupport, "_is_interface_package", lambda package: package != "std_srvs")
+    try:
+        for engine in (server, client):
+            with pytest.raises(EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-jazzy-std-srvs"):
+                by_hand(engine, "/set", "data: true").result(60)
+    finally:
+        for find in (typesupport.installed_class, typesupport.installed_service):
+            find.cache_clear()
+    assert lamp.was == []
+
+
+@pytest.mark.filterwarnings("ignore:failed to send response")  # what rclpy says to a client that has gone
+def test_a_call_that_gets_no_answer_expires_on_either_side(bridge: Bridge, lamp: Lamp) -> None:
+    server, client = bridge.both(called("/set", timeout=1.0))
+    ready(client, "/set")
+    lamp.goes_on.clear()
+    for engine in (client, server):
+        with pytest.raises(EngineError, match=r"no answer within 1 s"):
+            by_hand(engine, "/set", "data: true").result(60)
+    lamp.goes_on.set()
+    eventually(lambda: counts(client, "/set").expired == 1)
+    eventually(lambda: len(lamp.was) == 2)
+    ready(client, "/set")
+    assert yaml.safe_load(by_hand(client, "/set", "data: false").result(60))["success"]
+
+
+def test_a_call_under_way_ends_with_the_link_and_with_its_pause(bridge: Bridge, lamp: Lamp) -> None:
+    server, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    lamp.goes_on.clear()
+    waiting = by_hand(client, "/set", "data: true")
+    eventually(lambda: lamp.was)
+    client.pause(route(client, "/set").key, True).result(60)
+    with pytest.raises(EngineError):
+        waiting.result(60)
+    with pytest.raises(EngineError, match="paused"):
+        by_hand(client, "/set", "data: true").result(60)
+    lamp.goes_on.set()
+    client.pause(route(client, "/set").key, False).result(60)
+    ready(client, "/set")
+    lamp.goes_on.clear()
+    waiting = by_hand(client, "/set", "data: false")
+    eventually(lambda: lamp.was == [True, False])
+    server.stop()
+    with pytest.raises(EngineError):
+        waiting.result(60)
+    lamp.goes_on.set()
+    eventually(lambda: not counts(client, "/set").in_flight)
+
+
+def test_an_operator_who_goes_leaves_no_call_behind(bridge: Bridge, lamp: Lamp) -> None:
+    _, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    lamp.goes_on.clear()
+    waiting = by_hand(client, "/set", "data: true")
+    eventually(lambda: lamp.was)
+    waiting.cancel()
+    eventually(lambda: counts(client, "/set").lost == 1)
+    assert counts(client, "/set").in_flight == 0
+    lamp.goes_on.set()
+
+
+def test_operators_call_so_much_at_once_and_no_more(bridge: Bridge, lamp: Lamp) -> None:
+    _, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    lamp.goes_on.clear()
+    key = route(client, "/set").key
+    waiting = [client.call(key, "data: true") for _ in range(CALLS_AT_ONCE)]
+    with pytest.raises(EngineError, match=f"{CALLS_AT_ONCE} calls by hand are under way"):
+        client.call(key, "data: false").result(60)
+    lamp.goes_on.set()
+    assert all(yaml.safe_load(each.result(60))["success"] for each in waiting)
+    assert lamp.was == [True] * CALLS_AT_ONCE
+
+
+def test_a_large_answer_is_cut_and_says_so(bridge: Bridge, start: Callable[..., Spun], pc: Domain) -> None:
+    def plan(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+        response.plan.header.frame_id = "x" * 100_000
+        response.plan.poses = [request.start] * 30_000
+        return response
+
+    start(pc, "planner").node.create_service(GetPlan, "/plan", plan)
+    _, client = bridge.both(called("/plan"))
+    ready(client, "/plan")
+    text = by_hand(client, "/plan", "start: {header: {frame_id: map}, pose: {position: {x: .5}}}").result(60)
+    assert "# plan.header.frame_id: the first 65,536 of 100,000 characters" in text
+    assert "of 30,000 elements" in text
+    assert len(text) < 500_000
+    poses = yaml.safe_load(text)["plan"]["poses"]
+    assert 100 < len(poses) <= 1000
+    assert poses[0]["pose"]["position"]["x"] == 0.5
+
+
+def test_parameters_are_read_and_set_by_hand(bridge: Bridge, start: Callable[..., Spun], robot: Domain) -> None:
+    camera = start(robot, "camera").node
+    camera.declare_parameter("gain", 0.5)
+    server, _ = bridge.both(Topic("/camera", "receive", kind="parameters"), use_name=True)
+    ready(server, "/robot1/camera")
+    assert route(server, "/robot1/camera").lanes == (
+        "list_parameters", "get_parameters", "get_parameter_types", "describe_parameters", "set_parameters",
+        "set_parameters_atomically",
+    )  # fmt: skip
+    found = by_hand(server, "/robot1/camera", "names: [gain]", "get_parameters").result(60)
+    assert yaml.safe_load(found)["values"][0]["double_value"] == 0.5
+    request = "parameters: [{name: gain, value: {type: 3, double_value: 2}}]"
+    done = by_hand(server, "/robot1/camera", request, "set_parameters").result(60)
+    assert yaml.safe_load(done) == {"results": [{"successful": True, "reason": ""}]}
+    assert camera.get_parameter("gain").value == 2.0
+    event = eventually(lambda: happened(server, EventCode.OPERATOR_CALLED, "set_parameters"))
+    assert event.new == request
+    with pytest.raises(EngineError, match="say which of list_parameters, get_parameters"):
+        by_hand(server, "/robot1/camera", "").result(60)
+    with pytest.raises(EngineError, match="has no 'events' to call"):
+        by_hand(server, "/robot1/camera", "", "events").result(60)
+
+
+def test_goals_are_sent_and_cancelled_by_hand(bridge: Bridge, pc: Domain) -> None:
+    fibonacci: Any = pytest.importorskip("tests.support.fibonacci")
+    served = fibonacci.FibonacciServer(pc.id)
+    try:
+        _, client = bridge.both(Topic("/fibonacci", "transmit", kind="action"))
+        ready(client, "/fibonacci")
+        sent = by_hand(client, "/fibonacci", "goal: {order: 5}", "send_goal").result(60)
+        assert yaml.safe_load(sent)["accepted"]
+        goal = sent.splitlines()[0].removeprefix("# goal_id: ")
+        eventually(lambda: served.goals)
+        assert bytes(served.goals[0].goal_id.uuid).hex() == goal
+        again = by_hand(client, "/fibonacci", "goal: {order: 6}", "send_goal").result(60)
+        assert yaml.safe_load(again)["accepted"]
+        cancelled = by_hand(client, "/fibonacci", f"goal_info: {{goal_id: {goal}}}", "cancel_goal").result(60)
+        assert yaml.safe_load(cancelled)["return_code"] == 0
+    finally:
+        served.close()
+
+
+def test_a_service_without_fields_is_called(bridge: Bridge, start: Callable[..., Spun], pc: Domain) -> None:
+    def trigger(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.message = "no\u202e\x1b[2J"
+        return response
+
+    start(pc, "trigger").node.create_service(Trigger, "/go", trigger)
+    _, client = bridge.both(called("/go"))
+    ready(client, "/go")
+    text = by_hand(client, "/go", "{}").result(60)
+    assert yaml.safe_load(text) == {"success": False, "message": "no\u202e\x1b[2J"}
+    assert text.isascii()

@@ -1,0 +1,190 @@
+"""`call` and `param` as commands, on either side of a bridge, with stock nodes that answer."""
+
+from __future__ import annotations
+
+import json
+import threading
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
+from tests.calls.test_by_hand import ready
+from tests.support.bridge import happened
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Grant, Topic
+from rsb_console.command.arguments import parser_and_commands
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+    from tests.support.control import Machine
+    from tests.support.domain import Domain
+    from tests.support.spun import Spun
+
+VALUES: dict[str, tuple[Parameter.Type, Any]] = {
+    "on": (Parameter.Type.BOOL, True),
+    "rate": (Parameter.Type.INTEGER, -(2**63)),
+    "gain": (Parameter.Type.DOUBLE, float("inf")),
+    "frame": (Parameter.Type.STRING, "true"),
+    "raw": (Parameter.Type.BYTE_ARRAY, [b"\x00", b"\xff"]),
+    "flags": (Parameter.Type.BOOL_ARRAY, [True, False]),
+    "ids": (Parameter.Type.INTEGER_ARRAY, [2**63 - 1]),
+    "limits": (Parameter.Type.DOUBLE_ARRAY, [1.0, -0.5]),
+    "names": (Parameter.Type.STRING_ARRAY, ["5", ""]),
+}
+"""All nine types of parameter."""
+
+
+class Said:
+    """What a command exits with and prints."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+        parsed = parser_and_commands()[0].parse_args(words)
+        self.code = parsed.command(parsed)
+        self.out, self.err = capsys.readouterr()
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, machine: Machine) -> Callable[..., Said]:
+    """Run a command against what `machine` serves."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    return lambda *words: Said(capsys, words)
+
+
+@pytest.fixture
+def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
+    """A node with a parameter of each type, one that is read only, and one that it is particular about."""
+    spun = start(robot, "camera")
+    for name, (kind, value) in VALUES.items():
+        spun.node.declare_parameter(name, Parameter(name, kind, value).value)
+    spun.node.declare_parameter("serial", "A1", ParameterDescriptor(read_only=True, description="on its plate"))
+    limits = ParameterDescriptor(floating_point_range=[FloatingPointRange(from_value=0.0, to_value=2.0, step=0.0)])
+    spun.node.declare_parameter("zoom", 1.0, limits)
+
+    def check(parameters: list[Parameter]) -> SetParametersResult:
+        bad = any(each.name == "frame" and each.value == "moon" for each in parameters)
+        return SetParametersResult(successful=not bad, reason="not as far as that" if bad else "")
+
+    spun.node.add_on_set_parameters_callback(check)
+    return spun
+
+
+@pytest.mark.parametrize("on_server", [True, False])
+def test_parameters_are_listed_read_set_and_dumped_on_either_side(
+    bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Said], on_server: bool
+) -> None:
+    server, client = bridge.both(Topic("/camera", "receive", kind="parameters"), use_name=True)
+    ready(server, "/robot1/camera")
+    machine.serve(server if on_server else client)
+    node = "/robot1/camera" if on_server else "/camera"
+
+    assert set(VALUES) <= set(run("param", "list", node).out.split())
+    assert run("param", "get", node, "rate").out == f"{-(2**63)}\n"
+    assert run("param", "get", node, "frame").out == "'true'\n"
+    assert json.loads(run("param", "get", node, "gain", "--json").out) == {"ok": True, "value": "Infinity"}
+    dumped = yaml.safe_load(run("param", "dump", node).out)[node]["ros__parameters"]
+    assert dumped.items() >= {**{name: value for name, (_, value) in VALUES.items()}, "raw": [0, 255]}.items()
+    assert json.loads(run("param", "dump", node, "--json").out)["parameters"]["ids"] == [2**63 - 1]
+    described = yaml.safe_load(run("param", "describe", node, "zoom").out)
+    assert (described["type"], described["floating_point_range"][0]["to_value"]) == ("double", 2.0)
+
+    for name, value, kind, is_now in (
+        ("on", "false", "", False),
+        ("rate", "7", "", 7),
+        ("gain", "2", "double", 2.0),
+        ("frame", "'5'", "", "5"),
+        ("raw", "[7]", "byte_array", [b"\x07"]),
+        ("flags", "[]", "bool_array", []),
+        ("ids", "[1, 0x10]", "", [1, 16]),
+        ("limits", "[1, 2.5]", "", [1.0, 2.5]),
+        ("names", "['1', yes]", "", ["1", "yes"]),
+    ):
+        done = run("param", "set", node, name, value, *(("--type", kind) if kind else ()))
+        assert (done.code, done.err) == (0, "")
+        assert list(camera.node.get_parameter(name).value or []) == is_now if isinstance(is_now, list) else True
+        if not isinstance(is_now, list):
+            assert camera.node.get_parameter(name).value == is_now
+
+
+def test_what_a_node_refuses_is_told_in_its_own_words(
+    bridge: Bridge, machine: Machine, camera: Spun, run: Callable[..., Said]
+) -> None:
+    server, _ = bridge.both(Topic("/camera", "receive", kind="parameters"))
+    ready(server, "/camera")
+    machine.serve(server)
+    for name, value in (("serial", "B2"), ("frame", "moon"), ("zoom", "9.0"), ("rate", "fast"), ("unknown", "1")):
+        own = camera.node.set_parameters([Parameter(name, value=yaml.safe_load(value))]) if name != "unknown" else []
+        refused = run("param", "set", "/camera", name, value)
+        assert refused.code == 1
+        assert all(each.reason in refused.err and each.reason for each in own)
+        assert f"does not set {name}: " in refused.err
+        assert not json.loads(run("param", "set", "/camera", name, value, "--json").out)["ok"]
+    for command in ("get", "describe"):
+        assert run("param", command, "/camera", "unknown").code == 1
+
+
+def test_who_may_not_call_sets_nothing(
+    bridge: Bridge, machine: Machine, camera: Spun, start: Callable[..., Spun], pc: Domain, run: Callable[..., Said]
+) -> None:
+    """A client whose server lets it serve and not call; its own node can be set from there."""
+    start(pc, "planner").node.declare_parameter("speed", 1)
+    client_of_ours = Client("robot1", key_file=bridge.key_file, allow=(Grant(services="/*", may="serve"),))
+    server = bridge.server(clients=(client_of_ours,))
+    client = bridge.client(
+        Topic("/camera", "receive", kind="parameters"), Topic("/planner", "transmit", kind="parameters")
+    )
+    ready(server, "/camera")
+    machine.serve(client)
+    assert run("param", "get", "/camera", "on").code == 0
+    refused = run("param", "set", "/planner", "speed", "2")
+    assert refused.code == 1
+    assert "cannot be called" in refused.err
+    assert happened(server, EventCode.OPERATOR_CALLED, "set_parameters") is None
+
+
+def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
+    bridge: Bridge, machine: Machine, pc: Domain, run: Callable[..., Said]
+) -> None:
+    """Longer than the route's timeout; whoever has no time is told that the goal goes on."""
+    fibonacci: Any = pytest.importorskip("tests.support.fibonacci")
+    served = fibonacci.FibonacciServer(pc.id)
+    try:
+        server, client = bridge.both(Topic("/fibonacci", "transmit", kind="action", timeout=1.0))
+        ready(client, "/fibonacci")
+        for number, engine in enumerate((client, server)):
+            socket = machine.serve(engine)
+            sent = run("call", "/fibonacci", "{goal: {order: 5}}", "--lane", "send_goal", "--json")
+            answer = json.loads(sent.out)
+            assert answer["response"]["accepted"], sent
+            goal = f"{{goal_id: {answer['goal_id']}}}"
+            hurried = run("call", "/fibonacci", goal, "--lane", "get_result", "--timeout", "2.5")
+            assert hurried.code == 1
+            assert "the goal goes on" in hurried.err
+            results: list[Said] = []
+
+            def wait(goal: str = goal, results: list[Said] = results) -> None:
+                results.append(run("call", "/fibonacci", goal, "--lane", "get_result", "--json"))
+
+            waiting = threading.Thread(target=wait)
+            waiting.start()
+            waiting.join(3)  # three times the route's timeout: nothing tells of a call that is not given up
+            assert waiting.is_alive()
+            cancel = f"goal_info: {{goal_id: {answer['goal_id']}}}"
+            engine.call(engine.snapshot().routes[0].key, cancel, "cancel_goal").result(60)
+            eventually(lambda number=number: len(served.cancels) > number, what="the cancel")
+            served.finish(number=number, state="canceled")
+            waiting.join(60)
+            (said,) = results
+            assert said.code == 0
+            assert json.loads(said.out)["response"]["status"] == 5  # canceled
+            assert "executing" in said.err
+            ended = eventually(lambda engine=engine: happened(engine, EventCode.OPERATOR_CALL_ENDED, "get_result"))
+            assert "answered" in ended.new
+            socket.close()
+    finally:
+        served.close()

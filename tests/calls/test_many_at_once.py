@@ -1,0 +1,53 @@
+"""Very many calls at once, and very large ones: each answer is right, and comes to the caller that asked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.calls.ledgers import balanced, called, nothing_left, settled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+    from tests.support.calls import CallNode
+
+_LARGE = 5_000_000
+
+
+def test_a_thousand_calls_of_two_callers_are_answered_in_any_order(
+    bridge: Bridge, near: CallNode, far: CallNode, another: Callable[[int], CallNode], service: str
+) -> None:
+    """No answer is given before all thousand have arrived: they are under way together."""
+    far.serve(service, gather=1000, delay=(0.0, 0.2))
+    second = another(bridge.robot.id)
+    engines = server, client = bridge.both(called(service))
+    callers = near, second
+    with balanced(*engines):
+        for caller in callers:
+            caller.waits_for(service)
+        for caller in callers:
+            caller.begin(service, 500, at_once=500)
+        outcomes = [caller.settled(service) for caller in callers]
+
+        assert all(outcome.right for outcome in outcomes), outcomes
+        assert far.served(service) == (1000, 0, 0, 0)
+        for engine in (client, server):
+            settled(engine, service, asked=1000, answered=1000)
+    nothing_left(*engines)
+
+
+def test_five_megabytes_each_way(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
+    """Also several at once, and small ones of another service between them."""
+    small = f"{service}_small"
+    far.serve(service, small)
+    engines = server, client = bridge.both(called(service), called(small))
+    with balanced(*engines):
+        near.waits_for(service, small)
+        near.begin(small, 40, rate=20)
+        assert near.call(service, 6, at_once=3, size=_LARGE, response=_LARGE).right
+        assert near.settled(small).right
+        assert far.served(service) == (6, 0, 0, 0)
+        for engine in (client, server):
+            settled(engine, service, asked=6, answered=6)
+    nothing_left(*engines)

@@ -1,0 +1,263 @@
+"""A node's parameters over a bridge, as rclpy's own client of parameters uses them, and that node's events alone."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.msg import ParameterType as Type
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.parameter_event_handler import ParameterEventHandler
+from rclpy.qos import qos_profile_parameter_events
+from rclpy.serialization import deserialize_message, serialize_message
+from tests.support.bridge import happened, route
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+    from tests.support.spun import Spun
+
+VALUES = {
+    "rate": 5,
+    "gain": 0.25,
+    "frame": "größer",
+    "on": True,
+    "limits": [1.0, -1.5],
+    "ids": [1, 2**62],
+    "names": ["a", ""],
+    "flags": [True, False],
+}
+
+
+@pytest.fixture
+def camera(start: Callable[..., Spun], robot: Domain) -> Spun:
+    """A node on the robot that has parameters."""
+    spun = start(robot, "camera")
+    for name, value in VALUES.items():
+        spun.node.declare_parameter(name, value)
+    return spun
+
+
+def parameters(node: str, **changes: Any) -> Topic:
+    """The client's node's, for the server's side."""
+    return Topic(node, "receive", kind="parameters", **changes)
+
+
+def client_of(spun: Spun, node: str) -> AsyncParameterClient:
+    """What a program makes of a far node's parameters, once they are there."""
+    client = AsyncParameterClient(spun.node, node)
+    eventually(client.services_are_ready, what=f"the parameters of {node}")
+    return client
+
+
+def heard(listener: Listener) -> list[ParameterEvent]:
+    """What a listener to /parameter_events has heard."""
+    return [deserialize_message(each, ParameterEvent) for each in listener.payloads]
+
+
+def crosses(spun: Spun, listener: Listener, node: str) -> None:
+    """Wait until a node's events come to a listener: whoever is about to be discovered misses some."""
+    numbers = itertools.count(1000)
+
+    def set_one() -> bool:
+        spun.node.set_parameters([Parameter("rate", value=next(numbers))])
+        return any(event.node == node for event in heard(listener))
+
+    eventually(set_one, what=f"events of {node}")
+
+
+def events_of(domain: Domain) -> Listener:
+    """A listener to them."""
+    return domain.listener("/parameter_events", ParameterEvent, qos_profile_parameter_events)
+
+
+@pytest.mark.parametrize(("use_name", "there"), [(True, "/robot1/camera"), (False, "/camera")])
+def test_a_client_of_parameters_does_all_that_it_does_beside_the_node(
+    bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain, use_name: bool, there: str
+) -> None:
+    server, client = bridge.both(parameters("/camera"), use_name=use_name)
+    program = start(pc, "program")
+    far = client_of(program, there)
+
+    listed = program.result(far.list_parameters()).result.names
+    assert set(VALUES) <= set(listed)
+    values = program.result(far.get_parameters(list(VALUES))).values
+    assert dict(zip(VALUES, map(parameter_value_to_python, values), strict=True)) == VALUES
+    types = program.result(far.get_parameter_types(["rate", "names"])).types
+    assert list(types) == [Type.PARAMETER_INTEGER, Type.PARAMETER_STRING_ARRAY]
+    (described,) = program.result(far.describe_parameters(["gain"])).descriptors
+    assert (described.name, described.type) == ("gain", Type.PARAMETER_DOUBLE)
+
+    (set_one,) = program.result(far.set_parameters([Parameter("rate", value=7)])).results
+    assert set_one.successful
+    (refused,) = program.result(far.set_parameters([Parameter("rate", value="fast")])).results
+    assert not refused.successful
+    assert "STRING" in refused.reason
+    both = [Parameter("gain", value=2.5), Parameter("frame", value="map")]
+    assert program.result(far.set_parameters_atomically(both)).result.successful
+    assert [camera.node.get_parameter(name).value for name in ("rate", "gain", "frame")] == [7, 2.5, "map"]
+
+    for engine, name in ((server, there), (client, "/camera")):
+        eventually(lambda engine=engine, name=name: route(engine, name).calls.in_flight == 0)  # type: ignore[union-attr]
+        calls = route(engine, name).calls
+        assert calls is not None
+        assert calls.asked == calls.answered == 7
+
+
+def test_what_ros2_param_dump_and_load_do(bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain) -> None:
+    """All names, all values, as a file; and a file's values, as parameters."""
+    bridge.both(parameters("/camera"))
+    program = start(pc, "program")
+    far = client_of(program, "/camera")
+    names = sorted(program.result(far.list_parameters()).result.names)
+    values = program.result(far.get_parameters(names)).values
+    dumped = dict(zip(names, map(parameter_value_to_python, values), strict=True))
+    assert dumped.items() >= {**VALUES, "use_sim_time": False}.items()
+    path = bridge.folder / "camera.yaml"
+    path.write_text(yaml.safe_dump({"/camera": {"ros__parameters": {"gain": 9.5, "names": ["x"]}}}))
+    assert all(each.successful for each in program.result(far.load_parameter_file(str(path))).results)
+    assert camera.node.get_parameter("gain").value == 9.5
+    assert camera.node.get_parameter("names").value == ["x"]
+
+
+def test_the_events_of_that_node_alone_come_under_its_name_there(
+    bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
+) -> None:
+    """Of two nodes that are bridged and one that is not."""
+    lidar, other = start(robot, "lidar"), start(robot, "other")
+    for each in (lidar, other):
+        each.node.declare_parameter("rate", 1)
+    server, _ = bridge.both(
+        parameters("/camera"), parameters("/lidar", remote_topic="/robot1/front/lidar"), use_name=True
+    )
+    program = start(pc, "program")
+    listener = events_of(pc)
+    handler = ParameterEventHandler(program.node)
+    told: list[int] = []
+    handler.add_parameter_callback(
+        "rate", "/robot1/camera", lambda parameter: told.append(parameter.value.integer_value)
+    )
+    for node in ("/robot1/camera", "/robot1/front/lidar"):
+        client_of(program, node)
+    crosses(camera, listener, "/robot1/camera")
+    crosses(lidar, listener, "/robot1/front/lidar")
+    for number in range(10, 20):
+        for each in (other, camera, lidar):
+            each.node.set_parameters([Parameter("rate", value=number)])
+
+    def numbers() -> dict[str, list[int]]:
+        found: dict[str, list[int]] = {}
+        for event in heard(listener):
+            for changed in event.changed_parameters:
+                found.setdefault(event.node, []).append(changed.value.integer_value)
+        return {node: each[each.index(10) :] for node, each in found.items() if 10 in each}
+
+    wanted = list(range(10, 20))
+    eventually(
+        lambda: numbers().get("/robot1/front/lidar", [])[-1:] == [19] == numbers().get("/robot1/camera", [])[-1:]
+    )
+    assert numbers() == {"/robot1/camera": wanted, "/robot1/front/lidar": wanted}
+    eventually(lambda: [each for each in told if each < 1000] == wanted)
+    assert happened(server, EventCode.ROUTE_EVENT_LEFT_OUT) is None
+
+
+def test_what_is_no_event_is_left_out(
+    bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
+) -> None:
+    """A node of the domain publishes what it likes on /parameter_events; the others' events go on."""
+    _, client = bridge.both(parameters("/camera"), use_name=True)
+    program = start(pc, "program")
+    client_of(program, "/robot1/camera")
+    listener = events_of(pc)
+    rogue = robot.publisher("/parameter_events", ParameterEvent, qos_profile_parameter_events)
+
+    def left_out() -> bool:
+        for payload in (serialize_message(ParameterEvent(node="/camera"))[:20], b"\x00\x09\x00\x00nonsense"):
+            rogue.publish(payload)
+        return happened(client, EventCode.ROUTE_EVENT_LEFT_OUT) is not None
+
+    eventually(left_out)
+    crosses(camera, listener, "/robot1/camera")
+    assert {event.node for event in heard(listener)} == {"/robot1/camera"}
+
+
+def test_a_node_without_parameters_is_not_offered_and_that_is_said(
+    bridge: Bridge, start: Callable[..., Spun], robot: Domain, pc: Domain
+) -> None:
+    start(robot, "plain", start_parameter_services=False)
+    server, client = bridge.both(parameters("/plain"), parameters("/nobody"))
+    eventually(lambda: "serves no parameters" in route(client, "/plain").reason)
+    assert route(client, "/plain").state == State.DOWN
+    eventually(lambda: "serves no parameters" in route(server, "/plain").reason)
+    eventually(lambda: "no server of /nobody/list_parameters" in route(server, "/nobody").reason)
+    program = start(pc, "program")
+    assert not AsyncParameterClient(program.node, "/plain").services_are_ready()
+    assert program.node.count_services("/plain/list_parameters") == 0
+
+
+def test_a_node_with_some_of_the_services_is_not_offered_and_what_is_missing_is_said(
+    bridge: Bridge, start: Callable[..., Spun], robot: Domain
+) -> None:
+    from rcl_interfaces.srv import GetParameters, ListParameters
+
+    half = start(robot, "half", start_parameter_services=False)
+    for kind, name in ((ListParameters, "list_parameters"), (GetParameters, "get_parameters")):
+        half.node.create_service(kind, f"/half/{name}", lambda _, response: response)
+    server, client = bridge.both(parameters("/half"))
+    for engine in (client, server):
+        eventually(lambda engine=engine: "only a part" in route(engine, "/half").reason)
+    assert "/half/get_parameter_types" in route(client, "/half").reason
+
+
+def test_when_the_node_goes_its_parameters_go_and_come_back_with_it(
+    bridge: Bridge, start: Callable[..., Spun], camera: Spun, robot: Domain, pc: Domain
+) -> None:
+    bridge.both(parameters("/camera"))
+    program = start(pc, "program")
+    far = client_of(program, "/camera")
+    services = ("/camera/set_parameters", "/camera/list_parameters")
+    camera.node.destroy_node()
+    eventually(lambda: not any(program.node.count_services(each) for each in services))
+    assert not far.services_are_ready()
+    again = start(robot, "camera")
+    again.node.declare_parameter("gain", 3.5)
+    eventually(far.services_are_ready)
+    (value,) = program.result(far.get_parameters(["gain"])).values
+    assert value.double_value == 3.5
+
+
+def test_a_client_of_parameters_hears_its_node_and_sets_what_is_not_there_back(
+    bridge: Bridge, start: Callable[..., Spun], camera: Spun, pc: Domain
+) -> None:
+    """rclpy's `on_parameter_event`, and `delete_parameters`, which a node refuses for what has one type only."""
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    camera.node.declare_parameter("note", "x", ParameterDescriptor(dynamic_typing=True))
+    bridge.both(parameters("/camera"))
+    program = start(pc, "program")
+    far = client_of(program, "/camera")
+    told: list[ParameterEvent] = []
+    far.on_parameter_event(told.append)
+    numbers = itertools.count(1)
+
+    def hears() -> bool:
+        camera.node.set_parameters([Parameter("rate", value=next(numbers))])
+        return any(each.changed_parameters for each in told)
+
+    eventually(hears)
+    (gone, refused) = program.result(far.delete_parameters(["note", "gain"])).results
+    assert (gone.successful, refused.successful) == (True, False)
+    assert refused.reason
+    eventually(lambda: any(each.name == "note" for event in told for each in event.deleted_parameters))
+    assert {event.node for event in told} == {"/camera"}

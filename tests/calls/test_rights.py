@@ -1,0 +1,123 @@
+"""Who may call and who may serve, on real links: refused on both sides in words, changed by a reload."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+from tests.calls.ledgers import called, counts, nothing_left, settled
+from tests.support.bridge import find, happened, linked, route
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.session_file import load_file, save
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Grant, Topic
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.calls import CallNode
+
+    from rsb_bridge.engine import Engine
+    from rsb_bridge.model.reloaded import Reloaded
+
+
+def reloaded(engine: Engine, path: Path, **changes: object) -> Reloaded:
+    """Change the session file of an engine that runs, and have it read again."""
+    if path.exists():
+        opened = load_file(path)
+        save(msgspec.structs.replace(opened.session, **changes), path, opened)
+    else:
+        save(msgspec.structs.replace(engine.session, **changes), path)
+    engine.use_file(path)
+    return engine.reload().result(60)
+
+
+def of_the_robot(name: str) -> Topic:
+    """A service of the robot's domain, which the server's may call."""
+    return Topic(name, "receive", kind="service")
+
+
+def test_a_server_calls_on_a_robot_only_what_its_file_lists(
+    bridge: Bridge, near: CallNode, far: CallNode, service: str
+) -> None:
+    """Both sides say what would allow it; the client's operator may list it while the bridge runs."""
+    near.serve(service)
+    server, client = bridge.both()
+    server.add_topic(of_the_robot(service)).result(60)
+    eventually(lambda: route(server, service).cause == "refused")
+    listing = "list it under services in the session file of robot1, with provider: client"
+    assert listing in route(server, service).reason
+    assert happened(client, EventCode.ROUTE_REFUSED, f"robot1 does not let the server call service {service}")
+    assert find(client, service) is None
+    assert not far.ready(service)
+
+    client.add_topic(of_the_robot(service)).result(60)
+    far.waits_for(service)
+    assert far.call(service, 5).right
+    nothing_left(server, client)
+
+
+def test_a_client_calls_and_serves_what_the_server_allows(
+    bridge: Bridge, near: CallNode, far: CallNode, service: str, tmp_path: Path
+) -> None:
+    """Who may have all topics may call nothing by that; a reload allows it, limits it and ends it."""
+    file, key = tmp_path / "pc.yaml", "robot1.key"
+    far.serve(service)
+    server = bridge.server(clients=(Client("robot1", key_file=key, allow=("/*",)),))
+    client = bridge.client(called(service))
+    eventually(lambda: route(client, service).cause == "refused")
+    add = f"add {{services: {service}, may: call}} to allow of client robot1 in the session file of"
+    assert add in route(client, service).reason
+
+    allowing = Grant(services=f"{service}*", may="call")
+    reloaded(server, file, clients=(Client("robot1", key_file=key, allow=("/*", allowing)),))
+    near.waits_for(service)
+    assert near.call(service, 5).right
+
+    slow = msgspec.structs.replace(allowing, max_rate=1.0)
+    reloaded(server, file, clients=(Client("robot1", key_file=key, allow=("/*", slow)),))
+    eventually(lambda: route(client, service).max_rate == 1.0)
+    near.begin(service, 10, at_once=10)
+    eventually(lambda: sum(counts(client, service).refused.values()) >= 5)
+    near.give_up(service)
+
+    serving = Client("robot1", key_file=key, allow=(allowing,), deny=(Grant(services=service, may="call"),))
+    changed = reloaded(server, file, clients=(serving,)).changed
+    assert any(f"{service} may not cross any more" in change for change in changed)
+    assert near.waits_for_none(service) < 2.0
+    assert find(server, service) is None
+    client.add_topic(of_the_robot(f"{service}/other")).result(60)
+    eventually(lambda: route(client, f"{service}/other").cause == "refused")
+    assert "may: serve" in route(client, f"{service}/other").reason
+    nothing_left(server, client)
+
+
+def test_a_reload_adds_changes_and_removes_services(
+    bridge: Bridge, near: CallNode, far: CallNode, service: str, tmp_path: Path
+) -> None:
+    """What a change of the timeout does to the route is core's; the others stay as they are."""
+    file, other = tmp_path / "robot1.yaml", f"{service}/other"
+    far.serve(service, other)
+    server, client = bridge.both()
+    eventually(lambda: linked(client))
+    changed = reloaded(client, file, topics=(called(service), called(other))).changed
+    assert [change.partition(": added")[0] for change in changed] == [
+        f"service {service} (provider: server)",
+        f"service {other} (provider: server)",
+    ]
+    near.waits_for(service, other)
+    assert near.call(service, 5).right
+    assert near.call(other, 3).right
+    (change,) = reloaded(client, file, topics=(called(service), called(other, timeout=2.0))).changed
+    assert change.startswith(f"service {other} (provider: server): timeout none → 2.0")
+    settled(client, service, asked=5, answered=5)
+    near.waits_for(other)
+    assert near.call(other, 3).right
+    (change,) = reloaded(client, file, topics=(called(service),)).changed
+    assert change.startswith(f"service {other} (provider: server): removed")
+    assert near.waits_for_none(other) < 2.0
+    assert near.ready(service)
+    assert file.read_text().count("service:") == 1
+    nothing_left(server, client)

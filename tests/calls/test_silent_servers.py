@@ -1,0 +1,95 @@
+"""Servers that do not answer, that go with calls under way, and that come back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tests.calls.ledgers import balanced, called, counts, nothing_left, settled
+from tests.support.bridge import route
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.bridge import Bridge
+    from tests.support.calls import CallNode
+
+
+def test_calls_that_are_never_answered_expire_and_leave_nothing(
+    bridge: Bridge, near: CallNode, far: CallNode, service: str
+) -> None:
+    """Both sides count them and say so; the next server's calls are answered."""
+    far.serve(service, delay=None)
+    engines = server, client = bridge.both(called(service, timeout=1.0))
+    with balanced(*engines):
+        near.waits_for(service)
+        near.begin(service, 20, at_once=20)
+        eventually(lambda: far.served(service).waiting == 20, what="all arrived")
+        for engine in (client, server):
+            settled(engine, service, asked=20, expired=20)
+            eventually(lambda engine=engine: route(engine, service).state == State.SLOW, what="told")
+        assert near.give_up(service).answered == 0
+        nothing_left(*engines)
+
+        far.unserve(service)
+        far.serve(service)
+        near.waits_for(service)
+        assert near.call(service, 5).right
+        settled(client, service, asked=25, expired=20, answered=5)
+
+
+def test_an_offer_comes_and_goes_with_the_server(bridge: Bridge, near: CallNode, far: CallNode, service: str) -> None:
+    """Within a second each time; calls that are under way when it goes are lost, and no later one is."""
+    far.serve(service, delay=None)
+    engines = server, client = bridge.both(called(service))
+    with balanced(*engines):
+        near.waits_for(service)
+        for _ in range(3):
+            asked = counts(client, service).asked
+            near.begin(service, 10, at_once=10)
+            eventually(lambda: far.served(service).waiting == 10, what="all arrived")
+            far.unserve(service)
+            assert near.waits_for_none(service) < 1.0
+            lost = settled(client, service, asked=asked + 10, lost=asked + 10).lost
+            settled(server, service, asked=lost, lost=lost)
+            near.give_up(service)
+            far.serve(service, delay=None)
+            assert near.waits_for(service) < 1.0 + _DISCOVERY
+    nothing_left(*engines)
+
+
+def test_a_server_that_was_killed_mid_call_is_replaced_at_once(
+    bridge: Bridge, near: CallNode, another: Callable[[int], CallNode], service: str
+) -> None:
+    """DDS still sees the dead one for 20 s (docs/services.md); the service works with the new one all the same.
+
+    As zenoh-plugin-ros2dds #367: "a killed and restarted node leaves its service dead for good".
+    """
+    mortal = another(bridge.pc.id)
+    mortal.serve(service, delay=None)
+    engines = _, client = bridge.both(called(service, timeout=1.0))
+    with balanced(*engines):
+        near.waits_for(service)
+        for _ in range(2):
+            near.begin(service, 10, at_once=10)
+            eventually(lambda mortal=mortal: mortal.served(service).waiting == 10, what="all arrived")
+            mortal.kill()
+            near.give_up(service)
+            successor = another(bridge.pc.id)
+            successor.serve(service)
+            eventually(lambda: near.call(service, 1, quiet=0.5).right, what="the new server answers")
+            outcome = near.call(service, 20)
+            assert outcome.right, outcome
+            assert outcome.servers == [successor.pid]
+            successor.unserve(service)
+            successor.serve(service, delay=None)
+            mortal = successor
+            eventually(lambda: counts(client, service).in_flight == 0, what="the calls to the dead one are given up")
+            eventually(lambda: near.ready(service))
+    nothing_left(*engines)
+
+
+_DISCOVERY = 1.0
+"""s that DDS takes at most, for a new endpoint of nodes that know each other."""

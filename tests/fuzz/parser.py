@@ -1,0 +1,52 @@
+"""A parser to be fuzzed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tests.fuzz.editing import edit_bytes
+
+from rsb_bridge.model.text import is_clean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from random import Random
+
+CORPUS = Path(__file__).with_name("corpus")
+LONGEST = 4096
+"""Bytes of an input."""
+
+
+def check_text(text: str, longest: int) -> None:
+    """A text that an operator is shown does nothing to a terminal, and is short."""
+    assert is_clean(text)
+    assert len(text) <= longest
+
+
+@dataclass(frozen=True)
+class Parser:
+    """A parser, and what has to be so whatever it reads.
+
+    Attributes:
+        name: also of its corpus's folder.
+        read: has it read an input. Raises where something is not as it should be: an exception that is not documented,
+            output without a bound, or a value that does not come back equal from its own encoding.
+        seeds: inputs of which all or nearly all is right.
+        edit: makes another input of one, which keeps to the outer form.
+    """
+
+    name: str
+    read: Callable[[bytes], None]
+    seeds: tuple[bytes, ...]
+    edit: Callable[[bytes, Random], bytes] = edit_bytes
+
+    @property
+    def corpus(self) -> Path:
+        """The folder of inputs that earlier runs found worth keeping."""
+        return CORPUS / self.name
+
+    def kept(self) -> Iterator[Path]:
+        """The files of the corpus."""
+        return (path for path in sorted(self.corpus.glob("*")) if path.is_file())

@@ -1,0 +1,122 @@
+"""Control messages: what a peer with the key says, and what stands in the handshake's messages."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from tests.fuzz.editing import behind, edit_frames, edit_msgpack, split_frames
+from tests.fuzz.parser import Parser, check_text
+from tests.wire.links import CONTROL_HEADER, established
+from tests.wire.test_messages import EXAMPLES, HELLO, WELCOME
+
+from rsb_bridge.model.limits import REASON_LENGTH
+from rsb_bridge.model.text import is_clean
+from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
+from rsb_bridge.wire.events import DataFrame, Failed, Received, Refused
+from rsb_bridge.wire.framing import HEADER, ProtocolError, pack_frame
+from rsb_bridge.wire.messages import Report
+from rsb_bridge.wire.sealing import Sealer, Suite
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.wire.events import Event
+
+
+_EXAMPLES: list[Any] = list(EXAMPLES)
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    match value:
+        case dict():
+            for key, each in value.items():
+                yield key
+                yield from _leaves(each)
+        case list() | tuple():
+            for each in value:
+                yield from _leaves(each)
+        case _:
+            yield value
+
+
+def check_message(message: Any) -> None:
+    """A message that was accepted has short, clean text and real figures, and is the same after another crossing."""
+    for leaf in _leaves(msgspec.to_builtins(message, builtin_types=(bytes,))):
+        if isinstance(leaf, str):
+            assert is_clean(leaf)
+            assert len(leaf) <= REASON_LENGTH
+        elif isinstance(leaf, float) and not isinstance(message, Report):  # whoever takes a report limits its figures
+            assert not math.isnan(leaf), "a figure is no number"
+
+
+def _read(decode: Callable[[bytes], Any], data: bytes) -> None:
+    try:
+        message = decode(data)
+    except ProtocolError as error:
+        check_text(str(error), REASON_LENGTH)
+        return
+    check_message(message)
+    again = encode(message)
+    assert encode(decode(again)) == again
+
+
+def _read_sealed(data: bytes) -> None:
+    """What a peer that has the key writes, frame by frame. The first byte says which side reads, and its kind of link.
+
+    The first byte of each frame says whether it is sealed as a control frame, or stands there as it is.
+    """
+    choice = data[0] if data else 0
+    client, server, _, _ = established(Suite.PLAIN, multiplexed=bool(choice & 2))
+    reader = client if choice & 1 else server
+    sealer = Sealer(Suite.PLAIN, None)
+    sealer.sequence = 0 if choice & 1 else 1  # the client's confirmation was the first
+    events: list[Event] = []
+    for frame in split_frames(data[1:]):
+        sealed = sealer.seal(frame[1:], CONTROL_HEADER)
+        events += reader.receive_data(
+            pack_frame(CONTROL_HEADER, sealed) if frame[:1] != b"\1" else pack_frame(frame[1:])
+        )
+    ended = [event for event in events if isinstance(event, Failed | Refused)]
+    assert len(ended) <= 1
+    assert not ended or events[-1] is ended[0]
+    for event in events:
+        match event:
+            case Received(message):
+                check_message(message)
+            case DataFrame(_, frame_of_data):
+                assert len(frame_of_data) >= HEADER.size
+            case Failed(reason):
+                assert is_clean(reason)
+            case Refused(_, message, _):
+                assert is_clean(message)
+            case _:
+                raise AssertionError(f"{type(event).__name__} once the link is up")
+
+
+def _framed(*contents: bytes) -> bytes:
+    return b"".join(len(content).to_bytes(4, "big") + content for content in contents)
+
+
+_DATA_FRAME = b"\1" + HEADER.pack(1, 0, 7, 8) + b"content" + bytes(4)
+_REFUSE = b"\1rsb\2\4\x08busy"
+
+PARSERS = (
+    Parser("control_message", partial(_read, decode), tuple(encode(each) for each in _EXAMPLES), edit_msgpack),
+    Parser("hello", partial(_read, decode_hello), (encode(HELLO),), edit_msgpack),
+    Parser("welcome", partial(_read, decode_welcome), (encode(WELCOME),), edit_msgpack),
+    Parser(
+        "sealed_control",
+        _read_sealed,
+        (
+            bytes(1) + _framed(*(bytes(1) + encode(each) for each in _EXAMPLES[:6])),
+            bytes((1,)) + _framed(*(bytes(1) + encode(each) for each in _EXAMPLES[6:12])),
+            bytes((2,)) + _framed(_DATA_FRAME, bytes(1) + encode(_EXAMPLES[0])),
+            bytes((3,)) + _framed(_REFUSE),
+            bytes((1,)) + _framed(_REFUSE),
+        ),
+        behind(1, edit_frames),
+    ),
+)

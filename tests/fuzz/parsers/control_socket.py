@@ -1,0 +1,96 @@
+"""Control sockets: what a console asks of a bridge, and what a bridge tells a console."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from tests.console.scripted import ScriptedEngine
+from tests.fuzz.editing import behind, edit_frames
+from tests.fuzz.parser import Parser
+
+from rsb_bridge.control import protocol
+from rsb_bridge.control.commands import AddTopic, History, Pause, Restart, Topics
+from rsb_bridge.control.protocol import (
+    BridgeInfo,
+    Events,
+    Failed,
+    Follow,
+    Goodbye,
+    Hello,
+    Look,
+    ProtocolError,
+    Reply,
+    Request,
+    State,
+    Welcome,
+)
+from rsb_bridge.control.states import Receiver
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
+
+
+def _read(make: Callable[[], protocol.Frames[Any]], data: bytes) -> None:
+    """Messages in pieces, as the first byte says; each is the same after another crossing."""
+    frames, receiver = make(), Receiver(_INFO)
+    size = data[0] if data and data[0] else len(data) or 1
+    content = data[1:]
+    try:
+        for at in range(0, len(content), size):
+            for message in frames.feed(content[at : at + size]):
+                _check_same(make, message)
+                if isinstance(message, State):
+                    receiver.take(message)
+    except ProtocolError:
+        pass  # the connection ends
+    if receiver.snapshot is not None:
+        assert receiver.session is not None
+
+
+def _check_same(make: Callable[[], protocol.Frames[Any]], message: Any) -> None:
+    encoded = protocol.encode(message)
+    (again,) = make().feed(encoded)
+    assert protocol.encode(again) == encoded
+
+
+def _state() -> bytes:
+    engine = ScriptedEngine()
+    routes = tuple(map(protocol.encode_route, engine.now.routes[:1]))
+    keys = tuple(route.key for route in engine.now.routes[:1])
+    return protocol.encode(State(routes=routes, keys=keys, session=engine.session, links=engine.now.links[:1]))
+
+
+def _frames(messages: tuple[Any, ...]) -> bytes:
+    return b"".join(protocol.encode(message) for message in messages)
+
+
+_TO_BRIDGE = (
+    Hello(1, "0.1.0"),
+    Request(1, AddTopic(Topic("/scan", "transmit"))),
+    Request(2, Pause("/scan", paused=True)),
+    Request(3, Restart()),
+    Request(4, Topics()),
+    Request(5, History(3600.0)),
+    Look(),
+    Follow(7),
+)
+_TO_CONSOLE = (Welcome(_INFO), Reply(1, "key"), Failed(2, "no such topic"), Events(()), Goodbye("the bridge ends"))
+
+PARSERS = (
+    Parser(
+        "control_requests",
+        partial(_read, protocol.frames_to_bridge),
+        (bytes(1) + _frames(_TO_BRIDGE), b"\7" + protocol.encode(_TO_BRIDGE[1])),
+        behind(1, edit_frames),
+    ),
+    Parser(
+        "control_answers",
+        partial(_read, protocol.frames_to_console),
+        (bytes(1) + _frames(_TO_CONSOLE), bytes(1) + _state()),
+        behind(1, edit_frames),
+    ),
+)

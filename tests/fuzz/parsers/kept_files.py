@@ -1,0 +1,101 @@
+"""What a bridge kept on disk: the time line and the events, damaged by a disk or written by another version."""
+
+from __future__ import annotations
+
+import contextlib
+from functools import cache, partial
+from typing import TYPE_CHECKING
+
+import msgspec
+import zstandard
+from tests.fuzz.editing import edit_json_lines, edit_msgpack
+from tests.fuzz.parser import Parser
+from tests.fuzz.scratch import scratch_folder
+from tests.history.clocks import EPOCH
+from tests.history.world import World
+
+from rsb_bridge.history import event_file, history_file, offline
+from rsb_bridge.history.folders import Files
+from rsb_bridge.history.history_file import HistoryFileError
+from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_bridge.model.text import is_clean
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_NOW = EPOCH + 100
+
+
+@cache
+def _files() -> Files:
+    return Files(scratch_folder(), "robot1")
+
+
+def _check_report(report: HistoryReport) -> None:
+    encoded = msgspec.json.encode(report)
+    assert len(encoded) <= 4 << 20
+    assert msgspec.json.decode(encoded, type=HistoryReport) is not None
+
+
+def _read_history(pack: Callable[[bytes], bytes], data: bytes) -> None:
+    """As a command reads it, and as the next process of the bridge goes on from it."""
+    files = _files()
+    files.history.write_bytes(pack(data))
+    files.events.unlink(missing_ok=True)
+    with contextlib.suppress(HistoryFileError):
+        _check_report(offline.report(files, _NOW, 3600.0))
+    try:
+        saved = history_file.read(files.history)
+        timeline = Timeline.restore(saved, "robot1", "client")
+    except (HistoryFileError, ValueError):
+        return
+    again = timeline.save(saved.time)
+    assert msgspec.msgpack.encode(
+        Timeline.restore(again, "robot1", "client").save(saved.time)
+    ) == msgspec.msgpack.encode(again)
+
+
+def _read_events(data: bytes) -> None:
+    files = _files()
+    files.events.write_bytes(data)
+    events = list(event_file.read(files.events, _NOW))
+    assert len(events) <= data.count(b"\n") + 1
+    timeline = Timeline("robot1", "client")
+    timeline.go_on(events)
+    _check_report(timeline.report(_NOW + 60, 3600.0, running=False))
+    for event in events:
+        if not (event.code and event.text and is_clean(event.code)):
+            continue  # this program writes none
+        line = event_file.encode(event)
+        files.events.write_bytes(line)
+        (again,) = event_file.read(files.events, _NOW)
+        assert event_file.encode(again) == line
+
+
+def _saved() -> bytes:
+    world = World("/scan", "/map")
+    world.go(70)
+    world.put("/scan", State.STALE, "no message for 2 s")
+    world.go(5)
+    return msgspec.msgpack.encode(world.recorder.save())
+
+
+_EVENTS = (
+    Event(1, _NOW + 1, Level.INFO, "link.up", "up"),
+    Event(2, _NOW + 9, Level.WARNING, "route.fault", "no message", topic="/scan", state="stale", since=_NOW),
+)
+_BOMB = b"\x28\xb5\x2f\xfd\xe0" + (1 << 40).to_bytes(8, "little") + b"\1\0\0"
+"""Says that it holds a TiB."""
+
+PARSERS = (
+    Parser("history_content", partial(_read_history, zstandard.compress), (_saved(),), edit_msgpack),
+    Parser("history_file", partial(_read_history, bytes), (zstandard.compress(_saved()[:60]), b"", _BOMB)),
+    Parser(
+        "event_file",
+        _read_events,
+        (b"".join(map(event_file.encode, _EVENTS)),),
+        edit_json_lines,
+    ),
+)

@@ -1,0 +1,152 @@
+"""How streams begin: what strangers say before anything is authenticated, to either side."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from tests.fuzz.editing import behind, edit_bytes
+from tests.fuzz.parser import Parser
+from tests.wire.links import WELCOME, key_for, make_client, make_server
+
+from rsb_bridge.model.text import is_clean
+from rsb_bridge.wire.codec import encode
+from rsb_bridge.wire.connection import ClientConnection, DataConnection, ServerConnection
+from rsb_bridge.wire.events import Accepted, Attach, DataFrame, Established, Failed, Received, Refused
+from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
+from rsb_bridge.wire.preamble import (
+    MESSAGE_LIMIT,
+    Kind,
+    RefusalCode,
+    data_header,
+    preamble_frame,
+    refuse_frame,
+)
+from rsb_bridge.wire.sealing import SessionKeys, Suite
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.wire.events import Event
+
+End = ClientConnection | ServerConnection | DataConnection
+
+_ANSWER = 3 * PREAMBLE_LIMIT
+"""Bytes that a stranger can have this side send at most: a RETRY or an ACCEPT, and a REFUSE."""
+
+
+def _pieces(content: bytes, size: int) -> Iterator[bytes]:
+    size = size or len(content) or 1
+    for at in range(0, len(content), size):
+        yield content[at : at + size]
+
+
+def _check(events: list[Event], answer: bytes) -> None:
+    assert len(answer) <= _ANSWER
+    ended = [event for event in events if isinstance(event, Failed | Refused)]
+    assert len(ended) <= 1
+    assert not ended or events[-1] is ended[0]
+    for event in events:
+        match event:
+            case Failed(reason):
+                assert is_clean(reason)
+                assert len(reason) <= MESSAGE_LIMIT
+            case Refused(_, message, _):
+                assert is_clean(message)
+                assert len(message) <= 2 * MESSAGE_LIMIT
+            case Attach(link_id, _, _, _):
+                assert len(link_id) == 8
+            case Established() | Received() | DataFrame() | Accepted():
+                pass
+
+
+def _read(start: Callable[[Suite, bool], End], data: bytes) -> None:
+    """The first byte says which suite, whether the stream is multiplexed, and in which pieces it comes."""
+    choice = data[0] if data else 0
+    end = start(Suite(choice % 3), bool(choice & 4))
+    events: list[Event] = []
+    answer = b""
+    for piece in _pieces(data[1:], choice >> 3):
+        events += end.receive_data(piece)
+        answer += end.data_to_send()
+    _check(events, answer)
+
+
+def _server(suite: Suite, multiplexed: bool) -> End:
+    return make_server(suite, aes=multiplexed, multiplexed=multiplexed)
+
+
+def _client(suite: Suite, multiplexed: bool) -> End:
+    client = make_client(suite, multiplexed=multiplexed)
+    client.start()
+    return client
+
+
+def _data_client(suite: Suite, _: bool) -> End:
+    connection = DataConnection(SessionKeys(suite, key_for(suite), b"linklink"), 1)
+    connection.start()
+    return connection
+
+
+def _seed(suite: Suite, *frames: bytes, multiplexed: bool = True) -> bytes:
+    return bytes((suite + _choice(suite, multiplexed),)) + b"".join(map(pack_frame, frames))
+
+
+def _choice(suite: Suite, multiplexed: bool) -> int:
+    """What to add to a suite's number so that it stays the rest of a division by 3."""
+    return next(each for each in range(0, 8, 3) if bool((suite + each) & 4) is multiplexed)
+
+
+def _confirmed() -> bytes:
+    """All that a client without encryption sends until the link is up."""
+    client, server = make_client(Suite.PLAIN), make_server(Suite.PLAIN)
+    first = client.start()
+    server.receive_data(first)
+    client.receive_data(server.data_to_send())
+    return first + client.data_to_send()
+
+
+def _answered() -> bytes:
+    """All that a server without encryption sends until then."""
+    client, server = make_client(Suite.PLAIN), make_server(Suite.PLAIN)
+    server.receive_data(client.start())
+    return server.data_to_send()
+
+
+_REFUSED = refuse_frame(RefusalCode.WRONG_KEY, "the keys of 'robot1' differ")
+_ATTACH = data_header(b"linklink", 1) + bytes(16)
+
+PARSERS = (
+    Parser(
+        "server_preamble",
+        partial(_read, _server),
+        (
+            bytes(1) + _confirmed(),
+            bytes((9,)) + _confirmed()[:40],
+            _seed(Suite.AESGCM, make_client(Suite.AESGCM).start()[4:]),
+            _seed(Suite.AESGCM, make_client(Suite.AESGCM).start()[4:], multiplexed=False),
+            _seed(Suite.CHACHAPOLY, make_client(Suite.CHACHAPOLY).start()[4:]),
+            _seed(Suite.AESGCM, _ATTACH),
+            _seed(Suite.AESGCM, b"rsb\x01\x01" + bytes(20)),
+        ),
+        behind(1, edit_bytes),
+    ),
+    Parser(
+        "client_preamble",
+        partial(_read, _client),
+        (
+            bytes(1) + _answered(),
+            _seed(Suite.PLAIN, _REFUSED),
+            _seed(Suite.AESGCM, preamble_frame(Kind.RETRY, bytes((Suite.CHACHAPOLY,))), _REFUSED),
+            _seed(Suite.AESGCM, preamble_frame(Kind.ACCEPT, bytes(32) + encode(WELCOME) + bytes(16))),
+            _seed(Suite.PLAIN, preamble_frame(Kind.ACCEPT, encode(WELCOME)), _REFUSED),
+        ),
+        behind(1, edit_bytes),
+    ),
+    Parser(
+        "data_preamble",
+        partial(_read, _data_client),
+        (_seed(Suite.AESGCM, preamble_frame(Kind.ACCEPT), b"sealed"), _seed(Suite.CHACHAPOLY, _REFUSED)),
+        behind(1, edit_bytes),
+    ),
+)

@@ -1,0 +1,97 @@
+"""Calls over a network that is slow, loses packets or is cut."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from typing import TYPE_CHECKING
+
+from tests.calls.ledgers import balanced, counts, settled
+from tests.network.hosts import Cable
+from tests.support.waiting import eventually
+
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.model.codes import EventCode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.network.bridging import Bridge
+    from tests.network.conftest import Network
+    from tests.network.hosts import Host
+
+_PC = "10.99.1.1"
+_SERVICE = {"service": "/map", "timeout": 10.0}
+_LOSS, _DOUBLED, _DELAY, _JITTER = "0.05", "0", "0.2", "0"
+
+
+def test_calls_over_a_wire_that_loses_and_delays(network: Network, robot: Host, pc: Host) -> None:
+    """5 % lost, 200 ms late each way: every call is answered, once, and the way's share of the time is told apart."""
+    wire = network.host("wire")
+    Cable(robot, wire)
+    Cable(wire, pc)
+    robot.address("eth0", "10.99.1.2/24")
+    pc.address("eth0", "10.99.1.1/24")
+    between = wire.start(sys.executable, "-m", "tests.network.wire", "eth0", "eth1", _LOSS, _DOUBLED, _DELAY, _JITTER)
+    near, far = network.callers_and_servers(robot, pc)
+    far.serve("/map", delay=(0.1, 0.1))
+    bridge = network.bridge(robot, pc, _PC, services=(_SERVICE,))
+    with _attached(bridge) as (client, server), balanced(client, server):
+        near.waits_for("/map")
+        outcome = near.call("/map", 100, at_once=20, rate=20.0)
+        assert outcome.right, outcome
+        assert outcome.p50 > 0.5
+        assert near.call("/map", 5, at_once=5, response=100_000).right
+        found = settled(client, "/map", asked=105, answered=105)
+        assert found.way_p50 is not None
+        assert found.node_p50 is not None
+        assert 0.4 < found.way_p50 < outcome.p99
+        assert 0.1 <= found.node_p50 < 0.4
+        settled(server, "/map", asked=105, answered=105)
+    assert far.served("/map") == (105, 0, 0, 0)
+    between.kill()
+    between.wait()
+
+
+def test_a_cut_takes_the_offer_and_the_calls_under_way(network: Network, robot: Host, pc: Host, cable: Cable) -> None:
+    """A short cut delays the calls; a long one is the end of those under way, on both sides, and of the offer."""
+    near, far = network.callers_and_servers(robot, pc)
+    far.serve("/map")
+    bridge = network.bridge(robot, pc, _PC, services=(_SERVICE,))
+    with _attached(bridge) as (client, server), balanced(client, server):
+        near.waits_for("/map")
+        assert near.call("/map", 10).right
+
+        cable.cut()
+        near.begin("/map", 5, at_once=5)
+        eventually(lambda: counts(client, "/map").in_flight == 5, what="under way")
+        cable.mend()
+        outcome = near.settled("/map")
+        assert outcome.right, outcome
+        assert not bridge.client.happened(EventCode.LINK_LOST)
+
+        cable.cut()
+        near.begin("/map", 5, at_once=5)
+        cut = bridge.client.happens(EventCode.LINK_LOST)
+        near.waits_for_none("/map", within=1.5)
+        found = settled(client, "/map", asked=20, answered=15, lost=5)
+        assert found.last_failure
+        assert near.give_up("/map").answered == 0
+        cable.mend()
+        bridge.client.happens(EventCode.LINK_UP, since=cut)
+        near.waits_for("/map")
+        assert near.call("/map", 10).right
+        settled(client, "/map", asked=30, answered=25, lost=5)
+        assert far.served("/map").again == 0
+        eventually(lambda: not counts(server, "/map").in_flight)
+
+
+@contextlib.contextmanager
+def _attached(bridge: Bridge) -> Iterator[tuple[RemoteEngine, RemoteEngine]]:
+    """Both engines, the client's first."""
+    with contextlib.ExitStack() as resources:
+        engines = RemoteEngine(bridge.client.control), RemoteEngine(bridge.server.control)
+        for engine in engines:
+            engine.start()
+            resources.callback(engine.stop)
+        yield engines

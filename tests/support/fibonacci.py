@@ -1,0 +1,331 @@
+"""A Fibonacci action's server and client as a robot's own programs have them: typed, each spun by a thread.
+
+`python -m tests.support.fibonacci DOMAIN` is a server in a process of its own, which computes what it is asked for: a
+number every 0.1 s, with feedback.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import pytest
+from tests.support.waiting import eventually
+
+pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
+
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from test_msgs.action import Fibonacci
+
+if TYPE_CHECKING:
+    from rclpy.action.client import ClientGoalHandle
+    from rclpy.action.server import ServerGoalHandle
+    from rclpy.task import Future
+
+ROOT = Path(__file__).parents[2]
+ACTION = "/fibonacci"
+TYPE = "test_msgs/action/Fibonacci"
+STATES = {
+    GoalStatus.STATUS_UNKNOWN: "unknown",
+    GoalStatus.STATUS_ACCEPTED: "accepted",
+    GoalStatus.STATUS_EXECUTING: "executing",
+    GoalStatus.STATUS_CANCELING: "canceling",
+    GoalStatus.STATUS_SUCCEEDED: "succeeded",
+    GoalStatus.STATUS_CANCELED: "canceled",
+    GoalStatus.STATUS_ABORTED: "aborted",
+}
+
+
+class _Spun:
+    """A node of its own in a domain, spun until it is closed.
+
+    Attributes:
+        node: for whatever else is made on it.
+    """
+
+    def __init__(self, domain_id: int, name: str) -> None:
+        self._context = Context()
+        self._context.init([], domain_id=domain_id)
+        self.node = Node(
+            name, context=self._context, enable_rosout=False, use_global_arguments=False, start_parameter_services=False
+        )
+        self._executor = MultiThreadedExecutor(8, context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name=f"{name}-spins")
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._context.shutdown()
+        self._thread.join()
+        self._executor.shutdown()
+        self._destroy()
+        self.node.destroy_node()
+        self._context.destroy()
+
+    def _destroy(self) -> None:
+        """Free what is on the node: rclpy leaves actions to whoever made them."""
+
+
+class FibonacciServer(_Spun):
+    """Accepts goals, and does with them what the test says.
+
+    Args:
+        domain_id: to join.
+        result_timeout: s that it keeps results; rcl_action's default.
+        accepts: whether it accepts goals.
+        hesitates: it answers to no goal until the test says so.
+
+    Attributes:
+        goals: the accepted ones, in order.
+        orders: what was asked for, by goals that were rejected, too.
+        cancels: the ids of goals that were to be cancelled, in order.
+        log: goals and cancels in the order in which they came, in words.
+        hesitates: set while it answers to no goal.
+    """
+
+    def __init__(
+        self, domain_id: int, *, result_timeout: float = 10.0, accepts: bool = True, hesitates: bool = False
+    ) -> None:
+        super().__init__(domain_id, "fibonacci_server")
+        self.goals: list[ServerGoalHandle] = []
+        self.orders: list[int] = []
+        self.cancels: list[str] = []
+        self.log: list[str] = []
+        self.hesitates = threading.Event()
+        if hesitates:
+            self.hesitates.set()
+        self._accepts = accepts
+        self._ends: dict[str, threading.Event] = {}
+        self._results: dict[str, tuple[str, list[int]]] = {}
+        self._server = ActionServer(
+            self.node,
+            Fibonacci,
+            ACTION,
+            self._execute,
+            goal_callback=self._asked,
+            handle_accepted_callback=self._accepted,
+            cancel_callback=self._cancel,
+            callback_group=ReentrantCallbackGroup(),
+            result_timeout=result_timeout,
+        )
+
+    def goal(self, number: int = 0) -> ServerGoalHandle:
+        """A goal, once it has been accepted."""
+        return eventually(lambda: self.goals[number] if len(self.goals) > number else None, what=f"goal {number}")
+
+    def number_of(self, goal: Goal) -> int:
+        """A client's goal, by the order in which goals were accepted."""
+        wanted = id_of(goal.handle())
+        return eventually(lambda: next((i + 1 for i, each in enumerate(self.goals) if id_of(each) == wanted), 0)) - 1
+
+    @property
+    def remembers(self) -> set[str]:
+        """The ids of goals whose results it still has, or will have."""
+        return {goal.hex() for goal in tuple(self._server._goal_handles)}
+
+    @property
+    def forgot(self) -> bool:
+        """Whether it has forgotten all goals."""
+        return bool(self.goals) and not self.remembers
+
+    def feedback(self, *sequence: int, number: int = 0) -> None:
+        """Publish feedback of a goal."""
+        self.goal(number).publish_feedback(Fibonacci.Feedback(sequence=sequence))
+
+    def finish(self, *sequence: int, number: int = 0, state: str = "succeeded") -> None:
+        """End a goal."""
+        goal = id_of(self.goal(number))
+        self._results[goal] = (state, list(sequence))
+        self._ends[goal].set()
+
+    def close(self) -> None:
+        for event in self._ends.values():
+            event.set()
+        eventually(lambda: not any(goal.is_active for goal in self.goals), what="all goals are over")
+        super().close()
+
+    def _destroy(self) -> None:
+        self._server.destroy()
+
+    def _asked(self, goal: Any) -> GoalResponse:
+        self.log.append(f"goal {goal.order}")
+        self.orders.append(goal.order)
+        eventually(lambda: not self.hesitates.is_set())
+        return GoalResponse.ACCEPT if self._accepts else GoalResponse.REJECT
+
+    def _accepted(self, handle: ServerGoalHandle) -> None:
+        self._ends[id_of(handle)] = threading.Event()
+        self.goals.append(handle)
+        handle.execute()
+
+    def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        self.cancels.append(id_of(handle))
+        self.log.append(f"cancel {id_of(handle)}")
+        return CancelResponse.ACCEPT
+
+    def _execute(self, handle: ServerGoalHandle) -> Any:
+        self._ends[id_of(handle)].wait()
+        state, sequence = self._results.get(id_of(handle), ("aborted", []))
+        {"succeeded": handle.succeed, "canceled": handle.canceled, "aborted": handle.abort}[state]()
+        return Fibonacci.Result(sequence=sequence)
+
+
+class FibonacciProcess:
+    """A server in a process of its own."""
+
+    def __init__(self, domain_id: int) -> None:
+        command = [sys.executable, "-m", "tests.support.fibonacci", str(domain_id)]
+        self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout
+        assert self._process.stdout.readline() == "ready\n"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """It leaves the domain, whatever it is at."""
+        self._end(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """kill -9: others see its endpoints for another 20 s."""
+        self._end(signal.SIGKILL)
+
+    def _end(self, number: signal.Signals) -> None:
+        if self._process.poll() is None:
+            self._process.send_signal(number)
+            self._process.communicate()
+
+
+class _Computing(FibonacciServer):
+    def _execute(self, handle: ServerGoalHandle) -> Any:
+        sequence = [0, 1]
+        for _ in range(handle.request.order):
+            if handle.is_cancel_requested:
+                handle.canceled()
+                return Fibonacci.Result(sequence=sequence)
+            time.sleep(0.1)
+            sequence.append(sequence[-1] + sequence[-2] & 0x7FFFFFFF)
+            handle.publish_feedback(Fibonacci.Feedback(sequence=sequence))
+        handle.succeed()
+        return Fibonacci.Result(sequence=sequence)
+
+    def leave(self) -> None:
+        """Leave the domain, whatever it is at."""
+        self._context.shutdown()
+        self._thread.join()
+        self._destroy()
+        self.node.destroy_node()
+        self._context.destroy()
+        os._exit(0)
+
+
+def fibonacci(order: int) -> list[int]:
+    """What a `FibonacciProcess` computes."""
+    sequence = [0, 1]
+    for _ in range(order):
+        sequence.append(sequence[-1] + sequence[-2] & 0x7FFFFFFF)
+    return sequence
+
+
+class Goal:
+    """A goal as its client sees it.
+
+    Attributes:
+        feedbacks: so far.
+    """
+
+    def __init__(self, client: ActionClient, order: int) -> None:
+        self.feedbacks: list[list[int]] = []
+        self._sent = client.send_goal_async(
+            Fibonacci.Goal(order=order), lambda message: self.feedbacks.append(list(message.feedback.sequence))
+        )
+        self._result: Future | None = None
+
+    @property
+    def answered(self) -> bool:
+        """Whether it was accepted or rejected."""
+        done: bool = self._sent.done()
+        return done
+
+    def handle(self) -> ClientGoalHandle:
+        """Once the server has answered."""
+        eventually(self._sent.done, what="the goal is accepted or rejected")
+        return self._sent.result()
+
+    def ask(self) -> Goal:
+        """Ask for its result, now; `result` waits for it."""
+        self._result = self.handle().get_result_async()
+        return self
+
+    def result(self) -> tuple[str, list[int]]:
+        """How it ended, and with what."""
+        assert self._result is not None
+        eventually(self._result.done, what="a result")
+        answer = self._result.result()
+        return STATES[answer.status], list(answer.result.sequence)
+
+    @property
+    def has_result(self) -> bool:
+        """Whether its result has come."""
+        return self._result is not None and self._result.done()
+
+    def cancel(self) -> Future:
+        """Have it cancelled."""
+        return self.handle().cancel_goal_async()
+
+
+class FibonacciClient(_Spun):
+    """Sends goals."""
+
+    def __init__(self, domain_id: int) -> None:
+        super().__init__(domain_id, "fibonacci_client")
+        self.client = ActionClient(self.node, Fibonacci, ACTION, callback_group=ReentrantCallbackGroup())
+
+    def _destroy(self) -> None:
+        self.client.destroy()
+
+    @property
+    def ready(self) -> bool:
+        """What `ActionClient.wait_for_server` waits for."""
+        ready: bool = self.client.server_is_ready()
+        return ready
+
+    def send(self, order: int = 5) -> Goal:
+        """Send a goal to a server that is there."""
+        eventually(lambda: self.ready, what="an action server")
+        return Goal(self.client, order)
+
+
+def id_of(handle: Any) -> str:
+    """A goal's id, as snapshots have it."""
+    return bytes(handle.goal_id.uuid).hex()
+
+
+def main() -> None:
+    """Serve until a signal comes."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+    server = _Computing(int(sys.argv[1]))
+    print("ready", flush=True)  # noqa: T201
+    signal.sigwait([signal.SIGTERM])
+    server.leave()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""What every line of a bridge's log has to say."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.model.codes import EventCode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_ADDRESS = re.compile(r" at (\d+\.\d+\.\d+\.\d+|\[[0-9a-f:]+\])(:\d+)?\b")
+_WARNINGS = frozenset(
+    {
+        EventCode.LINK_LOST,
+        EventCode.LINK_CLOSED_BY_PEER,
+        EventCode.LINK_REPLACED,
+        EventCode.LINK_NAME_TAKEN,
+        EventCode.LINK_WRONG_KEY,
+        EventCode.LINK_REJECTED,
+        EventCode.ROUTE_FAULT,
+        EventCode.ROUTE_STALE,
+    }
+)
+
+
+def check_lines(events: Iterable[dict[str, Any]], link: str = "robot1") -> None:
+    """Check a log's events, as JSON: each names its link, or its topic; a link's address follows "at".
+
+    Raises:
+        AssertionError: one does not.
+    """
+    events = list(events)
+    assert events, "there is nothing to check"
+    for event in events:
+        if event["source"] in ("link", "route"):
+            assert event["link"] == link, event
+        if event["source"] == "link":
+            assert _ADDRESS.search(event["text"]), event
+        if event["source"] == "route":
+            assert event["text"].startswith(f"{event['topic']}: "), event
+        if event["code"] in _WARNINGS:
+            assert event["level"] in ("WARNING", "ERROR"), event

@@ -1,0 +1,67 @@
+"""A stock rclpy node in a domain, spun by a thread of its own: what answers calls, and asks."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import TYPE_CHECKING, Any
+
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from tests.support.waiting import eventually
+
+if TYPE_CHECKING:
+    from rclpy.task import Future
+
+_THREADS = 4
+
+
+class Spun:
+    """The node, and what keeps it going until `close`.
+
+    Args:
+        domain_id: to join.
+        name: of the node.
+        kind: its class.
+        how: the class's further arguments.
+
+    Attributes:
+        node: itself.
+    """
+
+    def __init__(self, domain_id: int, name: str, kind: Any = Node, **how: Any) -> None:
+        self._context = Context()
+        self._context.init([], domain_id=domain_id)
+        how = {"enable_rosout": False, "use_global_arguments": False, **how}
+        self.node = kind(name, context=self._context, **how)
+        self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name=f"{name}-spins")
+        self._thread.start()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def result(self, future: Future, within: float = 60.0) -> Any:
+        """What a call is answered with."""
+        eventually(future.done, within, "an answer")
+        return future.result()
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Call a service once it is there."""
+        client = self.node.create_client(kind, service)
+        eventually(client.service_is_ready, what=service)
+        try:
+            return self.result(client.call_async(request))
+        finally:
+            self.node.destroy_client(client)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._context.shutdown()
+        self._thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.destroy()

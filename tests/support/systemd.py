@@ -1,0 +1,24 @@
+"""What systemd says of a unit."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def exposure(unit: Path) -> float:
+    """How much a unit's process could do if somebody took it over, of 10 (`systemd-analyze security`)."""
+    run = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--no-pager", str(unit)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    found = re.search(r"Overall exposure level for .*: ([0-9.]+)", run.stdout)
+    assert found, run.stdout + run.stderr
+    return float(found[1])
