@@ -5,20 +5,20 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 comma := ,
 # A sourced ROS brings its own rclpy on PYTHONPATH; elsewhere ROS 2 Jazzy comes as wheels.
-EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)dev,dev))
+EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)ros-test$(comma)dev,dev))
 
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-wire lint bench soak screenshots clean system
+.PHONY: demo test test-wire lint bench soak fuzz lock screenshots clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
-# The tests by folder, the longest first and six at a time: many wait for most of their time. The two largest folders are
+# The tests by folder, the longest first, and six at a time: many wait for most of their time. The largest folders are
 # run by halves. Folders share no ROS domain, port or file. `make test-link` runs one of them, `make test-bluetooth` those
 # that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md).
-LONGEST := bluetooth engine.1 engine.2 console.1 console.2 network simulation link system command
+LONGEST := bluetooth console.1 console.2 engine.1 engine.2 network calls.1 calls.2 simulation link system command
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
 PARTS := $(addprefix test-,$(LONGEST)) lint test-wire $(addprefix test-,$(filter-out wire $(basename $(LONGEST)),$(FOLDERS)))
 
@@ -47,15 +47,33 @@ bench: $(STAMP)
 
 # New simulated worlds, and beside them real processes that are killed, cut off and frozen (docs/testing.md). It takes
 # SECONDS (`make soak SECONDS=7200`), and fails with the reasons in words.
-SECONDS ?= 1800
+soak: SECONDS ?= 1800
 soak: $(STAMP)
 	$(BIN)/python -m tests.soak --seconds $(SECONDS)
 
-PACKAGES := tmux qemu-system-x86 iproute2 nftables
+# Coverage-guided fuzzing of every parser, in SECONDS together (docs/testing.md).
+fuzz: SECONDS ?= 300
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz --seconds $(SECONDS)
 
-# The tests drive a real terminal, real network namespaces and a machine with Bluetooth.
+# The versions and hashes of all that is installed, for every Python and machine at once (docs/install.md).
+LOCK := build/lock
+LOCKED := $(LOCK)/bin/uv pip compile --quiet --universal --python-version 3.11 --upgrade --generate-hashes --no-annotate \
+  --custom-compile-command 'make lock' pyproject.toml $(LOCK)/build.in
+lock:
+	$(PYTHON) -m venv $(LOCK)
+	$(LOCK)/bin/pip install --quiet --disable-pip-version-check uv
+	$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' > $(LOCK)/build.in
+	$(LOCKED) --output-file locks/run.txt
+	$(LOCKED) --extra ros --output-file locks/ros.txt
+	$(LOCKED) --extra ros --extra ros-test --extra dev --output-file locks/dev.txt
+
+PACKAGES := tmux qemu-system-x86 iproute2 nftables systemd
+
+# The tests drive a real terminal, real network namespaces and a machine with Bluetooth, and systemd checks the units.
 system:
-	@{ command -v tmux && command -v qemu-system-x86_64 && command -v tc && command -v nft; } >/dev/null \
+	@{ command -v tmux && command -v qemu-system-x86_64 && command -v tc && command -v nft \
+	  && command -v systemd-analyze; } >/dev/null \
 	  || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq \
 	  && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(PACKAGES) >/dev/null; } \
 	  || echo "some tests will be skipped, for want of tools (apt install $(PACKAGES))"
