@@ -11,7 +11,7 @@ from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import Endpoint
-from rsb_bridge.route.calls.providing import ProvidingRoute
+from rsb_bridge.route.calls.providing import PeersCall, ProvidingRoute
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,17 +35,36 @@ class _Graph(NoRos):
         return self.found
 
 
-def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[..., Context]) -> None:
-    """DDS may tell of its node a moment after its endpoints."""
-    ros = _Graph()
+def _providing(ros: _Graph, make_context: Callable[..., Context]) -> ProvidingRoute:
     context = make_context(ros)
     spec = Topic("/set", "transmit", kind="service")
     proposal = proposal_of(spec, context.transports["tcp"], client_name="robot1", use_name=False)
-    route = ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+    return ProvidingRoute(context, FakePeer(), spec, proposal, proposed_here=False)
+
+
+def test_a_server_that_is_not_known_yet_has_not_gone(make_context: Callable[..., Context]) -> None:
+    """DDS may tell of its node a moment after its endpoints."""
+    ros = _Graph()
+    route = _providing(ros, make_context)
     causes = []
     for found in ([], [LAMP], [], [LAMP._replace(node="")], []):
         ros.found = found
         route._look()
         causes.append(route._unavailable.cause if route._unavailable is not None else None)
     assert causes == [Cause.NO_SERVER, None, Cause.SERVER_GONE, Cause.NO_SERVER, Cause.SERVER_GONE]
+    route._withdraw()
+
+
+def test_a_call_may_have_reached_a_server_that_was_not_seen_yet(make_context: Callable[..., Context]) -> None:
+    """DDS matches a server before the graph is looked at again; only later ones can't have got the call."""
+    ros = _Graph()
+    route = _providing(ros, make_context)
+    orphaned = []
+    for gid in (b"first", b"second", b"third"):
+        ros.found = [LAMP._replace(gid=gid)]
+        route._look()
+        if gid == b"first":
+            call = PeersCall(0, 10, 0.0, 1, route._present)
+        orphaned.append(route._is_orphan(call))
+    assert orphaned == [False, False, True]
     route._withdraw()

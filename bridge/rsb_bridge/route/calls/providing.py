@@ -50,11 +50,11 @@ class PeersCall(Call):
 
     Attributes:
         number: of the client's call here.
-        servers: that were there when it was made: ids.
+        servers: that may have got it: ids.
     """
 
     number: int
-    servers: frozenset[bytes]
+    servers: set[bytes]
 
 
 class ProvidingRoute(CallsRoute):
@@ -69,7 +69,7 @@ class ProvidingRoute(CallsRoute):
         self._provision = Provision()
         self._circles = Circles(context, peer)
         self._via: dict[str, None] = {}  # the bridges that answers cross before they come here
-        self._present: frozenset[bytes] = frozenset()
+        self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening
         self._served_in = 0  # the last connection in which somebody provided it; 0: in none
         self._clients = Clients(context, peer, self.lanes, self._responded, self._published, self._client_failed)
@@ -123,7 +123,9 @@ class ProvidingRoute(CallsRoute):
         self._via.clear()
         self._provision = found = self._find()
         self.endpoints = found.servers
-        self._present = frozenset([each.gid for each in found.servers])
+        present = {each.gid for each in found.servers}
+        self._present |= present  # DDS may have given them calls before they were seen here
+        self._present = present
         loop = found.unavailable is not None and found.unavailable.cause is Cause.LOOP
         self.notices.set_loop(found.unavailable.text if loop and found.unavailable else "")
         self._unavailable, self._warning = None if loop else self._or_gone(found.unavailable), found.warning
@@ -355,13 +357,9 @@ class ProvidingRoute(CallsRoute):
 
     def _give_up_orphans(self) -> None:
         """Give up the calls of which no server is there any more."""
-        orphans = [
-            number
-            for number in self._under_way.numbers()
-            if (call := self._under_way.get(number)) is not None and self._is_orphan(call)
-        ]
-        for number in orphans:
-            self._give_up(number, Refused.LOST)
+        for number in self._under_way.numbers():
+            if (call := self._under_way.get(number)) is not None and self._is_orphan(call):
+                self._give_up(number, Refused.LOST)
 
     def _give_up_all(self, why: str) -> None:
         numbers = self._under_way.numbers()

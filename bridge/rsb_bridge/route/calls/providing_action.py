@@ -123,7 +123,7 @@ class ProvidingAction(ProvidingRoute):
         elif do is Do.ASK:
             super()._take_call(frame)
             if (call := self._under_way.get(frame.call)) is not None:
-                self._answers.asked(question, call.number, self._present)
+                self._answers.asked(question, call.number, frozenset(self._present))
                 self._note_goal(frame)
         elif do in _REFUSALS:
             self.peer.budget.provided.give(frame_size(frame.content))
@@ -157,7 +157,7 @@ class ProvidingAction(ProvidingRoute):
                 self._give_up(call, Refused.NOT_SENT)
             self._failed(f"a result could not be asked for: {error}")
             return
-        self._answers.asked(question, number, self._present, *calls)
+        self._answers.asked(question, number, frozenset(self._present), *calls)
 
     def _take_response(self, lane: int, response: Response) -> None:
         linked = self._interrupted_at is None
