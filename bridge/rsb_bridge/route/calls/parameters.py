@@ -16,15 +16,11 @@ from rsb_bridge.route.calls.verdict import Trouble
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rsb_bridge.context import Context
-    from rsb_bridge.model.session import Topic
     from rsb_bridge.ros.api import RawMessage
     from rsb_bridge.ros.parameter_events import Listening
     from rsb_bridge.route.calls.graph import Provision
     from rsb_bridge.route.calls.lane_ends import LaneType
-    from rsb_bridge.route.peer import Owner
     from rsb_bridge.wire.calls import CallFrame
-    from rsb_bridge.wire.messages import Propose
     from rsb_bridge.wire.records import LaneEntry
 
 _EVERY_NODE_HAS = "/get_type_description"
@@ -47,13 +43,8 @@ class _ParameterClients(Clients):
 class ParametersProvidingRoute(ProvidingRoute):
     """Passes on the events of its node alone, under the name that it has on the callers' side."""
 
+    makes = _ParameterClients
     _clients: _ParameterClients
-
-    def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
-        super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
-        self._clients = _ParameterClients(
-            context, peer, self.lanes, self._responded, self._published, self._client_failed
-        )
 
     def _have_clients(self, entries: Sequence[LaneEntry]) -> None:
         self._clients.node = self.local_topic

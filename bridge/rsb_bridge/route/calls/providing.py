@@ -63,6 +63,7 @@ class ProvidingRoute(CallsRoute):
     outgoing: ClassVar[bool] = False
     takes: ClassVar[tuple[What, ...]] = (What.CALL,)
     """The frames that its peer may send."""
+    makes: ClassVar[type[Clients]] = Clients
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
         super().__init__(context, peer, spec, proposal, proposed_here=proposed_here)
@@ -72,7 +73,7 @@ class ProvidingRoute(CallsRoute):
         self._present: set[bytes] = set()  # ids of servers; the calls made since the last look share it
         self._told: Provide | None = None  # in the present opening
         self._served_in = 0  # the last connection in which somebody provided it; 0: in none
-        self._clients = Clients(context, peer, self.lanes, self._responded, self._published, self._client_failed)
+        self._clients = self.makes(context, peer, self.lanes, self._responded, self._published, self._client_failed)
         self._under_way = UnderWay[PeersCall](context.loop, peer.budget.provided, self._expired, self._is_over)
         self._by_number: dict[tuple[int, int], int] = {}  # the peer's call, by lane and the client's number
         self._highest = 0
