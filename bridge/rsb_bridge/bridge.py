@@ -20,6 +20,7 @@ from rsb_bridge.config.difference import changes, described
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.contents import Contents
+from rsb_bridge.diagnostics import Diagnostics
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.reloading import Step
@@ -80,6 +81,7 @@ class Bridge:
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
+        self._diagnostics = Diagnostics(context)
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -103,6 +105,7 @@ class Bridge:
         try:
             self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
+            self._diagnostics.open()
             await self._role.start()
             started = True
         except (ListenError, RosError, LinkError, ValueError) as error:
@@ -142,6 +145,7 @@ class Bridge:
             for link in self.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
+            self._diagnostics.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
         """The ROS side is gone: end, so that whoever supervises the process starts it again."""
@@ -151,6 +155,7 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
+        self._diagnostics.close()
         self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()
@@ -334,6 +339,8 @@ class Bridge:
             steps.append(Step(", ".join(stale), self._set_stale_after))
         if shutdown := changes(old, session, only=("shutdown_topic",)):
             steps.append(Step(shutdown[0], self._change_shutdown_topic))
+        if diagnosed := changes(old, session, only=("diagnostics_topic",)):
+            steps.append(Step(diagnosed[0], self._diagnostics.open))
         return steps + self._role.steps_to(session, keys)
 
     def _set_stale_after(self) -> None:

@@ -66,6 +66,7 @@ common = {
     "stale_after": waits,
     "stale_warnings": st.integers(0, 99),
     "shutdown_topic": st.none() | topic_names,
+    "diagnostics_topic": st.none() | topic_names,
 }
 sessions = st.one_of(
     st.builds(

@@ -157,6 +157,8 @@ def _session(session: Session) -> Iterator[Problem]:
         yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")
     if session.shutdown_topic is not None:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
+    if session.diagnostics_topic is not None:
+        yield from name_problems(session.diagnostics_topic, "diagnostics_topic")
     client = session.name if session.role == "client" and session.use_name else None
     yield from _topics(session.topics, "", session, client)
     yield from _clients(session)

@@ -25,6 +25,8 @@ class EventCode(StrEnum):
     ENGINE_ERROR = "engine.error"
     ENGINE_ANNOUNCEMENTS = "engine.announcements"
     """The bridges of this domain do not understand each other: loops may go unnoticed."""
+    ENGINE_DIAGNOSTICS = "engine.diagnostics"
+    """Nothing is published on the diagnostics topic; the text says why."""
     ENGINE_ROS_FAILED = "engine.ros_failed"
     """The ROS side has ended by itself, and the engine with it."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"

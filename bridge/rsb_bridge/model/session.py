@@ -191,6 +191,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
         stale_warnings: how many times to warn of it (thesis: 5).
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
+        diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
+            None: nowhere.
         topics: a client's topics.
         clients: those that a server lets in; empty: one, with the session's own name and key.
         ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.
@@ -213,6 +215,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     stale_after: float = 15.0
     stale_warnings: int = 5
     shutdown_topic: str | None = "/shutdown"
+    diagnostics_topic: str | None = "/diagnostics"
     topics: tuple[Topic, ...] = ()
     clients: tuple[Client, ...] = ()
     allow: tuple[str | Grant, ...] = ()
