@@ -27,6 +27,7 @@ from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.history.disk import Disk
 from rsb_bridge.history.recorder import Recorder
+from rsb_bridge.io_loop import IoLoop
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
@@ -290,7 +291,8 @@ class Engine(EngineApi):
 
     def _run_thread(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         try:
-            asyncio.run(self._main(ros, domain, keys, started))
+            with asyncio.Runner(loop_factory=IoLoop) as runner:
+                runner.run(self._main(ros, domain, keys, started))
         except Exception as error:
             _logger.exception("internal error of the engine")
             message = f"internal error, please report it: {error}"
@@ -300,7 +302,7 @@ class Engine(EngineApi):
 
     async def _main(self, ros: RosInterface, domain: int, keys: Keys, started: Future[None]) -> None:
         loop = asyncio.get_running_loop()
-        queue = RosToLoopQueue(loop)
+        queue = RosToLoopQueue(loop, loop.do_now if isinstance(loop, IoLoop) else None)
         context = Context(
             self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
         )

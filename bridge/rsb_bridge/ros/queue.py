@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 _BACKLOG = 64
 _PATIENCE = 0.1
@@ -27,13 +27,23 @@ class Receiver(Protocol[T_contra]):
 
 
 class RosToLoopQueue:
-    """Messages on their way from the ROS thread to the I/O loop: one wake-up a drain, and a bound.
+    """Messages on their way from the ROS thread to the I/O loop: no wake-up while the loop waits, else one a drain.
 
-    While the loop is `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
+    Whoever has the loop's turn drains it, so messages keep their order whichever way they go. While the loop is
+    `_BACKLOG` batches behind, the ROS thread waits; DDS keeps each topic's newest messages meanwhile.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, do_now: Callable[[Callable[[], object]], bool] | None = None
+    ) -> None:
+        """Begin.
+
+        Args:
+            loop: the I/O loop.
+            do_now: does the loop's work on the thread that calls, or says that it cannot; None: the loop has none.
+        """
         self._loop = loop
+        self._do_now = do_now or _never
         self._batches: deque[tuple[Receiver[Any], Sequence[Any]]] = deque()
         self._room = threading.Event()
         self._scheduled = False
@@ -41,6 +51,8 @@ class RosToLoopQueue:
     def put(self, receiver: Receiver[T], batch: Sequence[T]) -> None:
         """Called on the ROS thread."""
         self._batches.append((receiver, batch))
+        if self._do_now(self._drain):
+            return
         if not self._scheduled:
             self._scheduled = True
             try:
@@ -58,3 +70,7 @@ class RosToLoopQueue:
             receiver, batch = self._batches.popleft()
             receiver.offer(batch)
         self._room.set()
+
+
+def _never(work: Callable[[], object]) -> bool:
+    return False

@@ -1,0 +1,129 @@
+"""The I/O loop, which another thread may do a moment's work of while it waits.
+
+A message that the ROS thread has taken would otherwise wait until the loop's thread is awake, and on an idle core that
+takes longer than to seal and send the message. So the loop has a turn, a lock that its thread holds while it runs
+callbacks, and releases only while it waits for sockets and timers. Whoever gets the turn without waiting is the I/O
+thread for as long as its work takes: one thread at a time touches the engine's state and sockets, as ever, and nobody
+waits for the turn but the loop's thread itself, so that nothing can deadlock.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import threading
+from typing import TYPE_CHECKING, Any, TypeVarTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextvars import Context
+
+    from _typeshed import FileDescriptorLike
+
+Ts = TypeVarTuple("Ts")
+
+
+class IoLoop(asyncio.SelectorEventLoop):
+    """An event loop that can be visited. It runs on a thread that handles no signals, so never on the main one."""
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._waits = _Selector(self._turn)
+        self._due = False  # a visitor has left something that the loop has to wake up for
+        super().__init__(self._waits)
+
+    def do_now(self, work: Callable[[], object]) -> bool:
+        """Do something on this thread as if it were the loop's. From any thread.
+
+        What it raises goes to the loop's exception handler, as from a callback.
+
+        Returns:
+            Whether it is done; False: the loop runs callbacks, or is about to, or it does not run at all.
+        """
+        # asyncio's debug mode refuses call_soon on any thread but the loop's.
+        if self._waits.over or self.get_debug() or not self._turn.acquire(blocking=False):
+            return False
+        before = asyncio._get_running_loop()
+        try:
+            if not self.is_running():
+                return False
+            # What every event loop does around its callbacks: the work may ask which loop is running.
+            asyncio._set_running_loop(self)
+            self._due = False
+            try:
+                work()
+            except (SystemExit, KeyboardInterrupt):
+                raise
+            except BaseException as error:  # noqa: BLE001 — as every event loop does
+                self.call_exception_handler({"message": f"exception in {work}", "exception": error})
+            if self._due:
+                self.call_soon_threadsafe(_nothing)
+        finally:
+            asyncio._set_running_loop(before)
+            self._turn.release()
+        return True
+
+    def run_forever(self) -> None:
+        with self._turn:
+            super().run_forever()
+
+    def stop(self) -> None:
+        self._due = True
+        super().stop()
+
+    def call_soon(
+        self, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.Handle:
+        self._due = True
+        return super().call_soon(callback, *args, context=context)
+
+    def call_at(
+        self, when: float, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.TimerHandle:
+        self._due = True
+        return super().call_at(when, callback, *args, context=context)
+
+
+class _Selector(selectors.EpollSelector):
+    """Gives the turn away while it waits. What a visitor registers meanwhile, epoll waits for at once.
+
+    Attributes:
+        over: the wait is over: the loop's thread wants the turn back, before the next visitor.
+    """
+
+    def __init__(self, turn: threading.Lock) -> None:
+        super().__init__()
+        self.over = False
+        self._turn = turn
+        self._changes = 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        if timeout is not None and timeout <= 0:
+            return super().select(timeout)
+        changes = self._changes
+        self._turn.release()
+        try:
+            ready = super().select(timeout)
+        finally:
+            self.over = True
+            self._turn.acquire()
+            self.over = False
+        # A visitor may have closed what was ready, and a new socket may have its number. What is ready still is
+        # reported again by the next wait.
+        return ready if changes == self._changes else []
+
+    def register(self, fileobj: FileDescriptorLike, events: int, data: Any = None) -> selectors.SelectorKey:
+        self._changes += 1
+        return super().register(fileobj, events, data)
+
+    def unregister(self, fileobj: FileDescriptorLike) -> selectors.SelectorKey:
+        self._changes += 1
+        return super().unregister(fileobj)
+
+    def modify(self, fileobj: FileDescriptorLike, events: int, data: Any = None) -> selectors.SelectorKey:
+        self._changes += 1
+        return super().modify(fileobj, events, data)
+
+
+def _nothing() -> None:
+    """There is something else to do."""

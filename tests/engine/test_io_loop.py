@@ -1,0 +1,289 @@
+"""An event loop that another thread visits while it waits."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import sys
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.bridge import carries, heard, protocol_of, settled
+from tests.support.domain import text
+from tests.support.waiting import eventually, holds
+
+from rsb_bridge.io_loop import IoLoop
+from rsb_bridge.model.session import Topic
+from rsb_bridge.ros.queue import RosToLoopQueue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+_OFTEN = 1e-6  # s: threads change at nearly every bytecode
+
+
+@pytest.fixture
+def loop() -> Iterator[IoLoop]:
+    """One that runs on a thread of its own, with nothing to do."""
+    made = IoLoop()
+    thread = threading.Thread(target=made.run_forever, daemon=True)
+    thread.start()
+    yield made
+    made.call_soon_threadsafe(made.stop)
+    thread.join(60.0)
+    assert not thread.is_alive()
+    made.close()
+
+
+@pytest.fixture
+def threads_change_often() -> Iterator[None]:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_OFTEN)
+    yield
+    sys.setswitchinterval(before)
+
+
+def visit(loop: IoLoop, work: Callable[[], object]) -> None:
+    """Do something in the loop's place, as soon as it waits."""
+    eventually(lambda: loop.do_now(work), what="the loop waits")
+
+
+@contextmanager
+def in_a_callback(loop: IoLoop) -> Iterator[None]:
+    """The loop is in a callback for the length of a `with`."""
+    begun, ends = threading.Event(), threading.Event()
+
+    def work() -> None:
+        begun.set()
+        ends.wait(60.0)
+
+    loop.call_soon_threadsafe(work)
+    assert begun.wait(60.0)
+    try:
+        yield
+    finally:
+        ends.set()
+
+
+def test_the_names_that_are_for_event_loops_only_are_there() -> None:
+    assert {"_set_running_loop", "_get_running_loop"} <= set(asyncio.events.__all__)
+
+
+def test_a_visitor_works_on_its_own_thread_as_if_on_the_loops(loop: IoLoop) -> None:
+    seen: list[object] = []
+    visit(loop, lambda: seen.append((asyncio.get_running_loop(), threading.get_ident())))
+    assert seen == [(loop, threading.get_ident())]
+    assert asyncio._get_running_loop() is None
+
+
+def test_a_visitor_may_have_a_loop_of_its_own(loop: IoLoop) -> None:
+    async def main() -> None:
+        visit(loop, lambda: None)
+        assert asyncio.get_running_loop() is not loop
+
+    asyncio.run(main())
+
+
+def test_nobody_visits_while_a_callback_runs(loop: IoLoop) -> None:
+    with in_a_callback(loop):
+        assert not loop.do_now(pytest.fail)
+    visit(loop, lambda: None)
+
+
+def test_a_callback_does_not_visit_its_own_loop_nor_a_visitor_while_it_is_there(loop: IoLoop) -> None:
+    nested: list[bool] = []
+
+    def work() -> None:
+        nested.append(loop.do_now(pytest.fail))
+
+    loop.call_soon_threadsafe(work)
+    eventually(lambda: nested)
+    visit(loop, work)
+    assert nested == [False, False]
+
+
+def test_the_loop_waits_for_a_visitor(loop: IoLoop) -> None:
+    ran: list[object] = []
+
+    def work() -> None:
+        loop.call_soon_threadsafe(ran.append, 1)
+        eventually(lambda: loop._waits.over, what="the loop wants its turn")
+        assert not ran
+
+    visit(loop, work)
+    eventually(lambda: ran)
+
+
+@pytest.mark.parametrize(
+    "leave",
+    [
+        lambda loop, done: loop.call_soon(done.set),
+        lambda loop, done: loop.call_later(0.01, done.set),
+        lambda loop, done: loop.create_task(_set(done)),
+        lambda loop, done: loop.create_future().add_done_callback(lambda _: done.set()) or loop.call_soon(done.set),
+    ],
+)
+def test_the_loop_wakes_for_what_a_visitor_leaves_behind(
+    loop: IoLoop, leave: Callable[[IoLoop, threading.Event], object]
+) -> None:
+    done = threading.Event()
+    visit(loop, lambda: leave(loop, done))
+    assert done.wait(60.0)
+
+
+async def _set(done: threading.Event) -> None:
+    await asyncio.sleep(0)
+    done.set()
+
+
+def test_the_loop_hears_a_socket_that_a_visitor_registers_while_it_waits(loop: IoLoop) -> None:
+    near, far = socket.socketpair()
+    with near, far:
+        near.setblocking(False)
+        received: list[bytes] = []
+        visit(loop, lambda: loop.add_reader(near, lambda: received.append(near.recv(100))))
+        far.send(b"1")
+        eventually(lambda: received == [b"1"])
+        visit(loop, lambda: loop.remove_reader(near))
+
+
+def test_what_a_visitor_has_closed_is_not_heard_nor_a_new_socket_of_its_number_left_out(loop: IoLoop) -> None:
+    with ExitStack() as sockets:
+        near, far, other, beyond = (
+            sockets.enter_context(each) for pair in (socket.socketpair(), socket.socketpair()) for each in pair
+        )
+        number = near.fileno()
+        received: list[bytes] = []
+
+        def work() -> None:
+            far.send(b"stale")
+            eventually(lambda: loop._waits.over, what="the loop has it from epoll, and wants its turn")
+            loop.remove_reader(number)
+            os.dup2(other.fileno(), number)
+            loop.add_reader(number, lambda: received.append(os.read(number, 100)))
+
+        visit(loop, lambda: loop.add_reader(number, pytest.fail))
+        os.set_blocking(other.fileno(), False)
+        visit(loop, work)
+        beyond.send(b"new")
+        eventually(lambda: received)
+        assert received == [b"new"]
+        visit(loop, lambda: loop.remove_reader(number))
+
+
+def test_what_a_visitors_work_raises_goes_to_the_exception_handler(loop: IoLoop) -> None:
+    errors: list[dict[str, Any]] = []
+    loop.set_exception_handler(lambda _, details: errors.append(details))
+    visit(loop, lambda: 1 / 0)
+    assert isinstance(errors[0]["exception"], ZeroDivisionError)
+    visit(loop, lambda: None)
+
+
+def test_a_visitor_may_stop_the_loop() -> None:
+    loop = IoLoop()
+    assert not loop.do_now(pytest.fail)
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    visit(loop, loop.stop)
+    thread.join(60.0)
+    assert not thread.is_alive()
+    assert not loop.do_now(pytest.fail)
+    loop.close()
+    assert not loop.do_now(pytest.fail)
+
+
+def test_nobody_visits_in_debug_mode_where_asyncio_forbids_it(loop: IoLoop) -> None:
+    loop.call_soon_threadsafe(loop.set_debug, True)
+    eventually(loop.get_debug)
+    queue, received = RosToLoopQueue(loop, loop.do_now), Numbers()
+    queue.put(received, [1])
+    eventually(lambda: received.numbers == [1])
+
+
+def test_a_visitor_that_comes_again_at_once_does_not_keep_the_loop_waiting(loop: IoLoop) -> None:
+    done = threading.Event()
+    visit(loop, lambda: loop.call_later(0.01, done.set))
+    deadline = time.monotonic() + 60.0
+    while not done.is_set() and time.monotonic() < deadline:
+        loop.do_now(lambda: None)
+    assert done.is_set()
+
+
+class Numbers:
+    """Receives numbers, and finds out whether two threads ever do so at once."""
+
+    inside = 0
+
+    def __init__(self) -> None:
+        self.numbers: list[int] = []
+
+    def offer(self, batch: Sequence[int]) -> None:
+        Numbers.inside += 1
+        assert Numbers.inside == 1
+        self.numbers += batch
+        Numbers.inside -= 1
+
+
+@pytest.mark.usefixtures("threads_change_often")
+def test_numbers_stay_in_order_and_alone_while_threads_change_all_the_time(loop: IoLoop) -> None:
+    errors: list[dict[str, Any]] = []
+    loop.set_exception_handler(lambda _, details: errors.append(details))
+    queue, receivers = RosToLoopQueue(loop, loop.do_now), (Numbers(), Numbers())
+    busy = True
+
+    def callback() -> None:
+        """The loop has work of its own, and waits in between."""
+        Numbers.inside += 1
+        assert Numbers.inside == 1
+        Numbers.inside -= 1
+        if busy:
+            loop.call_later(0.0002, callback)
+
+    def put(receiver: Numbers) -> None:
+        for first in range(0, 50_000, 10):
+            queue.put(receiver, range(first, first + 10))
+
+    loop.call_soon_threadsafe(callback)
+    threads = [threading.Thread(target=put, args=(each,)) for each in receivers]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60.0)
+    eventually(lambda: all(len(each.numbers) == 50_000 for each in receivers))
+    busy = False
+    assert [each.numbers for each in receivers] == [list(range(50_000))] * 2
+    assert errors == []
+
+
+@pytest.mark.usefixtures("threads_change_often")
+@pytest.mark.parametrize("topic", ["/tcp", "/udp"])
+def test_a_bridge_keeps_the_order_while_threads_change_all_the_time(
+    topic: str, bridge: Bridge, robot: Domain, pc: Domain
+) -> None:
+    there, out = pc.listener(topic), robot.publisher(topic)
+    server, client = bridge.both(Topic(topic, "transmit", protocol=protocol_of(topic), qos=5000))
+    carries([out], server, [topic])
+    assert client._bridge is not None
+    visits: list[bool] = []
+    queue, loop = client._bridge.context.ros_queue, client._bridge.context.loop
+    assert isinstance(loop, IoLoop)
+
+    def do_now(work: Callable[[], object]) -> bool:
+        visits.append(loop.do_now(work))
+        return visits[-1]
+
+    queue._do_now = do_now
+    sent = [text(str(number)) for number in range(1000)]
+    for payload in sent:
+        out.publish(payload)
+    settled(client, topic, len(sent))
+    assert heard(there, len(sent)) == sent
+    assert any(visits)
+    holds(lambda: len(there.payloads) == len(sent), 0.1)
