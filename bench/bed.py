@@ -1,4 +1,4 @@
-"""Processes to measure: talker and listener, with a bridge, the thesis's pipeline, or nothing between them."""
+"""Processes to measure: talker and listener, with a bridge, a relay, the thesis's pipeline, or nothing between them."""
 
 from __future__ import annotations
 
@@ -177,6 +177,17 @@ def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> I
         finally:
             for process in bed.between:
                 process.stop()
+
+
+@contextlib.contextmanager
+def relayed() -> Iterator[Bed]:
+    """A process between them that takes raw and publishes raw: what a bridge costs without a link."""
+    with _ends(NEAR, FAR) as bed:
+        bed.between.append(Process("-m", "bench.relay", str(NEAR), str(FAR), TOPIC))
+        try:
+            yield ready(bed)
+        finally:
+            bed.between[0].stop()
 
 
 def headless(session: Path, log: Path | None = None) -> Process:

@@ -102,10 +102,11 @@ def _listen(context: Context, node: Node, topic: str, *, stock: bool) -> None:
         with contextlib.suppress(ExternalShutdownException):
             executor.spin()
     else:
-        _drain(context, subscription.handle, take)
+        drain(context, subscription.handle, take)
 
 
-def _drain(context: Context, handle: Any, take: Callable[[bytes], None]) -> None:
+def drain(context: Context, handle: Any, take: Callable[[bytes], object]) -> None:
+    """Give what a subscription takes to `take`, serialized, until the context is shut down."""
     with context.handle, handle:
         waits = _rclpy.WaitSet(1, 0, 0, 0, 0, 0, context.handle)
         while context.ok():
