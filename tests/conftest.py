@@ -36,6 +36,7 @@ def _own_control_sockets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[N
     """Bridges that others run on this machine are not the tests' business, nor theirs the others'; nor their files."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+        patch.setenv("RSB_CONSOLE_ISOLATED", "1")
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
 
