@@ -32,7 +32,6 @@ def state(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("TZ", "UTC")
-    monkeypatch.setattr("rsb_bridge.control.folders._fallback_folder", lambda: tmp_path / "none")
     monkeypatch.setattr("rsb_bridge.history.folders.SERVICES", tmp_path / "none")
     (tmp_path / "state" / "rsb-console").mkdir(parents=True)
     return tmp_path / "state" / "rsb-console"

@@ -211,3 +211,5 @@ def test_where_sockets_are(tmp_path: Path) -> None:
     assert folders.serving_folder(service) == Path("/run/rsb-console")
     for environ in ({}, service):
         assert {fallback, folders.SERVICES} <= set(folders.searched_folders(environ))
+    isolated = {"XDG_RUNTIME_DIR": "/run/user/7", folders.ISOLATED: "1"}
+    assert folders.searched_folders(isolated) == [Path("/run/user/7/rsb-console")]

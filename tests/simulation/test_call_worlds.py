@@ -12,8 +12,8 @@ from tests.simulation.world import Violation, World
 if TYPE_CHECKING:
     from tests.simulation.conftest import Play
 
-_HOURS = {1: 0.5, 2: 0.5, 3: 0.5, 4: 0.4}
-_OF_ACTIONS = {1: 0.5, 4: 0.7, 5: 0.5}
+_HOURS = dict.fromkeys((1, 2, 3, 4), 0.3)
+_OF_ACTIONS = {1: 0.35, 4: 0.5, 5: 0.35}
 
 
 @pytest.mark.parametrize("seed", _HOURS)

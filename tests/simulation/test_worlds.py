@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from tests.simulation.conftest import Play
 
 DAYS = {
-    1: 0.3,
-    3: 0.7,
-    5: 0.8,
-    6: 0.8,
-    8: 0.4,
-    58: 0.03,
+    1: 0.2,
+    3: 0.4,
+    5: 0.35,
+    6: 0.4,
+    8: 0.2,
+    58: 0.02,
 }
 """Simulated days by seed: robots that are used now and then (3, 6) or all the time (1, 5), a world where something
 happens every few seconds (8), and many robots on one server (58)."""
@@ -35,9 +35,9 @@ def test_nothing_stays_wrong(seed: int, play: Play) -> None:
         pytest.fail(f"{violation}\nsee it again: {world.command()}", pytrace=False)
 
 
-def test_three_days_are_played() -> None:
+def test_a_day_and_a_half_is_played() -> None:
     """What `make test` plays of such worlds is not little."""
-    assert sum(DAYS.values()) >= 3.0
+    assert sum(DAYS.values()) >= 1.5
 
 
 def test_a_seed_is_a_world() -> None:

@@ -26,7 +26,7 @@ class Machine:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.environ = {"XDG_RUNTIME_DIR": str(folder)}
+        self.environ = {"XDG_RUNTIME_DIR": str(folder), "RSB_CONSOLE_ISOLATED": "1"}
         self.folder = folder / "rsb-console"
         self.stopped = 0
         self.served: list[ControlServer] = []

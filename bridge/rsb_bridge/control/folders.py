@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 SUFFIX = ".sock"
 SERVICES = Path("/run/rsb-console")
 """The folder of bridges that systemd runs, `RuntimeDirectory=` of their unit."""
+ISOLATED = "RSB_CONSOLE_ISOLATED"
+"""With this environment variable, only the folder that the environment names is searched (docs/attach.md)."""
 _BACKLOG = 16
 _LOCKED_WITHIN = 5.0
 _PEER = struct.Struct("iII")  # pid, uid, gid: struct ucred of unix(7)
@@ -58,8 +60,9 @@ def serving_folder(environ: Mapping[str, str]) -> Path:
 
 
 def searched_folders(environ: Mapping[str, str]) -> list[Path]:
-    """The folders in which this user's bridges may have put their sockets."""
-    return list(dict.fromkeys((serving_folder(environ), _user_folder(environ), _fallback_folder(), SERVICES)))
+    """The folders in which this user's bridges may have put their sockets; with `ISOLATED`, of the environment."""
+    own = (serving_folder(environ), _user_folder(environ))
+    return list(dict.fromkeys(own if environ.get(ISOLATED) else (*own, _fallback_folder(), SERVICES)))
 
 
 def _user_folder(environ: Mapping[str, str]) -> Path:
