@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import CallsSnapshot
 
 _LOOKS_EVERY = 0.02
-_QUIET = 5.0
+AT_ONCE = 10.0
+"""s; what is not withdrawn at once is there for as long as DDS takes to forget a dead process, or for good."""
 
 
 def called(name: str, **more: object) -> Topic:
@@ -61,7 +62,7 @@ def settled(engine: EngineApi, name: str, **expected: int) -> CallsSnapshot:
         return found if not found.in_flight and _counts(found) == wanted else None
 
     try:
-        return eventually(done, _QUIET)
+        return eventually(done)
     except AssertionError:
         raise AssertionError(f"{counts(engine, name)}, not {wanted}") from None
 
@@ -114,4 +115,4 @@ def nothing_left(*engines: Engine) -> None:
         assert engine._bridge is not None
         for link in engine._bridge.links():
             for budget in (link.budget.asked, link.budget.provided):
-                eventually(lambda budget=budget: budget.held == (0, 0), _QUIET, f"no calls held by {link.name}")
+                eventually(lambda budget=budget: budget.held == (0, 0), what=f"no calls held by {link.name}")

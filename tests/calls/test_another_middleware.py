@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter
 from tests.calls.ledgers import balanced, called, nothing_left, settled
 from tests.calls.test_parameters import client_of, parameters
 from tests.engine.test_actions import FIBONACCI
+from tests.support.bridge import feedback_listeners
 from tests.support.fibonacci import FibonacciClient, FibonacciServer
 from tests.support.waiting import eventually
 
@@ -51,7 +52,7 @@ def test_parameters_and_actions_cross(bridge: Bridge, start: Callable[..., Spun]
     camera, program = start(robot, "camera"), start(pc, "program")
     camera.node.declare_parameter("rate", 5)
     server, client = FibonacciServer(robot.id), FibonacciClient(pc.id)
-    bridge.both(parameters("/camera"), FIBONACCI)
+    engine, _ = bridge.both(parameters("/camera"), FIBONACCI)
     far = client_of(program, "/camera")
     (done,) = program.result(far.set_parameters([Parameter("rate", value=7)])).results
     assert done.successful
@@ -59,6 +60,7 @@ def test_parameters_and_actions_cross(bridge: Bridge, start: Callable[..., Spun]
 
     goals = [client.send(5), client.send(6)]
     assert all(goal.handle().accepted for goal in goals)
+    eventually(lambda: feedback_listeners(engine))
     for number, goal in enumerate(goals):
         goal.ask()
         server.feedback(number, number=number)

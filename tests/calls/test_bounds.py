@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tests.calls.ledgers import Counts, balanced, called, counts, nothing_left, settled
+from tests.calls.ledgers import AT_ONCE, Counts, balanced, called, counts, nothing_left, settled
 from tests.support.bridge import route
 from tests.support.waiting import eventually, holds
 
@@ -119,7 +119,7 @@ def test_a_paused_service_is_not_offered_and_a_resumed_one_is(
         assert near.call(service, 5).right
         key = route(client, service).key
         client.pause(key, True).result(10)
-        assert near.waits_for_none(service) < 1.0
+        near.waits_for_none(service, AT_ONCE)
         client.pause(key, False).result(10)
         near.waits_for(service)
         assert near.call(service, 5).right

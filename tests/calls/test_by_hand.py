@@ -237,11 +237,11 @@ def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
 
 @pytest.mark.filterwarnings("ignore:failed to send response")  # what rclpy says to a client that has gone
 def test_a_call_that_gets_no_answer_expires_on_either_side(bridge: Bridge, lamp: Lamp) -> None:
-    server, client = bridge.both(called("/set", timeout=1.0))
+    server, client = bridge.both(called("/set", timeout=2.0))
     ready(client, "/set")
     lamp.goes_on.clear()
     for engine in (client, server):
-        with pytest.raises(EngineError, match=r"no answer within 1 s"):
+        with pytest.raises(EngineError, match=r"no answer within 2 s"):
             by_hand(engine, "/set", "data: true").result(60)
     lamp.goes_on.set()
     eventually(lambda: counts(client, "/set").expired == 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tests.calls.ledgers import balanced, called, counts, nothing_left, settled
+from tests.calls.ledgers import AT_ONCE, balanced, called, counts, nothing_left, settled
 from tests.support.bridge import linked, route
 from tests.support.waiting import eventually
 
@@ -48,7 +48,7 @@ def test_two_bridges_in_a_row_carry_calls(
         for engine in (*engines, *further):
             settled(engine, service, asked=300, answered=300)
         last.unserve(service)
-        assert near.waits_for_none(service) < 2.0
+        near.waits_for_none(service, AT_ONCE)
     nothing_left(*engines, *further)
 
 
@@ -70,8 +70,8 @@ def test_a_ring_of_bridges_offers_nothing_that_nobody_serves(
     assert route(back[0], service).state != State.OK
 
     far.unserve(service)
-    near.waits_for_none(service, within=10.0)
-    far.waits_for_none(service, within=10.0)
+    near.waits_for_none(service)
+    far.waits_for_none(service)
     far.serve(service)
     near.waits_for(service)
     assert near.call(service, 50, at_once=10).right

@@ -23,5 +23,5 @@ def test_no_answer_is_wrong_or_anothers_and_nothing_is_left_over(
     service: str,
 ) -> None:
     tally = kill(Killing(bridge, programs, far, (near, another(bridge.robot.id)), service), 4)
-    assert tally.calls["answered"] > 100
+    assert tally.calls["answered"] > 20, "more than one of each caller after each start"
     assert tally.grown.resident < 20 << 20

@@ -44,6 +44,7 @@ def test_a_node_that_has_not_started_is_no_fault_and_one_that_has_gone_is(
         for engine in engines:
             eventually(lambda engine=engine: says(engine, service) == (State.DOWN, Cause.SERVER_GONE))
             assert len(wrong(now(engine))) == 1
+        near.waits_for_none(service)
 
 
 def test_a_new_link_knows_of_no_server_before_it(

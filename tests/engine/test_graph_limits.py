@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
 
+    from rsb_bridge.engine import Engine
+
 SHORT = QoSProfile(depth=10, deadline=Duration(nanoseconds=500_000), lifespan=Duration(nanoseconds=200_000))
 
 
@@ -35,9 +37,12 @@ def test_deadlines_and_lifespans_below_a_millisecond(bridge: Bridge, robot: Doma
     assert set(eventually(heard)) == {text("hello")}
     eventually(lambda: route(client, "/chat").subscriber_qos and route(server, "/chat").publisher_qos)
     for engine, name in ((client, None), (server, "robot1")):
-        topics = {each.topic: each for each in engine.topics(name).result(60)}
-        offered = [topics[topic].qos for topic in ("/elsewhere", "/chat")]
-        assert [qos.deadline for qos in offered if qos is not None] == [0.001, 0.001]
+
+        def listed(engine: Engine = engine, name: str | None = name) -> list[float]:
+            topics = {each.topic: each.qos for each in engine.topics(name).result(60)}
+            return [qos.deadline for topic in ("/elsewhere", "/chat") if (qos := topics.get(topic)) is not None]
+
+        assert eventually(lambda listed=listed: found if len(found := listed()) == 2 else None) == [0.001, 0.001]
     assert linked(client)
     assert linked(server)
     for engine in (client, server):

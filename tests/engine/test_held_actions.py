@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
 
-from tests.support.bridge import linked, route
+from tests.support.bridge import feedback_listeners, linked, route
 from tests.support.consoles import Consoles
 from tests.support.fibonacci import ACTION, FibonacciClient, FibonacciServer, id_of
 from tests.support.waiting import eventually
@@ -49,6 +49,7 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
         consoles.arm(engines[1 - who], ACTION)
     first, second = client.send(1).ask(), client.send(2).ask()
     number, other = server.number_of(first), server.number_of(second)
+    eventually(lambda: feedback_listeners(engines[0]))
     hold(engines[who], how)
     eventually(lambda: states(*engines) == {how})
     for engine in engines:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from tests.support.bridge import balance, linked, route, settled
+from tests.support.bridge import balance, linked, listeners, route, settled
 from tests.support.domain import Domain, text
 from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
@@ -113,8 +113,9 @@ def test_tf_static_of_many_nodes(count: int, bridge: Bridge, robot: Domain, pc: 
 def test_a_map_that_is_published_again_and_again(bridge: Bridge, robot: Domain, pc: Domain) -> None:
     out = robot.publisher("/map", qos=latched(1))
     there, volatile = pc.listener("/map", qos=JOINS_LATE), pc.listener("/map")
-    _, client = bridge.both(Topic("/map", "transmit"))
+    server, client = bridge.both(Topic("/map", "transmit"))
     eventually(lambda: out.get_subscription_count() == 1 and there.matched and volatile.matched)
+    eventually(lambda: listeners(server, "/map") == 2)
     maps = publish(out, "map", range(50))
     assert eventually(lambda: list(map(bytes, there.payloads)) == maps)
     eventually(lambda: list(map(bytes, volatile.payloads)) == maps)
@@ -131,7 +132,7 @@ def test_a_deeper_history(published_before: int, bridge: Bridge, robot: Domain, 
     messages = publish(out, "pose", range(published_before))
     server, client = bridge.both(Topic("/path", "transmit"))
     steady, volatile = pc.listener("/path", qos=JOINS_LATE), pc.listener("/path")
-    eventually(lambda: out.get_subscription_count() == 1 and volatile.matched)
+    eventually(lambda: out.get_subscription_count() == 1 and volatile.matched and listeners(server, "/path") == 2)
     eventually(lambda: list(map(bytes, steady.payloads)) == messages[-5:])
     same_on_both_sides(robot, pc, "/path", messages[-5:])
     heard_before = len(volatile.payloads)
@@ -156,7 +157,7 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
     out = robot.publisher("/path", qos=latched(3))
     server, client = bridge.both(Topic("/path", "transmit"))
     steady = pc.listener("/path", qos=JOINS_LATE)
-    eventually(lambda: out.get_subscription_count() == 1 and steady.matched)
+    eventually(lambda: out.get_subscription_count() == 1 and steady.matched and listeners(server, "/path"))
     messages = publish(out, "pose", range(4))
     eventually(lambda: len(steady.payloads) == 4)
     relay.stall()

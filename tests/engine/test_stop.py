@@ -119,6 +119,10 @@ def test_while_calling(bridge: Bridge) -> None:
             filler.close()
 
 
+def succeeded(command: Future[None]) -> bool:
+    return command.done() and command.exception() is None
+
+
 def test_commands_meanwhile(bridge: Bridge) -> None:
     """Each of them is done or refused, and none of that is an internal error."""
     for _ in range(2):
@@ -132,13 +136,13 @@ def test_commands_meanwhile(bridge: Bridge) -> None:
 
         with ThreadPoolExecutor(2) as threads:
             giving = [threads.submit(give, server, commands, stopped) for _ in range(2)]
-            time.sleep(0.2)
             try:
+                eventually(lambda commands=commands: any(succeeded(each) for each in tuple(commands)))
                 stops(server)
             finally:
                 stopped.set()
         assert [thread.exception() for thread in giving] == [None, None]
-        done, left = wait(commands, 1)
+        done, left = wait(commands, 60)
         assert not left
         assert not any(command.cancelled() for command in done)
         assert {type(command.exception()) for command in done} == {type(None), EngineError}
@@ -212,7 +216,7 @@ def test_a_stop_while_it_starts_wins(bridge: Bridge, robot: Domain) -> None:
             starting.result(60)
         stopping.result(60)
     assert not engine.snapshot().running
-    assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
+    eventually(lambda: not [each for each in threading.enumerate() if each.name in ("rsb-io", "ros")])
     with pytest.raises(EngineError, match="was stopped"):
         engine.start()
 
@@ -229,7 +233,7 @@ def test_a_stop_does_not_wait_for_a_start_that_hangs(bridge: Bridge, robot: Doma
         ros.may_return.set()
         with pytest.raises(EngineError, match="was stopped before it had started"):
             starting.result(60)
-    assert [thread.name for thread in threading.enumerate() if thread.name in ("rsb-io", "ros")] == []
+    eventually(lambda: not [each for each in threading.enumerate() if each.name in ("rsb-io", "ros")])
 
 
 def test_a_start_that_fails_leaves_nothing(bridge: Bridge) -> None:

@@ -80,13 +80,12 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
         event = happened(engine, EventCode.LINK_NAME_TAKEN)
         assert event is not None
         assert (event.link, event.level) == ("robot1", Level.WARNING)
-    second.retry().result(5)
+    second.retry().result(60)
     holds(lambda: linked(first) and linked(server) and not linked(second), 2.0)
     assert link(server).since == up_since
     first.stop()
-    second.retry().result(5)
-    eventually(lambda: linked(second) and linked(server))
-    assert link(server).warning == ""
+    second.retry().result(60)
+    eventually(lambda: linked(second) and linked(server) and link(server).warning == "")
 
 
 def test_the_warning_of_a_second_client_ends_soon_after_it(bridge: Bridge) -> None:
@@ -94,11 +93,12 @@ def test_the_warning_of_a_second_client_ends_soon_after_it(bridge: Bridge) -> No
     second = bridge.client()
     eventually(lambda: link(server).warning and link(first).warning)
     second.stop()
-    eventually(lambda: not link(server).warning and not link(first).warning, 10.0)
-    assert as_json(first)[:2] == as_json(server)[:2] == ("ok", "")
+    eventually(lambda: not link(server).warning and not link(first).warning)
+    eventually(lambda: as_json(first)[:2] == as_json(server)[:2] == ("ok", ""))
     told = [event for event in first.events() if event.code == EventCode.LINK_NAME_TAKEN]
     assert len(told) == 1, "however often it tried"
     for engine in (server, first):
+        eventually(lambda engine=engine: happened(engine, EventCode.LINK_NAME_FREE))
         ends = [event for event in engine.events() if event.code == EventCode.LINK_NAME_FREE]
         assert [(event.link, event.level) for event in ends] == [("robot1", Level.INFO)]
 
@@ -118,15 +118,15 @@ def try_as(bridge: Bridge, host: str) -> None:
 def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
     """Robots that were copied from one image."""
     server, first = bridge.both()
-    for host in ("spare1", "spare2", "spare3"):
+    try_as(bridge, "spare1")
+    eventually(lambda: "(host spare1)" in link(first).warning)
+    for host in ("spare2", "spare3", "spare1"):
         try_as(bridge, host)
-        eventually(lambda host=host: f"(host {host})" in link(first).warning)
+    # The one that came last is named, not whichever tried last. They count for a few seconds after they tried.
     words = "a second client at 127.0.0.1 (host spare3) and 2 others call themselves 'robot1' too, and are refused"
     for engine in (server, first):
-        assert words in link(engine).warning
-        assert link(engine).warning.endswith(": stop all but one, or give each a name and a key of its own")
-    try_as(bridge, "spare1")
-    assert words in link(server).warning, "the one that came last is named, not whichever tried last"
+        warning = eventually(lambda engine=engine: found if words in (found := link(engine).warning) else "")
+        assert warning.endswith(": stop all but one, or give each a name and a key of its own")
     (event,) = [event for event in first.events() if event.code == EventCode.LINK_NAME_TAKEN]
     assert "(host spare1) calls itself 'robot1' too, and is refused" in event.text
 

@@ -6,7 +6,7 @@ import contextlib
 import sys
 from typing import TYPE_CHECKING
 
-from tests.calls.ledgers import balanced, counts, settled
+from tests.calls.ledgers import AT_ONCE, balanced, counts, settled
 from tests.network.hosts import Cable
 from tests.support.waiting import eventually
 
@@ -46,7 +46,7 @@ def test_calls_over_a_wire_that_loses_and_delays(network: Network, robot: Host, 
         assert found.way_p50 is not None
         assert found.node_p50 is not None
         assert 0.4 < found.way_p50 < outcome.p99
-        assert 0.1 <= found.node_p50 < 0.4
+        assert 0.1 <= found.node_p50 < outcome.p50 - 0.2, "without the way's 0.4 s"
         settled(server, "/map", asked=105, answered=105)
     assert far.served("/map") == (105, 0, 0, 0)
     between.kill()
@@ -73,7 +73,7 @@ def test_a_cut_takes_the_offer_and_the_calls_under_way(network: Network, robot: 
         cable.cut()
         near.begin("/map", 5, at_once=5)
         cut = bridge.client.happens(EventCode.LINK_LOST)
-        near.waits_for_none("/map", within=1.5)
+        near.waits_for_none("/map", AT_ONCE)
         found = settled(client, "/map", asked=20, answered=15, lost=5)
         assert found.last_failure
         assert near.give_up("/map").answered == 0

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from tests.network.bridging import EACH_WAY
 from tests.network.hosts import Cable
+from tests.support.waiting import eventually
 
 from rsb_bridge.model.codes import EventCode
 
@@ -74,8 +75,12 @@ def test_a_robot_goes_from_one_network_to_another(network: Network, robot: Host,
     bridge.listen(pc=("/camera",))
     bridge.robot.talk("/camera", rate=5, size=100_000)
     bridge.pc.hears("/camera")
-    fragmented = robot.count("IpFragCreates")  # until the router's word about the smaller packets had come
-    bridge.pc.hears("/camera")
-    assert robot.count("IpFragCreates") == fragmented
+
+    def whole() -> bool:  # once the router's word about the smaller packets has come
+        fragmented = robot.count("IpFragCreates")
+        bridge.pc.hears("/camera")
+        return robot.count("IpFragCreates") == fragmented
+
+    eventually(whole, what="packets that nobody has to fragment")
     bridge.robot.hush()
     bridge.settled("/scan", "/odom", "/camera")

@@ -1,4 +1,4 @@
-"""Real ROS nodes: ours, and stock rclpy's, on domains 20-29 of this machine alone."""
+"""Real ROS nodes: ours, and stock rclpy's, on domains of this run alone."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"  # read by each contex
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from tests.ros.domains import DOMAIN
 
 from rsb_bridge.ros import service_types
 from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-DOMAIN = 20
 
 
 @pytest.fixture

@@ -1,7 +1,11 @@
-"""A stock rclpy program: what it takes on /odom_in it says again on /odom_out, until it is told to end."""
+"""A stock rclpy program: what it takes on /odom_in it says again on /odom_out, until it is told to end.
+
+usage: stock_relay.py DOMAIN
+"""
 
 import contextlib
 import os
+import sys
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
@@ -9,7 +13,7 @@ import rclpy
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException
 
-rclpy.init(domain_id=20)
+rclpy.init(domain_id=int(sys.argv[1]))
 node = rclpy.create_node("relay")
 publisher = node.create_publisher(Odometry, "/odom_out", 10)
 subscription = node.create_subscription(Odometry, "/odom_in", publisher.publish, 10)

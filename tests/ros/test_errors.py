@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import RosError
@@ -57,7 +58,7 @@ def test_a_domain_that_cannot_be_joined(domain_id: int) -> None:
 
 def test_what_rcl_refuses_is_said() -> None:
     """A null address stands for a subscription that rcl finds broken."""
-    participant = Participant(22, "reader")
+    participant = Participant(ANOTHER, "reader")
     reader = participant.create_reader("/chat", STRING, "", Qos())
     reader.handle.address = 0
     with pytest.raises(RosError, match=r"/chat: a message could not be taken \(rcl error \d+\)"):

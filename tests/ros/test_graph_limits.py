@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import Qos, clamp_qos, match_publishers, match_subscriptions
 from rsb_bridge.ros.conversions import endpoint_of
@@ -78,7 +79,7 @@ def test_a_type_that_no_ros_program_would_name_so() -> None:
 
 
 def test_topics_that_ros_cannot_subscribe_to_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    participant = Participant(22, "reader")
+    participant = Participant(ANOTHER, "reader")
     graph = [("/fine", ["x" * 300]), ("/_hidden/too", [STRING]), ("/" + "x" * 255, [STRING])]
     graph += [(name, [STRING]) for name in ("/e\x1b[2J", "/a b", "/7", "no_slash", "")]
     monkeypatch.setattr(participant, "_ask", lambda *_: graph)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
+from tests.ros.domains import ANOTHER
 
 from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.ros.node import RosNode
@@ -62,7 +63,7 @@ def descriptors() -> int:
 @pytest.fixture
 def start_one() -> None:
     """What the first node leaves in a process for good: Fast DDS's and the logger's own threads."""
-    node = RosNode(22, "first")
+    node = RosNode(ANOTHER, "first")
     node.start()
     node.stop()
 
@@ -267,7 +268,7 @@ def test_stamps_are_this_machines_clock(open_node: Callable[..., RosNode], event
 
 
 def test_domains_do_not_hear_each_other(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
-    here, there, elsewhere = open_node(20), open_node(20, "there"), open_node(21, "elsewhere")
+    here, there, elsewhere = open_node(), open_node(name="there"), open_node(ANOTHER, "elsewhere")
     received, unheard = Received(), Received()
     here.subscribe("/chat", STRING, "", DEEP, received, "link")
     elsewhere.subscribe("/chat", STRING, "", DEEP, unheard, "link")
@@ -346,7 +347,7 @@ def test_a_sink_may_close_another_subscription_that_has_messages_waiting(
 def test_fifty_nodes_and_endpoints_leave_nothing_behind(eventually: Callable[..., Any]) -> None:
     before = threads(), descriptors()
     for _ in range(50):
-        node = RosNode(22, "robot1")
+        node = RosNode(ANOTHER, "robot1")
         node.start()
         node.subscribe("/chat", STRING, "", DEEP, Received(), "link")
         node.subscribe("/chat", STRING, "", DEEP, Received(), "link").close()
@@ -360,7 +361,7 @@ def test_fifty_nodes_and_endpoints_leave_nothing_behind(eventually: Callable[...
 @pytest.mark.usefixtures("start_one")
 def test_stop_returns_within_a_second_though_a_sink_blocks(eventually: Callable[..., Any]) -> None:
     before = threads()
-    node, other = RosNode(22, "robot1"), RosNode(22, "other")
+    node, other = RosNode(ANOTHER, "robot1"), RosNode(ANOTHER, "other")
     node.start()
     other.start()
     received = Received()

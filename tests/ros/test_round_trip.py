@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from tests.ros.domains import DOMAIN
 from tests.support.filled import filled
 
 from rsb_bridge.model.qos import Qos
@@ -101,7 +102,7 @@ def test_a_type_that_is_installed_nowhere_crosses(
 @pytest.fixture
 def stock_relay() -> Iterator[None]:
     """Another process, stock rclpy: what it takes on /odom_in it says again on /odom_out."""
-    with subprocess.Popen([sys.executable, str(Path(__file__).with_name("stock_relay.py"))]) as process:
+    with subprocess.Popen([sys.executable, str(Path(__file__).with_name("stock_relay.py")), str(DOMAIN)]) as process:
         yield
         process.terminate()
         try:

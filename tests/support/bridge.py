@@ -13,8 +13,11 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.lanes import FEEDBACK
 from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.route.calls.calling_action import CallingAction
 from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -161,6 +164,13 @@ def linked(engine: Engine, name: str = "robot1") -> bool:
     return any(link.linked for link in engine._bridge.links() if link.name == name)
 
 
+def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
+    """What sends a topic, whose counts are newer than the snapshot."""
+    assert engine._bridge is not None
+    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
+    return next(route for route in routes if isinstance(route, OutgoingRoute) and route.topic == topic)
+
+
 def route(engine: EngineApi, topic: str) -> RouteSnapshot:
     """An engine's route by the topic's name on its side."""
     found = find(engine, topic)
@@ -207,6 +217,26 @@ def listened_to(engine: Engine) -> set[str]:
     routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
     incoming = [route for route in routes if isinstance(route, IncomingRoute)]
     return {route.remote_topic for route in incoming if route._outputs.subscriber_count}
+
+
+def listeners(engine: Engine, topic: str) -> int:
+    """How many subscriptions get what an engine publishes: a subscription may know of the publisher before that."""
+    assert engine._bridge is not None
+    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
+    return sum(
+        route._outputs.subscriber_count
+        for route in routes
+        if isinstance(route, IncomingRoute) and route.remote_topic == topic
+    )
+
+
+def feedback_listeners(engine: Engine) -> int:
+    """Likewise, of the feedback of the only action that an engine offers."""
+    assert engine._bridge is not None
+    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
+    (found,) = (route for route in routes if isinstance(route, CallingAction))
+    offered = found._offers.publishers.get(FEEDBACK)
+    return offered.subscriber_count if offered else 0
 
 
 def settled(engine: Engine, topic: str, offered: int, within: float = 60.0) -> Ledger:

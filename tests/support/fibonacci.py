@@ -146,8 +146,10 @@ class FibonacciServer(_Spun):
         return bool(self.goals) and not self.remembers
 
     def feedback(self, *sequence: int, number: int = 0) -> None:
-        """Publish feedback of a goal."""
-        self.goal(number).publish_feedback(Fibonacci.Feedback(sequence=sequence))
+        """Publish feedback of a goal, once somebody hears it."""
+        goal = self.goal(number)
+        eventually(lambda: self.node.count_subscribers(f"{ACTION}/_action/feedback"), what="a listener to feedback")
+        goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
 
     def finish(self, *sequence: int, number: int = 0, state: str = "succeeded") -> None:
         """End a goal."""

@@ -54,8 +54,7 @@ def test_a_robot_joins_and_leaves_a_fleet_that_runs(
     robots.write_text(added["client_session"])
     second = bridge.start(replace(load(robots), domain_id=robot.id))
     eventually(lambda: linked(second, "robot2"))
-    states = {each["name"]: each["state"] for each in client("list", path)["clients"]}
-    assert states["robot1"] == "ok"
+    eventually(lambda: {each["name"]: each["state"] for each in client("list", path)["clients"]}["robot1"] == "ok")
 
     client("rekey", path, "robot2")
     eventually(lambda: not linked(second, "robot2"), what="the old key counts no more")

@@ -75,17 +75,21 @@ class Program:
         return links.get("robot1", {"state": "", "cause": "", "reason": "", "peer": ""})
 
     def events(self, code: EventCode) -> list[dict[str, Any]]:
-        """Those of a kind."""
-        return [line for line in self._lines if line.get("code") == code]
+        """Those of a kind, once there are any: a status may be written before the event that it comes of."""
+        return eventually(lambda: [line for line in self._lines if line.get("code") == code], what=code)
 
-    def screen(self, words: str) -> str:
-        """Wait until the console shows these words; all that it shows then."""
+    def screen(self, *words: str) -> str:
+        """Wait until the console shows these words, each of which may be drawn by itself; all that it shows then."""
         if self._screen is None:
             eventually(self._control.exists, what="it serves consoles")
             self._folder.mkdir()
             command = (str(COMMAND), "attach", "--control", str(self._control))
             self._screen = Tmux(self._folder, *command, size=_WIDE)
-        return self._screen.wait_for(words)
+        picture = ""
+        while not all(each in picture for each in words):
+            for each in words:
+                picture = self._screen.wait_for(each)
+        return picture
 
     def freeze(self) -> None:
         """It falls silent, without an end of its connections."""
@@ -189,12 +193,12 @@ def test_two_clients_of_one_name(sides: Sides) -> None:
     assert "a second client at 127.0.0.1" in shown["reason"]
     host = socket.gethostname()
     since = r"since \d{4}-\d\d-\d\d \d\d:\d\d UTC"
-    said = second.screen("✗ robot1: 'robot1' is linked already, since ")
-    assert re.search(rf"{since}, at {server.link()['peer']} \(host {host}\)", said)
-    said = server.screen(f"robot1: a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too")
-    assert "● LINKED" in said
-    assert "is refused, for " in said
-    assert "● LINKED" in first.screen("robot1: a second client at 127.0.0.1")
+    peer = server.link()["peer"]
+    said = second.screen("✗ robot1: 'robot1' is linked already, since ", f", at {peer} (host {host})")
+    assert re.search(rf"{since}, at {peer} \(host {host}\)", said)
+    calls = f"robot1: a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too"
+    server.screen(calls, "● LINKED", "is refused, for ")
+    first.screen("robot1: a second client at 127.0.0.1", "● LINKED")
 
 
 def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:
@@ -207,14 +211,14 @@ def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:
     assert event["level"] == "WARNING"
     eventually(lambda: server.link()["peer"] != before, what="its status")
     assert event["text"].startswith(f"link with the client at {before} closed: replaced")
-    assert "● LINKED" in server.screen(f"WARN  link   robot1: link with the client at {before} closed")
+    server.screen(f"WARN  link   robot1: link with the client at {before} closed", "● LINKED")
     new.screen("● LINKED")
 
 
 def test_a_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
     server, client = sides.server(), sides.client()
     seen_at = eventually(lambda: server.link()["state"] == "ok" and server.link()["peer"])
-    server_at = client.link()["peer"]
+    server_at = eventually(lambda: client.link()["state"] == "ok" and client.link()["peer"])
     client.stop()
     shown = has_cause(server, "closed")
     assert (shown["state"], shown["peer"]) == ("down", seen_at)
