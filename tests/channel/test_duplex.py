@@ -41,6 +41,7 @@ class Route:
         waiting: payloads to be sent.
         lost: why the channel was lost.
         congested: how often the channel took no more for a while.
+        rank: of its priority.
     """
 
     id: int
@@ -50,6 +51,7 @@ class Route:
     waiting: deque[bytes] = field(default_factory=deque)
     lost: list[str] = field(default_factory=list)
     congested: int = 0
+    rank: int = 0
     channel: DuplexChannel = field(init=False)
 
     def send(self, *payloads: bytes) -> None:

@@ -83,12 +83,14 @@ class Topic:
 
     Attributes:
         id: route id.
+        rank: of its priority.
         arrived: size of the payload and time (s) of the messages that were carried.
         channel: its sending end.
     """
 
-    def __init__(self, number: int, always: int = 0) -> None:
+    def __init__(self, number: int, always: int = 0, rank: int = 0) -> None:
         self.id = number
+        self.rank = rank
         self.outgoing, self.duplex = True, False
         self.arrived: deque[tuple[int, float]] = deque()
         self._always = always
@@ -234,3 +236,18 @@ def test_a_chunk_costs_little() -> None:
     sealed = DataWriter(Sealer(Suite.AESGCM, _KEY), 1).write_chunks(bytes(100_000), 0, 0, CHUNK)
     assert sum(map(len, sealed)) / 100_000 < 1.02
     assert max(map(len, sealed)) == CHUNK + LENGTH.size + HEADER.size + 16
+
+
+def test_shares_follow_priorities_and_nobody_starves() -> None:
+    topics = [Topic(1, always=5_000, rank=1), Topic(2, always=5_000), Topic(3, always=5_000, rank=-1)]
+
+    async def scene() -> None:
+        share(*topics)
+        for topic in topics:
+            topic.flush()
+        await asyncio.sleep(60)
+        high, normal, low = (topic.bytes_since(0) for topic in topics)
+        assert 3.5 < high / normal < 4.5
+        assert 3.5 < normal / low < 4.5
+
+    play(scene)

@@ -39,6 +39,7 @@ class Route:
     id: int
     outgoing: bool
     duplex: bool = False
+    rank: int = 0
     arrived: list[bytes] = field(default_factory=list)
 
     def deliver(self, messages: Iterable[Message]) -> None:

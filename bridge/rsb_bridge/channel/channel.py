@@ -28,6 +28,11 @@ class RouteSink(Protocol):
         """Whether both sides send, whichever began."""
         ...
 
+    @property
+    def rank(self) -> int:
+        """Of its priority, beside other routes of the same stream."""
+        ...
+
     def deliver(self, messages: Iterable[Message]) -> None:
         """Take messages that arrived whole and authentic."""
         ...

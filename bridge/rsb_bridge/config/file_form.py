@@ -32,7 +32,7 @@ NOUNS: Final[dict[str, str]] = {
 }  # fmt: skip
 """What an entry is called, before its name, by list."""
 
-_OF_TOPICS = ("qos", "expected_rate", "stale_after")
+_OF_TOPICS = ("qos", "priority", "expected_rate", "stale_after")
 _OF_CALLS = ("kind", "timeout")
 _PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
 DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
@@ -64,6 +64,7 @@ _NOT_OF_TOPICS = {
 }
 _NOT_OF_CALLS = {
     "kind": "not a key: the list says it",
+    "priority": "calls go ahead of all topics: leave it out",
     "qos": "calls have ROS's own QoS: leave it out",
     "expected_rate": "nobody expects calls at a rate: leave it out",
     "stale_after": "nobody expects calls all the time: leave it out; timeout says how long an answer may take",

@@ -41,7 +41,8 @@ class Keepalive:
         self._began = context.now()
         self._rx, self._tx = Smoothed(self._began), Smoothed(self._began)
         self._received = self._sent = 0
-        self._pings = 0
+        self._pings = self._answered = 0
+        self._pinged_at = self._began
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._on_silence: Callable[[], None] | None = None
         self._watchdog: asyncio.TimerHandle | None = None
@@ -64,6 +65,14 @@ class Keepalive:
     @property
     def _heard(self) -> float:
         return max((each.received_at for each in self._carriers()), default=self._began)
+
+    @property
+    def round_trip(self) -> float | None:
+        """S of the last ping that was answered, or how long the next one has been waiting for that; None: no figure."""
+        if self.clock.rtt is None:
+            return None
+        waits = self._context.now() - self._pinged_at if self._answered < self._pings else 0.0
+        return max(self.clock.rtt, waits + max(0, self._pings - self._answered - 1))
 
     def watch(self, on_silence: Callable[[], None]) -> None:
         """Call a function once nothing has come for `DEAD_AFTER`, until `stop`."""
@@ -97,6 +106,7 @@ class Keepalive:
         self._tx.add(max(0, sent - self._sent), now)
         self._received, self._sent = received, sent
         self._pings += 1
+        self._pinged_at = now
         return Ping(n=self._pings, sent=self._context.wall_ns())
 
     def answer(self, ping: Ping) -> Pong | None:
@@ -108,4 +118,5 @@ class Keepalive:
 
     def answered(self, pong: Pong) -> None:
         """The peer answered ours."""
+        self._answered = max(self._answered, min(pong.n, self._pings))
         self.clock.add(pong.sent, pong.received, pong.answered, self._context.wall_ns())

@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.datagram import datagram_channel
+from rsb_bridge.link.contention import Contention
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
 from rsb_bridge.link.errors import LinkError
@@ -67,6 +68,7 @@ class Link(ABC):
         connections: how many connections there have been.
         linked_at: s, when the present or last connection was made.
         channels: what carries the routes' messages.
+        contention: divides what the link carries.
         budget: what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
         duplicates: further clients of its name, which are refused.
@@ -94,6 +96,7 @@ class Link(ABC):
         self.keepalive = Keepalive(context, self._carriers)
         self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
         self.table = RouteTable(context, self)
+        self.contention = Contention(context, lambda: tuple(self.routes.values()), self._carriers)
         self.proposed = ProposedTopics(context, self.table, self.transport, name, self._prefixed)
         self._topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
@@ -357,6 +360,8 @@ class Link(ABC):
         """Once a second, after the routes' own tick: keepalive, reports, retries."""
         if self.control is None:
             return
+        self.contention.tick(self.keepalive)
+        self.contention.heard(self.features, self.connections)
         self.send(self.keepalive.tick())
         self.channels.udp.tick()
         for report in reports(self.routes.values()):

@@ -10,6 +10,7 @@ from rsb_bridge import __version__
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.names import server_topic
+from rsb_bridge.model.priority import RANKS, priority_of
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.amending import Amend
 from rsb_bridge.wire.messages import Propose
@@ -50,6 +51,7 @@ def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_nam
         deadman=topic.deadman_seconds if topic.arm else 0.0,
         kind=topic.kind,
         timeout=topic.timeout or 0.0,
+        priority=RANKS[topic.priority],
     )
 
 
@@ -78,6 +80,7 @@ def topic_of(proposal: Propose) -> Topic:
         deadman=proposal.deadman if proposal.arm else None,
         kind=kind_of(proposal),
         timeout=proposal.timeout or None,
+        priority=priority_of(proposal.priority) if proposal.kind == "topic" else "normal",
     )
 
 
@@ -94,7 +97,7 @@ def kind_of(proposal: Propose) -> Kind:
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
-_AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None}
+_AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "priority": 0}
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -105,7 +108,10 @@ def same_route(one: Propose, other: Propose) -> bool:
 
 def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     """A proposal with the limits of another one, or of a change."""
-    return msgspec.structs.replace(proposal, **{name: getattr(limits, name) for name in _AMENDABLE})
+    new = {name: getattr(limits, name) for name in _AMENDABLE}
+    if new["priority"] is None:
+        new["priority"] = proposal.priority
+    return msgspec.structs.replace(proposal, **new)
 
 
 def amendment(proposal: Propose, route_id: int, who: str = "") -> Amend:
@@ -120,4 +126,5 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
         max_rate=limits.max_rate or None,
         expected_rate=limits.expected_rate or None,
         stale_after=limits.stale_after,
+        priority=priority_of(limits.priority) if limits.kind == "topic" else "normal",
     )

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rsb_bridge.model.priority import Priority  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.model.qos import Qos, parse_qos
 
 DEADMAN = 60.0
@@ -83,6 +84,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         deadman: s without a key on that console after which it disarms; None: `DEADMAN`; 0: none.
         kind: what it is.
         timeout: s after which a call without an answer is given up; None: `CALL_TIMEOUT`. Not of topics.
+        priority: less of lower ones crosses while the link carries less than is asked for. Only of topics.
     """
 
     topic: str
@@ -101,6 +103,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     deadman: float | None = None
     kind: Kind = "topic"
     timeout: float | None = None
+    priority: Priority = "normal"
 
     @property
     def identity(self) -> Identity:

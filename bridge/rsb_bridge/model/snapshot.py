@@ -120,7 +120,7 @@ class Ledger:
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
-    ``would loop``, ``paused``, ``disarmed``.
+    ``would loop``, ``paused``, ``disarmed``, ``thinned``.
     """
 
     offered: int = 0

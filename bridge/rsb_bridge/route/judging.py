@@ -61,6 +61,7 @@ def facts_of(route: TopicRoute) -> Facts:
         flowing=route.flowing,
         came=route.meter.last is not None and route.meter.last >= route.opened_at,
         stale_since=_stale_since(route),
+        yielded=route.yielding.shown(),
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.priority import priority_of
+
 if TYPE_CHECKING:
     from rsb_bridge.wire.messages import Propose
 
@@ -15,11 +17,13 @@ def limits_changed(old: Propose, new: Propose) -> str:
         ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
         ("stale_after", old.stale_after, new.stale_after, " s"),
     )
-    return ", ".join(
+    changed = [
         f"{name} {_figure(before, unit)} → {_figure(after, unit)}"
         for name, before, after, unit in limits
         if before != after
-    )
+    ]
+    before, after = priority_of(old.priority), priority_of(new.priority)
+    return ", ".join(changed + ([f"priority {before} → {after}"] if before != after else []))
 
 
 def _figure(value: float | None, unit: str) -> str:

@@ -69,6 +69,9 @@ class Outbox:
             self._ledger.sent(len(batch))
             channel.send(batch)
 
+    def __len__(self) -> int:
+        return len(self._queue)
+
     def clear(self) -> int:
         """Remove all messages; returns how many they were."""
         return self._queue.clear()

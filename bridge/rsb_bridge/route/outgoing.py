@@ -241,7 +241,7 @@ class OutgoingRoute(TopicRoute):
                 self.meter.rate,
                 self.spec.expected_rate or 0.0,
                 None if latched else self.meter.usual_rate,
-                self.limit.rate,
+                self.yielding.limit(self.limit.rate),
                 frozenset([each.gid for each in self.endpoints]),
                 self.ledger(),
             ),

@@ -15,6 +15,7 @@ import msgspec
 
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.priority import HIGHEST
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import SAID, Arming, Disarmed
@@ -146,6 +147,11 @@ class Route:
         if self.peer.linked:
             return steps
         return tuple(step if step.name == LINK_STAGE else Stage(step.name, None) for step in steps)
+
+    @property
+    def rank(self) -> int:
+        """Of its priority; calls go ahead of topics."""
+        return self.proposal.priority if self.proposal.kind == "topic" else HIGHEST
 
     def set_peer_topic(self, topic: str) -> None:
         """The peer says what the topic is called on its side."""

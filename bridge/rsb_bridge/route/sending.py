@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import Peekable, peeked
 from rsb_bridge.route.throttle import LatestLater, Throttle
+from rsb_bridge.route.yielding import THINNED, Yielding
 from rsb_bridge.wire.framing import HISTORY, Message
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
@@ -36,6 +38,7 @@ class SendingRoute(Peekable, Protocol):
         qos: of the topic; None: not known yet.
         notices: what an operator is told.
         peek_slot: takes the next message for whoever looks at the topic.
+        yielding: what it leaves to others of the link.
     """
 
     transport: Transport
@@ -44,6 +47,7 @@ class SendingRoute(Peekable, Protocol):
     qos: Qos | None
     notices: Notices
     peek_slot: PeekSlot
+    yielding: Yielding
 
     @property
     def paused(self) -> bool:
@@ -78,6 +82,7 @@ class Sending:
         self._max_rate = route.proposal.max_rate
         self._throttle = Throttle(self._max_rate)
         self._latest_later = LatestLater(context.loop, self._throttle, self._send_latched, lambda: route.paused)
+        self._later: asyncio.TimerHandle | None = None
         self._outbox = Outbox(route.transport, route.proposal, ledger, route.notices.message_error)
 
     def limit(self, max_rate: float) -> None:
@@ -96,6 +101,10 @@ class Sending:
 
     def clear(self) -> int:
         """Remove what is queued; how many messages that was."""
+        if self._later is not None:
+            self._later.cancel()
+            self._later = None
+        self._route.yielding.busy(False, self._context.now())
         return self._outbox.clear()
 
     def offer(self, batch: Sequence[RawMessage]) -> None:
@@ -104,9 +113,11 @@ class Sending:
             self._show(batch[-1])
         self._ledger.offered += len(batch)
         passes, pack, flags = self._throttle.passes, self._outbox.pack, self._sorter.table.flags
-        messages = [pack(each.payload, each.stamp, flags[each.gid]) for each in batch if passes(each.stamp)]
-        self._ledger.throttled += len(batch) - len(messages)
-        self._send(messages)
+        passed = [each for each in batch if passes(each.stamp)]
+        self._ledger.throttled += len(batch) - len(passed)
+        kept = self._route.yielding.keep(passed, self._context.now())
+        self._ledger.drop(THINNED, len(passed) - len(kept))
+        self._send([pack(each.payload, each.stamp, flags[each.gid]) for each in kept])
 
     def offer_latched(self, new: int, samples: Sequence[Sample]) -> None:
         """Take messages of a latched topic."""
@@ -115,6 +126,7 @@ class Sending:
         self._ledger.offered += new
         admitted, left_out = self._latest_later.admit(samples)
         self._ledger.throttled += left_out
+        self._route.yielding.latched(len(admitted))
         self._send_latched(admitted)
 
     def _show(self, message: RawMessage) -> None:
@@ -139,13 +151,27 @@ class Sending:
             self._ledger.drop("link lost", len(messages))
             return
         if messages:
-            self._route.count(len(messages), sum([len(message[0]) for message in messages]))
-            channel = self._route.channel
-            limits = self._outbox.limits(self._route.qos, depth, congested=channel is not None and channel.congested)
+            size = sum([len(message[0]) for message in messages])
+            self._route.count(len(messages), size)
+            channel, yielding = self._route.channel, self._route.yielding
+            yielding.packed(len(messages), size)
+            congested = yielding.holds or (channel is not None and channel.congested)
+            limits = self._outbox.limits(self._route.qos, depth, congested=congested)
             self._outbox.add(messages, self._context.now(), publisher, limits)
             self.flush()
 
     def flush(self) -> None:
         """Send what waits while the path takes it."""
-        if self._route.channel is not None:
-            self._outbox.flush(self._route.channel)
+        channel, yielding = self._route.channel, self._route.yielding
+        if channel is None:
+            return
+        now = self._context.now()
+        self._outbox.flush(yielding.over(channel, now))
+        held = yielding.wait(now)
+        yielding.busy(channel.congested or (not held and bool(self._outbox)), now)
+        if held and self._outbox and self._later is None:
+            self._later = self._context.loop.call_later(held, self._flush_later)
+
+    def _flush_later(self) -> None:
+        self._later = None
+        self.flush()

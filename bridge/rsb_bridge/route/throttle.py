@@ -29,6 +29,10 @@ class Throttle:
         self._interval = int(1e9 / rate) if rate else 0
         self._due.clear()
 
+    def adjust(self, rate: float) -> None:
+        """As `limit`, without a new beat: no message passes for the change alone."""
+        self._interval = int(1e9 / rate) if rate else 0
+
     def passes(self, stamp: int, publisher: bytes = b"") -> bool:
         """Whether a message passes that was received at `stamp` (ns)."""
         interval = self._interval

@@ -9,6 +9,7 @@ from rsb_bridge.route.route import Route
 from rsb_bridge.route.silence import Silence
 from rsb_bridge.route.snapshots import snapshot_of_topic
 from rsb_bridge.route.verdict import Facts, judge
+from rsb_bridge.route.yielding import Yielding
 from rsb_bridge.telemetry.meters import LatencyMeter
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ class TopicRoute(Route):
         latency: of its messages, one way.
         silence: watches for it.
         peek_slot: takes the next message for whoever looks at the topic.
+        yielding: what its sending half leaves to others of the link.
     """
 
     def __init__(self, context: Context, peer: Owner, spec: Topic, proposal: Propose, *, proposed_here: bool) -> None:
@@ -39,6 +41,7 @@ class TopicRoute(Route):
         self.silence = Silence(self.log, context.now())
         self.set_stale_after()
         self.peek_slot = PeekSlot()
+        self.yielding = Yielding(context.now())
         self._told_report: SentReport | ReceivedReport | None = None  # the last one of the present opening
 
     # --- what the halves do differently

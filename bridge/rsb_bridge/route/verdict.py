@@ -10,12 +10,14 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.gates import gated, no_path, rank, throttled
+from rsb_bridge.route.yielding import verdict_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.route.yielding import Yielded
     from rsb_bridge.telemetry.watches import Loss
 
 LATELY = 10
@@ -63,6 +65,7 @@ class Facts(NamedTuple):
         datagrams: that a message takes, about; 0: its transport has none.
         limit: Hz that an operator allows it; 0: all.
         limited_by: who says so.
+        yielded: what it leaves to topics with a higher priority; None: nothing.
     """
 
     sends: bool
@@ -97,6 +100,7 @@ class Facts(NamedTuple):
     datagrams: int = 0
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
+    yielded: Yielded | None = None
 
 
 def judge(facts: Facts) -> Verdict:
@@ -233,7 +237,7 @@ def _slow(facts: Facts) -> Verdict | None:
 _LOSSES: dict[str, tuple[Cause, str]] = {
     "queue full": (
         Cause.QUEUE_FULL,
-        "more is published than the link carries: set max_rate, compression: zstd, or use a faster link",
+        "more is published than the link carries: set max_rate, compression: zstd, or priority, or use a faster link",
     ),
     "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),
@@ -241,6 +245,10 @@ _LOSSES: dict[str, tuple[Cause, str]] = {
     "slow subscriber": (Cause.NOT_PUBLISHED, "a subscriber there does not take its messages: restart it"),
     "expands too much": (Cause.NOT_PUBLISHED, "they expand too much there: send less, or without compression"),
 }
+
+
+def _thinned(facts: Facts) -> Verdict | None:
+    return verdict_of(facts.yielded) if facts.yielded is not None else None
 
 
 def _lossy(facts: Facts) -> Verdict | None:
@@ -294,6 +302,7 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _publishers_qos,
     _publishers_types,
     _unresolved,
+    _thinned,
     _lossy,
     _stale,
     _stopped,

@@ -23,7 +23,7 @@ _WINDOW = 10.0
 """s over which losses are counted."""
 _LOSSY_ABOVE, _WHOLE_BELOW, _LEAST_LOST = 0.05, 0.02, 3
 """Shares of the messages, and messages: from the one on a topic loses messages, below the other it no longer does."""
-_NO_LOSS = frozenset({"already published", "link lost", "would loop"})
+_NO_LOSS = frozenset({"already published", "link lost", "would loop", "thinned"})
 """Causes of drops that are meant, or that the link's own state explains."""
 
 

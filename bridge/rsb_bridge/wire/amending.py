@@ -6,6 +6,7 @@ from rsb_bridge.wire.fields import (
     Count,
     Hertz,
     Name,
+    Rank,
     RouteId,
     StaleAfter,
     check_limits,
@@ -17,7 +18,8 @@ class Amend(ControlMessageBase, frozen=True):
     """The route goes on with other limits; the fields are those of `Propose`.
 
     The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
-    changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer.
+    changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. Without
+    a `priority`, it is an older side's, and the route keeps the one it has.
     """
 
     route: RouteId
@@ -25,6 +27,7 @@ class Amend(ControlMessageBase, frozen=True):
     expected_rate: Hertz = 0.0
     stale_after: StaleAfter | None = None
     who: Name = ""
+    priority: Rank | None = None
 
     def __post_init__(self) -> None:
         check_limits(self.max_rate, self.expected_rate, self.stale_after)

@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
 from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.priority import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
 
@@ -31,6 +32,7 @@ Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
 StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
+Rank: TypeAlias = Annotated[int, Meta(ge=LOWEST, le=HIGHEST)]
 Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=PRINTABLE)]
 Hops: TypeAlias = Annotated[tuple[Hop, ...], Meta(min_length=1, max_length=MOST_HOPS)]
 MaybeHops: TypeAlias = Annotated[tuple[Hop, ...], Meta(max_length=MOST_HOPS)]

@@ -27,6 +27,7 @@ from rsb_bridge.wire.fields import (
     NodeNames,
     Port,
     PublisherIds,
+    Rank,
     Reason,
     RefuseCode,
     RouteId,
@@ -119,6 +120,7 @@ class Propose(_Message, frozen=True, kw_only=True):
             is not a topic, the "sending side" is the callers'. Only topics are proposed to a peer whose `features` lack
             `rsb_bridge.model.lanes.FEATURE`.
         timeout: s until a call without an answer is given up; 0: 30 s, or it is a topic.
+        priority: of a topic, `rsb_bridge.model.priority.RANKS`; an older sender ignores it.
     """
 
     route: RouteId
@@ -141,6 +143,7 @@ class Propose(_Message, frozen=True, kw_only=True):
     edited: bool = False
     kind: Name = "topic"
     timeout: Seconds = 0.0
+    priority: Rank = 0
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)

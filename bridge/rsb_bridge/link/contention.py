@@ -1,0 +1,175 @@
+"""Divides a link among this side's topics by their priorities, while it carries less than they ask for.
+
+Once a second it looks whether more is asked for than crosses: a channel that was never idle for half a second, messages
+dropped from a full queue, or pings held up behind a queue somewhere on the way. Then what arrives now, less a tenth, is
+divided (`rsb_bridge.route.allotment`). As long as that is enough, what is divided grows again, until
+nobody has to yield. Where all topics have one priority, nothing is divided: each has its own queue, as ever.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.priority import FEATURE
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.route.allotment import Wish, allot, highest
+from rsb_bridge.route.outgoing import OutgoingRoute
+from rsb_bridge.route.yielding import Share
+from rsb_bridge.telemetry.throughput import Throughput
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable
+
+    from rsb_bridge.channel.channel import Carrier
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.keepalive import Keepalive
+    from rsb_bridge.route.route import Route
+    from rsb_bridge.route.yielding import Traffic
+
+_BUSY = 0.5
+"""s for which a channel has not been idle."""
+_HELD_UP = 0.2
+"""s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
+_MARGIN, _DRAINS = 0.9, 0.6
+"""Parts of what crosses that are divided; the second one while a queue on the way drains."""
+_PROBES_AFTER, _GROWS = 15, 1.05
+"""What is divided grows after so many seconds in which it was enough, each second to so many times as much."""
+_ENOUGH = 1.1
+"""Times what is asked for."""
+_SHORTEST_PINGS = 60
+
+
+class _Asking(NamedTuple):
+    """A topic that has messages to send."""
+
+    route: OutgoingRoute
+    traffic: Traffic
+
+
+class _Counts(NamedTuple):
+    """Of a route's ledger."""
+
+    delivered: int
+    queue_full: int
+
+
+class Contention:
+    """One link's.
+
+    Attributes:
+        sending: what the link carries from here.
+        receiving: what it carries to here.
+    """
+
+    def __init__(
+        self, context: Context, routes: Callable[[], Iterable[Route]], carriers: Callable[[], Collection[Carrier]]
+    ) -> None:
+        self.sending, self.receiving = Throughput(), Throughput()
+        self._context = context
+        self._routes = routes
+        self._carriers = carriers
+        self._divided: float | None = None
+        self._enough_for = 0
+        self._carried = 0.0
+        self._held = False
+        self._received = 0
+        self._counts: dict[OutgoingRoute, _Counts] = {}
+        self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
+        self._told = -1
+
+    def tick(self, keepalive: Keepalive) -> None:
+        """Look once a second, while linked."""
+        now, at = self._context.now(), self._context.wall()
+        asking = [
+            _Asking(route, route.yielding.look(now))
+            for route in self._routes()
+            if isinstance(route, OutgoingRoute) and route.connected
+        ]
+        arrived, full = self._looked(asking)
+        held_up = self._held_up(keepalive)
+        full = full or held_up
+        crossed = self.sending.look(arrived, now, at, full=full)
+        received = sum(each.received_bytes for each in self._carriers())
+        self.receiving.look(received - self._received, now, at, full=False)
+        self._received = received
+        self._divide(asking, crossed, now, full=full, held_up=held_up)
+
+    def _looked(self, asking: Collection[_Asking]) -> tuple[float, bool]:
+        """How many bytes have arrived since the last look, and whether more waits to be sent all the time."""
+        full, arrived = False, 0.0
+        before, self._counts = self._counts, {}
+        for route, traffic in asking:
+            if not traffic.bytes_per_second:
+                continue
+            ledger = route.ledger()
+            held = route.yielding.holds
+            counts = self._counts[route] = _Counts(ledger.delivered, ledger.dropped.get("queue full", 0))
+            last = before.get(route, counts)
+            arrived += max(0, counts.delivered - last.delivered) * traffic.size
+            full = full or (not held and (traffic.busy >= _BUSY or counts.queue_full > last.queue_full))
+        return arrived + self._calls(), full
+
+    def _calls(self) -> float:
+        """Bytes/s of calls, which go ahead of all topics."""
+        return sum(route.meter.bytes_per_second for route in self._routes() if route.duplex)
+
+    def _held_up(self, keepalive: Keepalive) -> bool:
+        """Whether pings wait behind a queue somewhere on the way."""
+        rtt = keepalive.round_trip
+        if rtt is None:
+            return False
+        self._pings.append(rtt)
+        before, self._held = self._held, rtt - min(self._pings) > _HELD_UP
+        return before and self._held
+
+    def _divide(self, asking: list[_Asking], crossed: float, now: float, *, full: bool, held_up: bool) -> None:
+        wishes = {
+            each.route: Wish(each.route.rank, each.traffic.bytes_per_second)
+            for each in asking
+            if each.traffic.bytes_per_second > 0.0
+        }
+        asked = sum(wish.bytes_per_second for wish in wishes.values())
+        if len({wish.rank for wish in wishes.values()}) < 2:
+            self._divided = None
+        elif full:
+            self._enough_for = 0
+            self._carried = crossed
+            self._divided = crossed * (_DRAINS if held_up else _MARGIN)
+        elif self._divided is not None:
+            self._enough_for += 1
+            self._divided = max(self._divided, self._carried * _MARGIN)
+            if self._enough_for >= _PROBES_AFTER:
+                self._divided *= _GROWS
+            self._carried = max(self._carried, self._divided)
+            if self._divided >= _ENOUGH * asked:
+                self._divided = None
+        self._tell(wishes, asked, [each.route for each in asking], now)
+
+    def _tell(self, wishes: dict[OutgoingRoute, Wish], asked: float, routes: list[OutgoingRoute], now: float) -> None:
+        """Tell each topic its share."""
+        shares: dict[OutgoingRoute, float] = {}
+        top = highest([wish.rank for wish in wishes.values()])
+        if self._divided is not None:
+            shares = allot(max(0.0, self._divided - self._calls()), wishes)
+        first = max(
+            (route for route, wish in wishes.items() if wish.rank == top),
+            key=lambda route: wishes[route].bytes_per_second,
+            default=None,
+        )
+        for route in routes:
+            share = None
+            if first is not None and route in shares and wishes[route].rank < top:
+                share = Share(shares[route], min(self._carried, asked), asked, first.topic)
+            route.yielding.told(share, low=route.rank < 0, qos=route.qos, now=now)
+
+    def heard(self, features: Collection[str], connection: int) -> None:
+        """Say, once a connection, where the other side is too old to keep to the priorities that are asked for."""
+        if FEATURE in features or self._told == connection:
+            return
+        asked = [route for route in self._routes() if not route.outgoing and route.proposal.priority and route.accepted]
+        if asked:
+            self._told = connection
+            text = "the other side's rsb-console is too old to keep to priorities of what it sends: update it"
+            asked[0].log(Level.WARNING, EventCode.ROUTE_AMENDED, text)

@@ -1,0 +1,168 @@
+"""Topics of three priorities on a link that carries less than they ask for."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.simulation.climate import STILL
+from tests.simulation.invariants import route_of
+from tests.simulation.world import World
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.verdict import Cause
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tests.simulation.conftest import Play
+
+    from rsb_bridge.model.priority import Priority
+    from rsb_bridge.model.session import Protocol
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+_BANDWIDTH = 100_000.0
+"""Bytes/s: the topics ask for three times as much."""
+_BEGIN, _SETTLED, _SECONDS = 20.0, 15.0, 60.0
+"""s until the link gets slow, until its division has settled, and for which it is then looked at."""
+_BEST_EFFORT = Qos(reliability="best_effort")
+
+
+@dataclass
+class Asked:
+    """A topic: its priority, Hz and bytes a message."""
+
+    priority: Priority
+    rate: float
+    size: int
+    qos: Qos = _BEST_EFFORT
+
+
+class Slow:
+    """A world with one robot whose topics share a slow link.
+
+    Attributes:
+        rates: Hz that come out, by topic, while it is slow.
+        lost: messages dropped likewise, whatever for.
+        shown: each topic's route on the sending side at the end.
+    """
+
+    def __init__(self, seed: int, topics: Sequence[Asked], protocol: Protocol = "tcp") -> None:
+        self.world = World(seed, replace(STILL, patience=4.0))
+        (self.robot,) = self.world.robots
+        self.robot.flows.clear()
+        self.world.flows.clear()
+        entries = [
+            Topic(topic=f"/topic{number}", direction="transmit", protocol=protocol, priority=asked.priority)
+            for number, asked in enumerate(topics)
+        ]
+        self.robot.station.session = msgspec.structs.replace(self.robot.station.session, topics=tuple(entries))
+        for entry, asked in zip(entries, topics, strict=True):
+            flow = self.world.add_flow(self.robot, entry, self.world.random("flows"))
+            flow.qos, flow.period, flow.size = asked.qos, 1.0 / asked.rate, asked.size
+        self.rates: list[float] = []
+        self.lost: list[int] = []
+        self.shown: list[RouteSnapshot] = []
+
+    async def live(self, again: float = 0.0) -> None:
+        """Get slow, settle, and count; then be fast again for so many s."""
+        await asyncio.sleep(_BEGIN)
+        ends = self.robot.station.machine, self.world.server.machine
+        with self.world.trouble("narrow", self.robot):
+            self.world.network.path(*ends).bandwidth = _BANDWIDTH
+            await asyncio.sleep(_SETTLED)
+            before = [flow.heard for flow in self.robot.flows]
+            dropped = [shown.ledger.dropped_total for shown in self.snapshots()]
+            await asyncio.sleep(_SECONDS)
+            counts = [flow.heard - count for flow, count in zip(self.robot.flows, before, strict=True)]
+            self.rates = [count / _SECONDS for count in counts]
+            self.shown = self.snapshots()
+            self.lost = [shown.ledger.dropped_total - was for shown, was in zip(self.shown, dropped, strict=True)]
+            self.world.network.path(*ends).bandwidth = None
+            await asyncio.sleep(again)
+
+    def snapshots(self) -> list[RouteSnapshot]:
+        """Each topic's route on the sending side."""
+        here, _ = self.world.link_ends(self.robot) or (None, None)
+        assert here is not None
+        routes = [route_of(here, flow) for flow in self.robot.flows]
+        return [route.snapshot() for route in routes if route is not None]
+
+
+def check_balance(shown: RouteSnapshot) -> None:
+    """Every message that was offered is somewhere in the ledger."""
+    ledger = shown.ledger
+    parts = ledger.delivered + ledger.throttled + ledger.expired + ledger.in_flight + ledger.dropped_total
+    assert (ledger.offered, ledger.in_flight >= 0) == (parts, True), ledger
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+@pytest.mark.parametrize("seed", [1])
+def test_the_lowest_yields_first(seed: int, protocol: Protocol, play: Play) -> None:
+    """The high one keeps its rate and its latency, the low ones are thinned, and none of them starves."""
+    slow = Slow(seed, [Asked("high", 20.0, 1_000), Asked("normal", 10.0, 4_000), Asked("low", 30.0, 8_000)], protocol)
+    play(slow.world, 120.0, slow.live())
+    high, _, low = slow.shown
+    assert slow.rates[0] > 0.95 * 20.0
+    assert slow.rates[1] > 0.75 * 10.0
+    assert 1.0 < slow.rates[2] < 6.0
+    assert high.latency_p99 is not None
+    assert high.latency_p99 < 1.0
+    assert slow.lost[0] <= 0  # what had seemed lost may have come
+    assert low.ledger.dropped["thinned"] > 20.0 * _SECONDS
+    assert low.cause == Cause.THINNED
+    assert "/topic0 goes first" in low.reason
+    for shown in slow.shown:
+        check_balance(shown)
+
+
+def test_a_high_one_that_wants_it_all(play: Play) -> None:
+    """The others keep a twentieth of the link each."""
+    slow = Slow(1, [Asked("high", 40.0, 8_000), Asked("normal", 10.0, 1_000), Asked("low", 10.0, 1_000)])
+    play(slow.world, 120.0, slow.live())
+    assert slow.rates[0] > 9.0
+    assert min(slow.rates[1:]) > 2.0
+    assert "thinned" not in slow.shown[0].ledger.dropped
+
+
+def test_a_reliable_one_is_held_back(play: Play) -> None:
+    """Nothing of it is left out silently: it waits in its queue, which drops what it does not hold."""
+    slow = Slow(1, [Asked("high", 20.0, 2_000), Asked("normal", 30.0, 8_000, Qos())])
+    play(slow.world, 120.0, slow.live())
+    _, reliable = slow.shown
+    assert slow.rates[0] > 0.95 * 20.0
+    assert "thinned" not in reliable.ledger.dropped
+    assert reliable.cause == Cause.THINNED
+    assert 3.0 < slow.rates[1] < 15.0
+    check_balance(reliable)
+
+
+def test_a_reliable_one_that_is_to_go_first_is_thinned(play: Play) -> None:
+    slow = Slow(1, [Asked("normal", 20.0, 2_000), Asked("low", 30.0, 8_000, Qos())])
+    play(slow.world, 120.0, slow.live())
+    assert slow.shown[1].ledger.dropped["thinned"] > 0
+    assert slow.rates[0] > 0.95 * 20.0
+
+
+def test_equals_are_left_to_their_queues(play: Play) -> None:
+    slow = Slow(1, [Asked("normal", 30.0, 8_000), Asked("normal", 20.0, 1_000)])
+    play(slow.world, 120.0, slow.live())
+    assert all("thinned" not in shown.ledger.dropped for shown in slow.shown)
+
+
+def test_once_the_link_is_fast_again_nobody_yields(play: Play) -> None:
+    slow = Slow(1, [Asked("high", 20.0, 1_000), Asked("low", 30.0, 8_000)])
+    later: list[RouteSnapshot] = []
+
+    async def live() -> None:
+        await slow.live(again=90.0)
+        later.extend(slow.snapshots())
+
+    play(slow.world, 240.0, live())
+    assert slow.shown[1].cause == Cause.THINNED
+    assert later[1].cause != Cause.THINNED
+    assert later[1].rate > 25.0
