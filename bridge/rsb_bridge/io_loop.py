@@ -10,8 +10,10 @@ waits for the turn but the loop's thread itself, so that nothing can deadlock.
 from __future__ import annotations
 
 import asyncio
+import math
 import selectors
 import threading
+import time
 from typing import TYPE_CHECKING, Any, TypeVarTuple
 
 if TYPE_CHECKING:
@@ -29,8 +31,9 @@ class IoLoop(asyncio.SelectorEventLoop):
     def __init__(self) -> None:
         self._turn = threading.Lock()
         self._waits = _Selector(self._turn)
-        self._due = False  # a visitor has left something that the loop has to wake up for
         super().__init__(self._waits)
+        # What is registered from the start is how other threads wake the loop, for callbacks that they have added.
+        self._waits.leave_all_to_the_loop()
 
     def do_now(self, work: Callable[[], object]) -> bool:
         """Do something on this thread as if it were the loop's. From any thread.
@@ -49,14 +52,14 @@ class IoLoop(asyncio.SelectorEventLoop):
                 return False
             # What every event loop does around its callbacks: the work may ask which loop is running.
             asyncio._set_running_loop(self)
-            self._due = False
+            self._waits.due = False
             try:
                 work()
             except (SystemExit, KeyboardInterrupt):
                 raise
             except BaseException as error:  # noqa: BLE001 — as every event loop does
                 self.call_exception_handler({"message": f"exception in {work}", "exception": error})
-            if self._due:
+            if self._waits.due:
                 self.call_soon_threadsafe(_nothing)
         finally:
             asyncio._set_running_loop(before)
@@ -68,19 +71,19 @@ class IoLoop(asyncio.SelectorEventLoop):
             super().run_forever()
 
     def stop(self) -> None:
-        self._due = True
+        self._waits.due = True
         super().stop()
 
     def call_soon(
         self, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
     ) -> asyncio.Handle:
-        self._due = True
+        self._waits.due = True
         return super().call_soon(callback, *args, context=context)
 
     def call_at(
         self, when: float, callback: Callable[[*Ts], object], *args: *Ts, context: Context | None = None
     ) -> asyncio.TimerHandle:
-        self._due = True
+        self._waits.due = True
         return super().call_at(when, callback, *args, context=context)
 
 
@@ -89,40 +92,66 @@ class _Selector(selectors.EpollSelector):
 
     Attributes:
         over: the wait is over: the loop's thread wants the turn back, before the next visitor.
+        due: the loop has got something to do beside what it waits for: a callback, a timer, or to stop.
     """
 
     def __init__(self, turn: threading.Lock) -> None:
         super().__init__()
         self.over = False
+        self.due = False
         self._turn = turn
         self._changes = 0
+        self._readers: dict[int, asyncio.Handle] = {}  # of the descriptors that are waited for to read only
+        self._poll: Callable[[float, int], list[tuple[int, int]]] = self._selector.poll  # type: ignore[attr-defined]
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        if timeout is not None and timeout <= 0:
-            return super().select(timeout)
-        changes = self._changes
-        self._turn.release()
-        try:
-            ready = super().select(timeout)
-        finally:
-            self.over = True
-            self._turn.acquire()
-            self.over = False
-        # A visitor may have closed what was ready, and a new socket may have its number. What is ready still is
-        # reported again by the next wait.
-        return ready if changes == self._changes else []
+        """Wait; what is there for one reader alone is read, and then the wait goes on."""
+        until = math.inf if timeout is None else time.monotonic() + timeout
+        self.due = False
+        while timeout is None or timeout > 0:
+            found, changes = [], self._changes
+            self._turn.release()
+            try:
+                found = self._poll(-1 if timeout is None else timeout, 2)
+            finally:
+                self.over = True
+                self._turn.acquire()
+                self.over = False
+            # A visitor may have closed what was found, and a new socket may have its number.
+            reader = self._readers.get(found[0][0]) if len(found) == 1 and changes == self._changes else None
+            if reader is None:
+                break
+            reader._run()
+            if self.due:
+                break
+            if timeout is not None:
+                timeout = until - time.monotonic()
+        return super().select(0)
+
+    def leave_all_to_the_loop(self) -> None:
+        """What is registered by now is read as asyncio does."""
+        self._readers.clear()
 
     def register(self, fileobj: FileDescriptorLike, events: int, data: Any = None) -> selectors.SelectorKey:
-        self._changes += 1
-        return super().register(fileobj, events, data)
+        return self._changed(super().register(fileobj, events, data))
 
     def unregister(self, fileobj: FileDescriptorLike) -> selectors.SelectorKey:
+        key = super().unregister(fileobj)
         self._changes += 1
-        return super().unregister(fileobj)
+        self._readers.pop(key.fd, None)
+        return key
 
     def modify(self, fileobj: FileDescriptorLike, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._changed(super().modify(fileobj, events, data))
+
+    def _changed(self, key: selectors.SelectorKey) -> selectors.SelectorKey:
         self._changes += 1
-        return super().modify(fileobj, events, data)
+        self._readers.pop(key.fd, None)
+        if key.events == selectors.EVENT_READ:
+            # What asyncio registers is a pair of handles, for reading and for writing. What it does with one that is
+            # ready is to run it.
+            self._readers[key.fd] = key.data[0]
+        return key
 
 
 def _nothing() -> None:

@@ -154,6 +154,69 @@ def test_the_loop_hears_a_socket_that_a_visitor_registers_while_it_waits(loop: I
         visit(loop, lambda: loop.remove_reader(near))
 
 
+@pytest.fixture
+def always_ready() -> Iterator[socket.socket]:
+    """A socket that can be read at any time."""
+    near, far = socket.socketpair()
+    with near, far:
+        far.send(b"for ever")
+        yield near
+
+
+@pytest.mark.parametrize(
+    "leave",
+    [
+        lambda loop, done: loop.call_soon(done.set),
+        lambda loop, done: loop.call_later(0.01, done.set),
+        lambda loop, done: loop.create_task(_set(done)),
+    ],
+)
+def test_a_reader_that_always_has_something_holds_nothing_up(
+    loop: IoLoop, always_ready: socket.socket, leave: Callable[[IoLoop, threading.Event], object]
+) -> None:
+    """Neither what it leaves for later itself, nor others' callbacks, timers, sockets and visits."""
+    from_timer, from_reader, from_thread = threading.Event(), threading.Event(), threading.Event()
+    reads: list[bytes] = []
+
+    def read() -> None:
+        reads.append(always_ready.recv(100, socket.MSG_PEEK))
+        if len(reads) == 100:
+            leave(loop, from_reader)
+
+    loop.call_soon_threadsafe(loop.call_later, 0.01, from_timer.set)
+    loop.call_soon_threadsafe(loop.add_reader, always_ready, read)
+    loop.call_soon_threadsafe(from_thread.set)
+    near, far = socket.socketpair()
+    with near, far:
+        received: list[bytes] = []
+        loop.call_soon_threadsafe(loop.add_reader, near, lambda: received.append(near.recv(100)))
+        far.send(b"1")
+        assert from_timer.wait(60.0)
+        assert from_reader.wait(60.0)
+        assert from_thread.wait(60.0)
+        eventually(lambda: received == [b"1"])
+        for each in (near, always_ready):
+            loop.call_soon_threadsafe(loop.remove_reader, each)
+        visit(loop, reads.clear)
+        holds(lambda: not reads, 0.05)
+
+
+def test_a_reader_may_fail_stop_reading_and_stop_the_loop(always_ready: socket.socket) -> None:
+    loop, errors = IoLoop(), list[dict[str, Any]]()
+    loop.set_exception_handler(lambda _, details: errors.append(details))
+
+    def read() -> None:
+        if not errors:
+            raise KeyError("a mistake")
+        loop.remove_reader(always_ready)
+        loop.add_reader(always_ready, loop.stop)
+
+    loop.add_reader(always_ready, read)
+    loop.run_forever()
+    assert isinstance(errors[0]["exception"], KeyError)
+    loop.close()
+
+
 def test_what_a_visitor_has_closed_is_not_heard_nor_a_new_socket_of_its_number_left_out(loop: IoLoop) -> None:
     with ExitStack() as sockets:
         near, far, other, beyond = (
