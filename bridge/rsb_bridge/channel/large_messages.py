@@ -26,22 +26,40 @@ _A_TURN = 4 * BATCH_BYTES
 """Bytes at one turn of the loop: 0.4 ms."""
 
 
+class Scratch:
+    """Memory that pieces are sealed into, one after another. A link's channels share it, on the I/O loop."""
+
+    def __init__(self) -> None:
+        self._memory = bytearray()
+
+    def lend(self, size: int) -> bytearray:
+        """Memory of at least that size, for as long as the caller does not return to the loop."""
+        if len(self._memory) < size:
+            self._memory = bytearray(size)
+        return self._memory
+
+    def lost(self) -> None:
+        """Somebody holds on to what was lent."""
+        self._memory = bytearray()
+
+
 class LargeMessages:
     """Those of one channel that its stream has not taken whole.
 
     Args:
         stream: takes them.
         writer: seals them.
+        scratch: lends memory.
         resume: calls `go_on`, and whatever else has waited meanwhile.
     """
 
-    def __init__(self, stream: Stream, writer: DataWriter, resume: Callable[[], None]) -> None:
+    def __init__(self, stream: Stream, writer: DataWriter, scratch: Scratch, resume: Callable[[], None]) -> None:
         self._stream = stream
         self._writer = writer
         self._resume = resume
         self._messages: deque[Message] = deque()
         self._at = 0  # bytes of the oldest that have been sealed
-        self._piece = bytearray()
+        self._scratch = scratch
         self._turn: asyncio.Handle | None = None
 
     @property
@@ -62,13 +80,10 @@ class LargeMessages:
                 self._turn = asyncio.get_running_loop().call_soon(self._next_turn)
                 return
             left -= self._send_piece()
-        if not self._messages:
-            self._piece = bytearray()
 
     def close(self) -> None:
         """Drop what waits."""
         self._messages.clear()
-        self._piece = bytearray()
         if self._turn is not None:
             self._turn.cancel()
             self._turn = None
@@ -80,12 +95,11 @@ class LargeMessages:
     def _send_piece(self) -> int:
         payload, stamp, flags = self._messages[0]
         needed = self._writer.piece_size(min(len(payload) - self._at, 2 * _CHUNK), _CHUNK)
-        if len(self._piece) < needed:
-            self._piece = bytearray(needed)
-        used, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, _CHUNK, self._piece)
-        self._stream.write(memoryview(self._piece)[:used])
+        piece = self._scratch.lend(needed)
+        used, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, _CHUNK, piece)
+        self._stream.write(memoryview(piece)[:used])
         if self._stream.congested:
-            self._piece = bytearray()  # the stream may hold on to it
+            self._scratch.lost()  # the stream's, until it has sent it
         if self._at >= len(payload):
             self._messages.popleft()
             self._at = 0

@@ -64,7 +64,7 @@ class StreamSender(_StreamChannel):
     def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
         super().__init__(stream, route, keys)
         self._writer = keys.stream_writer(route.id)
-        self._large = LargeMessages(stream, self._writer, self.writable)
+        self._large = LargeMessages(stream, self._writer, keys.scratch, self.writable)
 
     @property
     def congested(self) -> bool:
