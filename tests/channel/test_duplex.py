@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Role
 
 _EXPORT = bytes(range(32))
-_BUDGET = 16 << 20
+_BUDGET = 64 << 20
 
 
 @dataclass(eq=False)
@@ -99,7 +99,7 @@ def _keys() -> SessionKeys:
 Place: TypeAlias = "Callable[[End, Iterable[Route]], None]"
 
 
-def _on_its_own(end: End, routes: Iterable[Route]) -> None:
+def on_its_own(end: End, routes: Iterable[Route]) -> None:
     for route in routes:
         route.channel = stream_channel(end.stream, route, end.keys)  # type: ignore[assignment]  # tests use what it has
 
@@ -110,7 +110,7 @@ def _on_a_shared_one(end: End, routes: Iterable[Route]) -> None:
         route.channel = shared.carry(route, end.keys)  # type: ignore[assignment]  # likewise
 
 
-CARRIERS = pytest.mark.parametrize("place", [_on_its_own, _on_a_shared_one])
+CARRIERS = pytest.mark.parametrize("place", [on_its_own, _on_a_shared_one])
 
 
 @asynccontextmanager
@@ -122,7 +122,7 @@ async def connected(place: Place, *specs: tuple[int, bool]) -> AsyncIterator[tup
     loop = asyncio.get_running_loop()
     ends: list[End] = []
     roles: tuple[Role, Role] = ("client", "server")
-    kind = Stream if place is _on_its_own else _SlowStream
+    kind = Stream if place is on_its_own else _SlowStream
     for sock, role in zip(socket.socketpair(), roles, strict=True):
         sock.setblocking(False)
         _, stream = await loop.create_connection(lambda: kind(StreamHandler()), sock=sock)

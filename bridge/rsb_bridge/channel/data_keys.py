@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel.large_messages import Scratch
 from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
 from rsb_bridge.wire.framing import DataReader, DataWriter
 
@@ -21,11 +22,13 @@ class DataKeys:
         keys: of the present connection.
         role: of this side.
         budget: what the link's incomplete messages may hold together.
+        scratch: what large messages are sealed in.
     """
 
     keys: SessionKeys
     role: Role
     budget: Budget
+    scratch: Scratch = field(default_factory=Scratch)
 
     @property
     def peer_role(self) -> Role:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel.large_messages import LARGE, LargeMessages
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.sealing import SealError
@@ -63,21 +64,31 @@ class StreamSender(_StreamChannel):
     def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
         super().__init__(stream, route, keys)
         self._writer = keys.stream_writer(route.id)
+        self._large = LargeMessages(stream, self._writer, keys.scratch, self.writable)
 
     @property
     def congested(self) -> bool:
-        return self.carrier.congested
+        return self.carrier.congested or self._large.waiting
 
     @property
     def batch_bytes(self) -> int:
         return self.carrier.batch_bytes
 
     def send(self, batch: Sequence[Message]) -> None:
-        self.carrier.write(self._writer.write_many(batch))
+        if not self._large.waiting and max([len(message[0]) for message in batch]) < LARGE:
+            self.carrier.write(self._writer.write_many(batch))
+        else:
+            self._large.send(batch)
 
     def writable(self) -> None:
         """The stream takes more again."""
-        self._route.flush()
+        self._large.go_on()
+        if not self._large.waiting:
+            self._route.flush()
+
+    def close(self, reason: str) -> None:
+        self._large.close()
+        super().close(reason)
 
     def received(self, data: bytes) -> None:
         """Bytes came, although the peer has nothing to say here."""

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 # PyDLL keeps the GIL: the calls take about 1 µs, and giving it up each time would cost a whole switch interval whenever
 # another thread is busy. rclpy has loaded the libraries; librcl's handle also finds what it depends on.
 librcl = ctypes.PyDLL("librcl.so")
+librcl_without_gil = ctypes.CDLL("librcl.so")
+"""For calls that take long, as those that copy large messages do: other threads run meanwhile."""
 reset_error = librcl.rcutils_reset_error
 
 

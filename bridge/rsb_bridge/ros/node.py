@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from rsb_bridge.model.qos import incompatible
 from rsb_bridge.ros.api import RawMessage, RosError
 from rsb_bridge.ros.drain import ClientDrain, Drain, ServerDrain
+from rsb_bridge.ros.heap import large_blocks_kept
 from rsb_bridge.ros.middleware import check_middleware
 from rsb_bridge.ros.typesupport import hash_of, installed_class, installed_service, service_hash_of
 
@@ -287,6 +288,10 @@ class RosNode:
                     self._participant.wake()
 
     def _run(self, participant: Participant) -> None:
+        with large_blocks_kept():
+            self._serve(participant)
+
+    def _serve(self, participant: Participant) -> None:
         drains: dict[int, Drain[Any]] = {}
         endpoints: tuple[Incoming, ...] = ()
         try:

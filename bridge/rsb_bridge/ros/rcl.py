@@ -24,10 +24,10 @@ from rsb_bridge.ros.api import Endpoint, RosError
 from rsb_bridge.ros.conversions import endpoint_of, rcl_profile, safe_type_name
 from rsb_bridge.ros.descriptions import ask_node
 from rsb_bridge.ros.librcl import Handle, librcl, reason_of, reset_error
-from rsb_bridge.ros.serialization import Buffer
 from rsb_bridge.ros.service_endpoints import Client, Server
 from rsb_bridge.ros.service_graph import CallerTable, callers, servers
 from rsb_bridge.ros.service_types import borrow_service
+from rsb_bridge.ros.take_buffer import TakeBuffer
 from rsb_bridge.ros.topic_endpoints import Reader, Writer
 from rsb_bridge.ros.typed_services import TypedClient, TypedServer
 
@@ -123,7 +123,7 @@ class Participant:
         self._graph_version = 0
         self._late: dict[Server, None] = {}
         self._waits = self._wait_set(self._capacity)
-        self._buffer = Buffer()
+        self._buffer = TakeBuffer()
         # The middleware has a participant's entities locked while it asks a type support that is in Python, where the
         # GIL may change hands: nobody may have it then and want that lock.
         self._entities = threading.RLock()

@@ -22,8 +22,8 @@ class _Allocator(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in ("allocate", "deallocate", "reallocate", "zero", "state"))
 
 
-class Buffer(ctypes.Structure):
-    """A rcl_serialized_message_t: a buffer that rcl makes larger as it needs."""
+class Serialized(ctypes.Structure):
+    """A rcl_serialized_message_t."""
 
     _fields_ = (
         ("data", ctypes.c_void_p),
@@ -31,6 +31,10 @@ class Buffer(ctypes.Structure):
         ("capacity", ctypes.c_size_t),
         ("allocator", _Allocator),
     )
+
+
+class Buffer(Serialized):
+    """One that rcl makes larger as it needs."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -12,18 +12,23 @@ import time
 from typing import TYPE_CHECKING, Literal
 
 from rsb_bridge.ros.api import RawMessage, RosError
-from rsb_bridge.ros.librcl import librcl, reason_of, reset_error
+from rsb_bridge.ros.librcl import librcl, librcl_without_gil, reason_of, reset_error
+from rsb_bridge.ros.serialization import Serialized
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
     from rsb_bridge.ros.librcl import Handle
-    from rsb_bridge.ros.serialization import Buffer
+    from rsb_bridge.ros.take_buffer import TakeBuffer
 
 _TAKE_FAILED = 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED: there is no message
 _PUBLISHERS_REMEMBERED = 1024
 _DISCOVERED_WITHIN = 5.0  # s: how long a publisher that was there before may take to be found
 _LAST_NUMBER = 2**63 - 1
+_LARGE = 16 * 1024
+"""Bytes from which on a call through ctypes costs less than rclpy's copy."""
+_LONG = 256 * 1024
+"""Bytes from which on the middleware's copies take longer than it may take to get the GIL back."""
 
 _INFO = struct.Struct("@qqQQP16s?0P")
 """rmw_message_info_t: source and reception time in ns, publication and reception number, publisher's gid (its
@@ -37,7 +42,13 @@ class _Gid(ctypes.Structure):
 
 
 _take = librcl.rcl_take_serialized_message
-_take.argtypes = [ctypes.c_void_p] * 4
+_take_long = librcl_without_gil.rcl_take_serialized_message
+_take.argtypes = _take_long.argtypes = [ctypes.c_void_p] * 4
+_publish = librcl.rcl_publish_serialized_message
+_publish_long = librcl_without_gil.rcl_publish_serialized_message
+_publish.argtypes = _publish_long.argtypes = [ctypes.c_void_p] * 3
+_address_of = ctypes.pythonapi.PyBytes_AsString
+_address_of.argtypes, _address_of.restype = [ctypes.py_object], ctypes.c_void_p
 _publisher_handle = librcl.rcl_publisher_get_rmw_handle
 _publisher_handle.argtypes, _publisher_handle.restype = [ctypes.c_void_p], ctypes.c_void_p
 _gid_of_publisher = librcl.rmw_get_gid_for_publisher
@@ -58,7 +69,7 @@ class Reader:
 
     kind: Literal["subscription"] = "subscription"
 
-    def __init__(self, handle: Handle, buffer: Buffer, earlier: frozenset[bytes] | None) -> None:
+    def __init__(self, handle: Handle, buffer: TakeBuffer, earlier: frozenset[bytes] | None) -> None:
         """Begin to count.
 
         Args:
@@ -71,6 +82,7 @@ class Reader:
         self.lost = 0
         self._buffer = buffer
         self._info = ctypes.create_string_buffer(_INFO.size)
+        self._last_size = 0  # bytes that the last message had
         self._last: dict[bytes, int] = {}  # newest sequence number by publisher
         self._earlier = earlier
         self._made_at = time.monotonic()
@@ -82,17 +94,20 @@ class Reader:
             RosError: rcl failed.
         """
         address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
-        buffer_reference, unpack, copy = ctypes.byref(buffer), _INFO.unpack, ctypes.string_at
+        buffer_reference, unpack = ctypes.byref(buffer), _INFO.unpack
         taken = []
         for _ in range(limit):
-            code = _take(address, buffer_reference, info, None)
+            take = _take if self._last_size < _LONG else _take_long
+            code = take(address, buffer_reference, info, None)
             if code:
                 if code == _TAKE_FAILED:
                     break
                 reset_error()
                 raise RosError(f"{self.topic}: a message could not be taken (rcl error {code})")
             _, stamp, number, _, _, gid, _ = unpack(info)
+            self._last_size = buffer.length
             if gid in skip:
+                buffer.discard()
                 continue
             if number > _LAST_NUMBER:
                 number = 0  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
@@ -103,7 +118,7 @@ class Reader:
             if number > previous + 1:
                 self.lost += number - previous - 1
             last[gid] = number
-            taken.append(RawMessage(copy(buffer.data, buffer.length), stamp, gid, number))
+            taken.append(RawMessage(buffer.taken(), stamp, gid, number))
         return taken
 
     def close(self) -> None:
@@ -124,7 +139,7 @@ class Reader:
 
 
 class Writer:
-    """A raw publisher, for any thread: rclpy publishes with the GIL held, so it is never freed under a `publish`.
+    """A raw publisher, for any thread. It is never freed under a `publish`, which keeps the GIL, or else a lock.
 
     Attributes:
         topic: its resolved name.
@@ -150,10 +165,24 @@ class Writer:
         if len(payload) < 4:
             raise RosError(f"{self.topic}: a serialized message has at least 4 bytes, not {len(payload)}")
         try:
-            self._publish(payload)
+            if len(payload) < _LARGE:
+                self._publish(payload)
+            elif len(payload) < _LONG:
+                self._publish_in_place(_publish, payload)
+            else:
+                with self._closing:
+                    self._publish_in_place(_publish_long, payload)
         except RuntimeError as error:
             reason = "the publisher is closed" if self._closed else reason_of(error)
             raise RosError(f"{self.topic}: {reason}") from error
+
+    def _publish_in_place(self, publish: Callable[..., int], payload: bytes) -> None:
+        """Publish without rclpy, which would copy the payload."""
+        message = Serialized(_address_of(payload), len(payload), len(payload))
+        code = publish(self._handle.rclpy.pointer, ctypes.byref(message), None)
+        if code:
+            reset_error()
+            raise RuntimeError(f"the middleware refused a message (rcl error {code})")
 
     @property
     def matched(self) -> int:

@@ -81,8 +81,11 @@ class Stream(asyncio.Protocol):
         self._when_gone: Callable[[], None] = _nothing
         self._reason = ""
 
-    def write(self, data: bytes) -> None:
-        """Send, or keep until the socket takes it. Nothing happens on a stream that is over."""
+    def write(self, data: bytes | memoryview) -> None:
+        """Send, or keep until the socket takes it. Nothing happens on a stream that is over.
+
+        `data` may be used again once this has returned, unless the stream is congested then.
+        """
         if self._transport is not None and not self._transport.is_closing():
             self.sent_bytes += len(data)
             self._transport.write(data)

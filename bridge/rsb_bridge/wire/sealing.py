@@ -46,6 +46,10 @@ class _Cipher(Protocol):
 
     def decrypt(self, nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes: ...
 
+    def encrypt_into(self, nonce: bytes, data: Buffer, associated_data: Buffer, buf: memoryview) -> int: ...
+
+    def decrypt_into(self, nonce: bytes, data: Buffer, associated_data: Buffer, buf: memoryview) -> int: ...
+
 
 class _Checksum:
     """Takes the AEAD's place on a link without encryption: CRC-32 detects damage, but no attack."""
@@ -58,6 +62,18 @@ class _Checksum:
         if tag != self._tag(nonce, content, associated_data):
             raise InvalidTag
         return bytes(content)
+
+    def encrypt_into(self, nonce: bytes, data: Buffer, associated_data: Buffer, buf: memoryview) -> int:
+        buf[:-4] = data
+        buf[-4:] = self._tag(nonce, data, associated_data)
+        return len(buf)
+
+    def decrypt_into(self, nonce: bytes, data: Buffer, associated_data: Buffer, buf: memoryview) -> int:
+        content, tag = data[:-4], data[-4:]
+        if tag != self._tag(nonce, content, associated_data):
+            raise InvalidTag
+        buf[:] = content
+        return len(buf)
 
     @staticmethod
     def _tag(nonce: bytes, data: Buffer, associated_data: Buffer) -> bytes:
@@ -145,11 +161,21 @@ class Sealer(_StreamState):
         Returns:
             The sealed content, `Suite.tag_length` bytes longer.
         """
+        nonce = self._next()
+        return self._current.encrypt(nonce, content, associated)
+
+    def seal_into(self, content: Buffer, associated: Buffer, sealed: memoryview) -> None:
+        """Seal as `seal`, into memory of exactly the sealed content's length."""
+        nonce = self._next()
+        self._current.encrypt_into(nonce, content, associated, sealed)
+
+    def _next(self) -> bytes:
+        """The nonce of the next sequence number, which is used up with that."""
         sequence = self.sequence
         self.sequence = sequence + 1
         if sequence >> EPOCH_BITS != self._epoch:
             self._enter_epoch(sequence >> EPOCH_BITS)
-        return self._current.encrypt(self._nonce(sequence), content, associated)
+        return self._nonce(sequence)
 
 
 class StreamOpener(_StreamState):
@@ -165,15 +191,31 @@ class StreamOpener(_StreamState):
         Raises:
             SealError: the peer did not seal this next; the stream can't be used any more.
         """
+        nonce = self._nonce_now()
+        try:
+            content = self._current.decrypt(nonce, sealed, associated)
+        except InvalidTag:
+            raise self._forged() from None
+        self.sequence += 1
+        return content
+
+    def open_into(self, sealed: Buffer, associated: Buffer, content: memoryview) -> None:
+        """Open as `open`, into memory of exactly the content's length; what is there after an error means nothing."""
+        nonce = self._nonce_now()
+        try:
+            self._current.decrypt_into(nonce, sealed, associated, content)
+        except InvalidTag:
+            raise self._forged() from None
+        self.sequence += 1
+
+    def _nonce_now(self) -> bytes:
         sequence = self.sequence
         if sequence >> EPOCH_BITS != self._epoch:
             self._enter_epoch(sequence >> EPOCH_BITS)
-        try:
-            content = self._current.decrypt(self._nonce(sequence), sealed, associated)
-        except InvalidTag:
-            raise SealError(f"sequence {sequence} was not sealed with this key: damaged or forged") from None
-        self.sequence = sequence + 1
-        return content
+        return self._nonce(sequence)
+
+    def _forged(self) -> SealError:
+        return SealError(f"sequence {self.sequence} was not sealed with this key: damaged or forged")
 
 
 class DatagramOpener:

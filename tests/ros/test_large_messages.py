@@ -1,0 +1,111 @@
+"""Large messages are taken and published without copies of their own, and are the same bytes."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import resource
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros import heap
+from rsb_bridge.ros.api import RosError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.ros.node import RosNode
+
+_HASH = "RIHS01_" + "5b" * 32
+_HEADER = b"\x00\x01\x00\x00"
+_SIZES = (4, 16_383, 16_384, 32_767, 32_768, 32_769, 65_535, 65_536, 65_537, 262_144, 1 << 20, 6_000_000, 100, 33 << 20)
+
+
+def _payload(size: int) -> bytes:
+    return (_HEADER + random.Random(size).randbytes(1 << 16) * (size // (1 << 16) + 1))[:size]
+
+
+def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+    sender, receiver = open_node(name="sender"), open_node(name="receiver")
+    taken: list[bytes] = []
+    arguments = ("/large", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
+    receiver.subscribe(*arguments, lambda batch: taken.extend(each.payload for each in batch), "link")
+    publisher = sender.advertise(*arguments, "link")
+    eventually(lambda: publisher.subscriber_count)
+    for size in _SIZES:
+        publisher.publish(_payload(size))
+    eventually(lambda: len(taken) == len(_SIZES))
+    for size, payload in zip(_SIZES, taken, strict=True):
+        assert type(payload) is bytes
+        assert payload == _payload(size)
+
+
+def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
+    """And what comes after them is whole."""
+    ours, other = open_node(), open_node(name="other")
+    taken: list[bytes] = []
+    arguments = ("/own", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
+    mine, theirs = ours.advertise(*arguments, "link"), other.advertise(*arguments, "link")
+    ours.subscribe(*arguments, lambda batch: taken.extend(each.payload for each in batch), "link")
+    eventually(lambda: theirs.subscriber_count)
+    for size in (300_000, 50, 40_000):
+        mine.publish(_payload(size))
+        theirs.publish(_payload(size + 1))
+    eventually(lambda: len(taken) == 3)
+    assert taken == [_payload(300_001), _payload(51), _payload(40_001)]
+
+
+@pytest.mark.parametrize("size", [100, 20_000, 300_000])
+def test_a_closed_publisher_says_so(open_node: Callable[..., RosNode], size: int) -> None:
+    publisher = open_node().advertise("/closed", "made_up_msgs/msg/Blob", _HASH, Qos(), "link")
+    publisher.close()
+    with pytest.raises(RosError, match="closed"):
+        publisher.publish(_payload(size))
+
+
+def test_a_publisher_is_not_freed_while_it_publishes(open_node: Callable[..., RosNode]) -> None:
+    """A large message is published without the GIL: another thread may close the publisher meanwhile."""
+    node, payload = open_node(), _payload(1 << 20)
+    for _ in range(20):
+        publisher = node.advertise("/closing", "made_up_msgs/msg/Blob", _HASH, Qos(), "link")
+        begun = threading.Event()
+
+        def publish(publisher: Any = publisher, begun: threading.Event = begun) -> None:
+            with contextlib.suppress(RosError):
+                while True:
+                    publisher.publish(payload)
+                    begun.set()
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        assert begun.wait(60)
+        publisher.close()
+        thread.join(60)
+        assert not thread.is_alive()
+
+
+def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, eventually: Callable[..., Any]) -> None:
+    monkeypatch.setattr(heap, "_EVERY", 0.05)
+    threads = threading.active_count()
+    with heap.large_blocks_kept():
+        blocks = [b"x" * (6 << 20) for _ in range(8)]
+        most = _resident()
+        blocks.clear()
+        eventually(lambda: _resident() < most - (32 << 20))
+    assert threading.active_count() == threads
+
+
+def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_bridge.ros.heap.ctypes.CDLL", lambda _: object())
+    before = threading.active_count()
+    with heap.large_blocks_kept():
+        assert threading.active_count() == before
+
+
+def _resident() -> int:
+    """Bytes of this process in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()

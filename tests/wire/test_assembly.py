@@ -1,0 +1,126 @@
+"""Large messages: sealed piece by piece in place, opened into their place."""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rsb_bridge.wire.assembly import Assembly
+from rsb_bridge.wire.budget import Budget
+from rsb_bridge.wire.framing import HEADER, MORE, ZSTD, DataReader, DataWriter, Message, ProtocolError
+from rsb_bridge.wire.sealing import Sealer, SealError, StreamOpener, Suite
+
+KEY = bytes(range(32))
+ROUTE = 7
+SUITES = pytest.mark.parametrize("suite", list(Suite))
+
+
+def ends(suite: Suite, limit: int = 1 << 20, budget: Budget | None = None) -> tuple[DataWriter, DataReader]:
+    key = None if suite is Suite.PLAIN else KEY
+    return DataWriter(Sealer(suite, key), ROUTE), DataReader(StreamOpener(suite, key), ROUTE, limit, budget)
+
+
+def written(writer: DataWriter, message: Message, chunk: int, chunks: int) -> list[bytes]:
+    """A message in pieces of so many chunks, each written where the one before was."""
+    payload, stamp, flags = message
+    piece = bytearray(writer.piece_size(min(len(payload), chunks * chunk), chunk))
+    at, out = 0, []
+    while True:
+        used, at = writer.write_piece(memoryview(payload), at, stamp, flags, chunk, piece)
+        out.append(bytes(piece[:used]))
+        piece[:] = bytes(len(piece))
+        if at == len(payload):
+            return out
+
+
+@SUITES
+@given(
+    sent=st.lists(
+        st.tuples(st.binary(max_size=300), st.integers(0, 2**64 - 1), st.sampled_from([0, ZSTD])), max_size=5
+    ),
+    chunk=st.integers(1, 100),
+    chunks=st.integers(1, 3),
+    data=st.data(),
+)
+def test_pieces_are_the_chunks_of_their_message(
+    suite: Suite, sent: list[Message], chunk: int, chunks: int, data: st.DataObject
+) -> None:
+    """Byte for byte what `write_chunks` says, and put together however the stream is cut."""
+    writer, reader = ends(suite)
+    other, _ = ends(suite)
+    stream = b"".join(itertools.chain.from_iterable(written(writer, message, chunk, chunks) for message in sent))
+    assert stream == b"".join(frame for message in sent for frame in other.write_chunks(*message, chunk))
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
+    pieces = [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
+    assert [message for piece in pieces for message in reader.receive_data(piece)] == sent
+
+
+@SUITES
+@pytest.mark.parametrize("size", [0, 1, 65_535, 65_536, 65_537, 1 << 20, 6_000_000])
+def test_large_messages_are_exact(suite: Suite, size: int) -> None:
+    """Whatever the one before had: memory is taken for as much."""
+    writer, reader = ends(suite, limit=8 << 20)
+    for length, fill in ((size, b"abc"), (100_000, b"x"), (size, b"cba")):
+        payload = (fill * (length // len(fill) + 1))[:length]
+        stream = b"".join(written(writer, (payload, 5, 0), 1 << 16, 2))
+        assert reader.receive_data(stream) == [(payload, 5, 0)]
+    assert reader._budget.held == 0
+
+
+@SUITES
+def test_damage_in_a_chunk_is_never_delivered(suite: Suite) -> None:
+    for at in (5, 20, 60, -1):
+        writer, reader = ends(suite)
+        stream = bytearray(b"".join(written(writer, (bytes(60), 0, 0), 30, 1)))
+        stream[at] ^= 1
+        with pytest.raises((SealError, ProtocolError)):
+            reader.receive_data(stream + bytes(200))
+
+
+@SUITES
+@given(garbage=st.binary(max_size=40))
+def test_garbage_does_not_open_into_its_place(suite: Suite, garbage: bytes) -> None:
+    _, reader = ends(suite)
+    header = HEADER.pack(1, MORE, ROUTE, 0)
+    with pytest.raises(SealError):
+        reader.open_frame(header + garbage)
+    reader.close()
+    assert reader._budget.held == 0
+
+
+def test_memory_is_for_a_message_like_the_last_one_as_far_as_the_budget_goes() -> None:
+    budget = Budget(1000)
+    writer, reader = ends(Suite.AESGCM, budget=budget)
+    first = writer.write_chunks(bytes(600), 0, 0, 100)
+    for frame, held in zip(first, (100, 200, 400, 400, 800), strict=False):
+        reader.receive_data(frame)
+        assert budget.held == held
+    assert reader.receive_data(first[-1]) == [(bytes(600), 0, 0)]
+    second = writer.write_chunks(bytes(600), 0, 0, 100)
+    reader.receive_data(second[0])
+    assert budget.held == 600
+    reader.close()
+    budget.take(880)  # others' messages leave room for this one, but for no more
+    writer, reader = ends(Suite.AESGCM, budget=budget)
+    frames = writer.write_chunks(bytes(110), 0, 0, 50)
+    for frame, held in zip(frames, (930, 980), strict=False):
+        reader.receive_data(frame)
+        assert budget.held == held
+    assert reader.receive_data(frames[-1]) == [(bytes(110), 0, 0)]
+    assert budget.held == 880
+    with pytest.raises(ProtocolError):
+        reader.receive_data(writer.write(bytes(121), 0, MORE))
+
+
+def test_an_assembly_refuses_more_than_its_limit() -> None:
+    budget = Budget(1000)
+    sealer, opener = Sealer(Suite.AESGCM, KEY), StreamOpener(Suite.AESGCM, KEY)
+    assembly = Assembly(opener, 100, budget)
+    assembly.add(sealer.seal(bytes(60), b"a"), b"a")
+    assert assembly.begun
+    with pytest.raises(ProtocolError):
+        assembly.add(sealer.seal(bytes(60), b"a"), b"a")
+    assembly.close()
+    assert not assembly.begun
+    assert budget.held == 0
