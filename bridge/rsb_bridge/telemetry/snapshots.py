@@ -21,8 +21,8 @@ _AT_ONCE, _REFRESHES = 128, 4
 """Routes renewed in one refresh, at the least; the others follow in the next ones. Refreshes until each had its turn,
 while somebody looks at more than so many: then no route's is older than a second."""
 _LOOKED_AT_FOR = 2.0
-_LOOKS = 2
-"""Somebody who looks no more often in `_LOOKED_AT_FOR` s, as a log does, is content with one renewal a second."""
+_SELDOM = 1.5
+"""Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second."""
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
 """s from one renewal to the next."""
 _EARLY = 0.01
@@ -71,7 +71,7 @@ class SnapshotPublisher:
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
         self._looks = 0
-        self._looks_at: deque[tuple[float, int]] = deque([(float("-inf"), 0)])
+        self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
 
     def look(self) -> Snapshot:
@@ -85,10 +85,11 @@ class SnapshotPublisher:
         Args:
             now: s; later than in the call before.
         """
+        self._looks_at.append((now, self._looks))
         while len(self._looks_at) > 1 and self._looks_at[1][0] <= now - _LOOKED_AT_FOR:
             self._looks_at.popleft()
-        self._looks_at.append((now, self._looks))
-        return self._looks - self._looks_at[0][1] > _LOOKS
+        since, looks = self._looks_at[0]
+        return self._looks - looks > _SELDOM * (now - since)
 
     async def run(self, bridge: ShownBridge) -> None:
         """Renew the snapshot for ever: four times a second while somebody looks often, else once a second.
