@@ -48,6 +48,7 @@ class Taken:
 
     Attributes:
         start: s until it listened, was linked, or had joined its domain.
+        work: CPU time in s until then, which a busy machine changes less.
         resident: memory in MB, with what it shares with other processes (RSS).
         own: memory in MB that nobody else has (USS).
         cpu: of a core, in %, of each thread, by its name.
@@ -55,6 +56,7 @@ class Taken:
     """
 
     start: float
+    work: float
     resident: float
     own: float
     cpu: Mapping[str, float]
@@ -63,7 +65,7 @@ class Taken:
     @property
     def totals(self) -> tuple[float, ...]:
         """All of it, of all threads together."""
-        return self.start, self.resident, self.own, sum(self.cpu.values()), sum(self.wakes.values())
+        return self.start, self.work, self.resident, self.own, sum(self.cpu.values()), sum(self.wakes.values())
 
 
 class Thread(NamedTuple):
@@ -100,7 +102,7 @@ def report(rounds: int) -> None:
 def _measure(folder: Path, *, settles: float, idle: float) -> dict[str, Taken]:
     port = bed.free_port()
     _write_sessions(folder, port)
-    starts: dict[str, float] = {}
+    starts: dict[str, tuple[float, float]] = {}
     with ExitStack() as running:
 
         def start(name: str, has_started: Callable[[bed.Process], bool], *command: str) -> bed.Process:
@@ -110,7 +112,8 @@ def _measure(folder: Path, *, settles: float, idle: float) -> dict[str, Taken]:
                 if time.monotonic() - began > _WITHIN:
                     raise SystemExit(f"{name} has not started: {(folder / f'{name}.log').read_text()}")
                 time.sleep(_LOOK_EVERY)
-            starts[name] = time.monotonic() - began
+            took = time.monotonic() - began
+            starts[name] = took, sum(thread.cpu for thread in _threads(process.pid).values())
             return process
 
         running.enter_context(bed.Process("-m", "bench.small", "ends")).line()
@@ -128,14 +131,14 @@ def _measure(folder: Path, *, settles: float, idle: float) -> dict[str, Taken]:
         return {name: _taken(process, starts[name], before[name], seconds) for name, process in processes.items()}
 
 
-def _taken(process: bed.Process, start: float, before: dict[int, Thread], seconds: float) -> Taken:
+def _taken(process: bed.Process, start: tuple[float, float], before: dict[int, Thread], seconds: float) -> Taken:
     cpu: dict[str, float] = defaultdict(float)
     wakes: dict[str, float] = defaultdict(float)
     for number, thread in _threads(process.pid).items():
         earlier = before.get(number, Thread(thread.name, 0.0, 0))
         cpu[thread.name] += (thread.cpu - earlier.cpu) / seconds * 100
         wakes[thread.name] += (thread.slept - earlier.slept) / seconds
-    return Taken(start, process.memory(), _own_memory(process.pid), cpu, wakes)
+    return Taken(*start, process.memory(), _own_memory(process.pid), cpu, wakes)
 
 
 def _command(session: Path) -> tuple[str, ...]:
@@ -210,7 +213,7 @@ def _ends() -> None:
 def _print(rounds: list[dict[str, Taken]]) -> None:
     median = statistics.median
     print(f"Medians of {len(rounds)}; the ratios are to a node of rclpy's that does nothing")
-    _row("", "start, s", "", "RSS, MB", "", "own, MB", "", "idle, %", "", "wakes/s", "")
+    _row("", "start, s", "", "its CPU", "", "RSS, MB", "", "own, MB", "", "idle, %", "", "wakes/s", "")
     floor: list[float] = []
     for name in (_BARE, *_SIDES):
         columns = zip(*(taken[name].totals for taken in rounds), strict=True)

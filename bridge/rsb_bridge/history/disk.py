@@ -85,7 +85,8 @@ class Disk:
             if self._trouble or written != self._written:
                 self._ends.wait(_EVERY)
             elif self._is_restored:
-                self._events.wait(self._written, _LOOKS_EVERY, self._ends.is_set)
+                pause = _EVERY if self._is_changed else _LOOKS_EVERY
+                self._events.wait(self._written, pause, self._ends.is_set)
         self._tried_at = float("-inf")
         self.turn(last=True)
         if self._file is not None:
@@ -156,9 +157,12 @@ class Disk:
         self._missing += events[0].number - self._written - 1
         self._written = events[-1].number
 
+    @property
+    def _is_changed(self) -> bool:
+        return self._recorder.changes != self._saved_changes
+
     def _is_due(self, now: float) -> bool:
-        changed = self._recorder.changes != self._saved_changes
-        return now - self._saved_at >= (_SAVED_SOON if changed else SAVED_EVERY)
+        return now - self._saved_at >= (_SAVED_SOON if self._is_changed else SAVED_EVERY)
 
     def _save(self, now: float) -> None:
         self._saved_changes = self._recorder.changes
