@@ -202,7 +202,7 @@ class Engine(EngineApi):
         self._thread = None
 
     def snapshot(self) -> Snapshot:
-        """The engine as it was at most a quarter of a second ago (right after a pause in asking: a second)."""
+        """The engine as it was at most 1 s ago; while somebody asks more often than that, 0.25 s."""
         return self._snapshots.look()
 
     def events(self, after: int = 0) -> list[Event]:

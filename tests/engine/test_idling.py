@@ -68,7 +68,7 @@ def asked_within(seconds: float, nodes: tuple[CountingNode, ...]) -> int:
     return sum(node.asked for node in nodes) - before
 
 
-def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks(
+def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
     loop: VirtualLoop, make_context: Callable[..., Context]
 ) -> None:
     clock = make_context().clock
@@ -79,19 +79,22 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks(
         def links(self) -> list[Any]:
             return []
 
-    async def renewals(seconds: float, *, looking: bool) -> int:
+    async def renewals(seconds: float, *, look_every: float) -> int:
         times = set()
-        for _ in range(round(seconds / 0.05)):
+        for turn in range(round(seconds / 0.05)):
             await asyncio.sleep(0.05)
-            times.add((publisher.look() if looking else publisher.latest).time)
+            looks = turn % round(look_every / 0.05) == 0 if look_every else False
+            times.add((publisher.look() if looks else publisher.latest).time)
         return len(times)
 
     async def main() -> None:
         running = loop.create_task(publisher.run(NoBridge()))
-        assert await renewals(20.0, looking=False) in (20, 21)
-        assert await renewals(20.0, looking=True) in range(76, 82)
+        assert await renewals(20.0, look_every=0.0) in (20, 21)
+        assert await renewals(20.0, look_every=1.0) in (20, 21)
+        assert await renewals(20.0, look_every=0.05) in range(76, 82)
+        assert await renewals(20.0, look_every=0.5) in range(76, 82)
         await asyncio.sleep(3.0)
-        assert await renewals(20.0, looking=False) in (20, 21)
+        assert await renewals(20.0, look_every=1.0) in (20, 21)
         running.cancel()
 
     loop.run_until_complete(main())

@@ -88,3 +88,14 @@ def test_split_type_name() -> None:
 def test_nothing_but_a_started_node_imports_rclpy() -> None:
     program = "import sys, rsb_bridge.ros.api, rsb_bridge.ros.node; sys.exit('rclpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0
+
+
+def test_a_type_is_known_without_the_generator_of_its_code() -> None:
+    """It comes with a parser, which takes 5 MB; whoever wants it can still import it."""
+    program = (
+        "import sys; from rsb_bridge.ros.typesupport import hash_of, installed_class\n"
+        "assert hash_of(installed_class('std_msgs/msg/String'))\n"
+        "assert 'lark' not in sys.modules\n"
+        "import rosidl_generator_py.generate_py_impl; assert 'lark' in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -65,3 +66,19 @@ def test_a_peer_forges_no_line(field: str, bridge: Bridge, tmp_path: Path, monke
         assert line.isprintable()
         assert len(line) < 3000
     assert "invalid control message" in lost.text
+
+
+def test_waiting_ends_with_an_event_or_when_it_is_to_end() -> None:
+    log, ends = EventLog(Clock()), threading.Event()
+    found: list[list[Event]] = []
+    waiting = threading.Thread(target=lambda: found.append(log.wait(0, 60.0, ends.is_set)))
+    waiting.start()
+    log.wake()
+    waiting.join(0.1)
+    assert waiting.is_alive()
+    ends.set()
+    log.wake()
+    waiting.join(30.0)
+    assert found == [[]]
+    log.add(Level.INFO, EventCode.LINK_UP, "up")
+    assert [event.text for event in log.wait(0, 60.0)] == ["up"]

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from rsb_bridge.telemetry.event_log import EventLog
 
 _EVERY = 0.5
+"""s from one writing to the next: what comes in between is written together."""
+_LOOKS_EVERY = 2.0
+"""s after which it looks whether the time line is due, if there is no event before."""
 _RETRIED_EVERY = 5.0
 SAVED_EVERY = 120.0
 _SAVED_SOON = 5.0
@@ -71,12 +74,19 @@ class Disk:
             timeout: s to wait for that, at most.
         """
         self._ends.set()
+        self._events.wake()
         if self._thread.is_alive():
             self._thread.join(timeout)
 
     def _run(self) -> None:
-        while not self._ends.wait(_EVERY if self._is_restored else 0.0):
+        while not self._ends.is_set():
+            written = self._written
             self.turn()
+            if self._trouble or written != self._written:
+                self._ends.wait(_EVERY)
+            elif self._is_restored:
+                pause = _EVERY if self._is_changed else _LOOKS_EVERY
+                self._events.wait(self._written, pause, self._ends.is_set)
         self._tried_at = float("-inf")
         self.turn(last=True)
         if self._file is not None:
@@ -147,9 +157,12 @@ class Disk:
         self._missing += events[0].number - self._written - 1
         self._written = events[-1].number
 
+    @property
+    def _is_changed(self) -> bool:
+        return self._recorder.changes != self._saved_changes
+
     def _is_due(self, now: float) -> bool:
-        changed = self._recorder.changes != self._saved_changes
-        return now - self._saved_at >= (_SAVED_SOON if changed else SAVED_EVERY)
+        return now - self._saved_at >= (_SAVED_SOON if self._is_changed else SAVED_EVERY)
 
     def _save(self, now: float) -> None:
         self._saved_changes = self._recorder.changes

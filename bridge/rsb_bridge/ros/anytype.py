@@ -13,7 +13,6 @@ import ctypes
 import re
 import threading
 from functools import partial
-from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 from rclpy.utilities import get_rmw_implementation_identifier
@@ -100,6 +99,8 @@ def remedy(type_name: str) -> str:
 
 def layouts_known() -> bool:
     """Whether type supports of this middleware are laid out as this module knows them."""
+    from importlib.metadata import version  # noqa: PLC0415  2 MB, which installed messages do without
+
     return get_rmw_implementation_identifier() == "rmw_fastrtps_cpp" and version("rclpy").startswith(_JAZZY)
 
 

@@ -13,6 +13,8 @@ from rsb_bridge.model.snapshot import Event
 from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level
@@ -72,11 +74,22 @@ class EventLog:
                 return []
             return list(itertools.islice(reversed(self._events), missing))[::-1]
 
-    def wait(self, number: int, timeout: float) -> list[Event]:
-        """As `after`, but waits up to `timeout` s for one to come."""
+    def wait(self, number: int, timeout: float, ends: Callable[[], bool] = lambda: False) -> list[Event]:
+        """As `after`, but waits for one to come.
+
+        Args:
+            number: as `after`.
+            timeout: s to wait, at most.
+            ends: whether to wait no longer; looked at when `wake` is called.
+        """
         with self._news:
-            self._news.wait_for(lambda: self.last > number, timeout)
+            self._news.wait_for(lambda: self.last > number or ends(), timeout)
         return self.after(number)
+
+    def wake(self) -> None:
+        """Have those that wait look whether their waiting ends."""
+        with self._news:
+            self._news.notify_all()
 
 
 def _cleaned(event: Event) -> dict[str, Any]:

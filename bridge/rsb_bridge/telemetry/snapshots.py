@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import math
+from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.tasks import in_slices
@@ -19,8 +21,12 @@ _AT_ONCE, _REFRESHES = 128, 4
 """Routes renewed in one refresh, at the least; the others follow in the next ones. Refreshes until each had its turn,
 while somebody looks at more than so many: then no route's is older than a second."""
 _LOOKED_AT_FOR = 2.0
+_SELDOM = 1.5
+"""Hz; somebody who looks no more often, as a log does once a second, is content with one renewal a second."""
 _EVERY, _EVERY_LOOKED_AT = 1.0, 0.25
 """s from one renewal to the next."""
+_EARLY = 0.01
+"""s that a timer may come early."""
 
 
 class ShownRoute(Protocol):
@@ -64,8 +70,8 @@ class SnapshotPublisher:
         self._events = events
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
-        self._looks = self._looks_seen = 0
-        self._looked_at = float("-inf")
+        self._looks = 0
+        self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
 
     def look(self) -> Snapshot:
@@ -74,18 +80,29 @@ class SnapshotPublisher:
         return self.latest
 
     def looked_at(self, now: float) -> bool:
-        """Whether anybody has looked during the last 2 s before `now` (s), as far as is noticed when this is called."""
-        if self._looks != self._looks_seen:
-            self._looks_seen = self._looks
-            self._looked_at = now
-        return now - self._looked_at < _LOOKED_AT_FOR
+        """Whether somebody looks more often than once a second, as far as the calls of this show.
+
+        Args:
+            now: s; later than in the call before.
+        """
+        self._looks_at.append((now, self._looks))
+        while len(self._looks_at) > 1 and self._looks_at[1][0] <= now - _LOOKED_AT_FOR:
+            self._looks_at.popleft()
+        since, looks = self._looks_at[0]
+        return self._looks - looks > _SELDOM * (now - since)
 
     async def run(self, bridge: ShownBridge) -> None:
-        """Renew the snapshot for ever: four times a second while somebody looks, else once a second."""
+        """Renew the snapshot for ever: four times a second while somebody looks often, else once a second.
+
+        It keeps the time of other regular work that began with it: each wake-up costs more than what is done in it.
+        """
         now = asyncio.get_running_loop().time
+        began = now()
         while True:
             await self.refresh(bridge)
-            await asyncio.sleep(_EVERY_LOOKED_AT if self.looked_at(now()) else _EVERY)
+            every = _EVERY_LOOKED_AT if self.looked_at(now()) else _EVERY
+            turns = math.floor((now() - began + _EARLY) / every) + 1
+            await asyncio.sleep(began + turns * every - now())
 
     async def refresh(self, bridge: ShownBridge) -> None:
         """Renew the links, and a part of the routes, in turn."""

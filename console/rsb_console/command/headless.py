@@ -35,7 +35,10 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
 
 STATUS_EVERY = 5.0
-_LOOK_EVERY = 0.25
+_WAIT = 0.5
+"""s after which a signal is noticed, at the latest."""
+_LOOK_EVERY = 1.0
+"""s from one look at the engine to the next where nothing happens: no more often than it renews what is seen."""
 _STOPS_WITHIN = 4.0
 _WRITTEN_WITHIN = 0.5  # s, of the 5 in which the program ends whatever its peer and its reader do
 
@@ -130,21 +133,25 @@ def bridge_until_told(
 
     ends = None if seconds is None else time.monotonic() + seconds
     next_status = time.monotonic() + status_every
+    next_look = 0.0
     reloading = Reloading(engine, supervisor)
     seen, reason = 0, ""
     while not reason:
-        if events := engine.wait_for_events(seen, _LOOK_EVERY):
+        if events := engine.wait_for_events(seen, _WAIT):
             seen = events[-1].number
             log(events)
         reloading.go_on(wanted=signals.takes_reload())
         now = time.monotonic()
-        snapshot = engine.snapshot()
-        if supervisor is not None:
-            supervisor.show(snapshot)
-        if now >= next_status:
-            next_status = now + status_every
-            writer.write(status(snapshot))
-        reason = signals.caught or _over(engine, snapshot) or ("time is up" if ends and now >= ends else "")
+        reason = signals.caught or ("time is up" if ends and now >= ends else "")
+        if events or now >= min(next_look, next_status):
+            next_look = now + _LOOK_EVERY
+            snapshot = engine.snapshot()
+            reason = reason or _over(engine, snapshot)
+            if supervisor is not None:
+                supervisor.show(snapshot)
+            if now >= next_status:
+                next_status = now + status_every
+                writer.write(status(snapshot))
     writer.write(format_event(Event(0, time.time(), Level.INFO, EventCode.ENGINE_STOPPING, f"stopping: {reason}")))
     if supervisor is not None:
         supervisor.stopping()
