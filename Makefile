@@ -15,19 +15,26 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
-# The tests by folder, the longest first, and six at a time: many wait for most of their time. The largest folders are
-# run by halves. Folders share no ROS domain, port or file. `make test-link` runs one of them, `make test-bluetooth` those
-# that boot a machine with the real kernel's Bluetooth (docs/bluetooth.md).
-LONGEST := bluetooth console.1 console.2 engine.1 engine.2 network calls.1 calls.2 simulation link system command
+# The tests by folder, the longest first. Four folders at a time, since many wait for most of their time, and beside them
+# those that only compute, one after another. The largest folders are run by halves. Folders share no ROS domain, port or
+# file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's Bluetooth
+# (docs/bluetooth.md).
+COMPUTING := bluetooth simulation lint wire
+LONGEST := console.1 console.2 engine.1 engine.2 calls.1 calls.2 network link system command
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
-PARTS := $(addprefix test-,$(LONGEST)) lint test-wire $(addprefix test-,$(filter-out wire $(basename $(LONGEST)),$(FOLDERS)))
+PARTS := $(addprefix test-,$(LONGEST) $(filter-out $(COMPUTING) $(basename $(LONGEST)),$(FOLDERS)))
 
 test: $(STAMP) system
-	$(MAKE) --no-print-directory --keep-going --jobs=6 --output-sync=target $(PARTS)
+	$(MAKE) --no-print-directory --keep-going --jobs=5 --output-sync=target computing $(PARTS)
 
 # What only computes gives way to what talks by DDS: where that starves, one participant of a process may discover another
 # without being discovered by it, for good (seen once in 700 starts on a core shared by eight).
 GIVES_WAY := nice -n 5
+
+.PHONY: computing
+computing: $(STAMP) system
+	@failed=; for part in $(patsubst test-lint,lint,$(addprefix test-,$(COMPUTING))); do \
+	  $(MAKE) --no-print-directory $$part || failed=1; done; [ -z "$$failed" ]
 
 test-wire: $(STAMP)
 	$(GIVES_WAY) timeout -k 5 1800 $(BIN)/python -m pytest -p no:cacheprovider tests/wire --cov=rsb_bridge.wire --cov-branch --cov-fail-under=100

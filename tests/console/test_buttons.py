@@ -9,6 +9,7 @@ from textual.pilot import Pilot
 from textual.widgets import Button
 
 from rsb_bridge.config.session_file import save
+from rsb_console.app import ConsoleApp
 
 BEGINNINGS = {  # dialog: the key that opens it on the main screen, and words in it
     "Sessions": ("o", "↑ ↓ and ⏎"),
@@ -38,31 +39,50 @@ FILLED = {
     "Save as": {"path": "other.yaml"},
     "Add a topic": {"topic": "/added"},
 }
-PRESSES = [(dialog, label) for dialog, labels in LABELS.items() for label in labels]
+BACK = ("Cancel", "No")
+PRESSES = [(dialog, label) for dialog, labels in LABELS.items() for label in labels if label not in BACK]
+
+
+@pytest.fixture
+def app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ConsoleApp:
+    monkeypatch.chdir(tmp_path)
+    save(SESSION, tmp_path / "nav2.yaml")
+    return scripted_app(path=tmp_path / "nav2.yaml")
+
+
+async def press(app: ConsoleApp, pilot: Pilot[None], dialog: str, label: str) -> None:
+    key, words = BEGINNINGS[dialog]
+    await pilot.press(key)
+    await shown(pilot, words)
+    await fill(pilot, **FILLED.get(dialog, {}))
+    screen = app.screen
+    buttons = {str(button.label): button for button in screen.query(Button)}
+    assert list(buttons) == LABELS[dialog]
+    buttons[label].focus()
+    await pilot.press("enter")
+    if label == "Import":  # nothing is filled in
+        await shown(pilot, "missing: name the file")
+    else:
+        await until(pilot, lambda: app.screen is not screen or app._exit, f"{label} to do something")
+    await pilot.pause()  # what is dismissed twice fails now
+    assert app._exception is None, text(app)
 
 
 @pytest.mark.parametrize(("dialog", "label"), PRESSES)
-def test_every_button_with_enter(dialog: str, label: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    save(SESSION, tmp_path / "nav2.yaml")
-    app = scripted_app(path=tmp_path / "nav2.yaml")
-    key, words = BEGINNINGS[dialog]
-
+def test_every_button_with_enter(dialog: str, label: str, app: ConsoleApp) -> None:
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "/robot2/scan")
-        await pilot.press(key)
-        await shown(pilot, words)
-        await fill(pilot, **FILLED.get(dialog, {}))
-        screen = app.screen
-        buttons = {str(button.label): button for button in screen.query(Button)}
-        assert list(buttons) == LABELS[dialog]
-        buttons[label].focus()
-        await pilot.press("enter")
-        if label == "Import":  # nothing is filled in
-            await shown(pilot, "missing: name the file")
-        else:
-            await until(pilot, lambda: app.screen is not screen or app._exit, f"{label} to do something")
-        await pilot.pause()  # what is dismissed twice fails now
-        assert app._exception is None, text(app)
+        await press(app, pilot, dialog, label)
+
+    drive(app, steps)
+
+
+def test_every_button_that_leads_back(app: ConsoleApp) -> None:
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/robot2/scan")
+        for dialog, labels in LABELS.items():
+            (label,) = set(labels) & set(BACK)
+            await press(app, pilot, dialog, label)
+            await until(pilot, lambda: app.screen is app.main, "the main screen")
 
     drive(app, steps)

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 from tests.console.driving import (
     NARROW,
+    WIDE,
     AppSteps,
     choose,
     drive,
@@ -77,18 +78,17 @@ async def added(app: ConsoleApp, pilot: Pilot[None]) -> Topic:
     return topic
 
 
-@pytest.mark.parametrize("size", [(120, 36), NARROW])
 @pytest.mark.parametrize(
-    ("letters", "expected"),
+    ("letters", "expected", "size"),
     [
-        ("load", Topic("/map_server/load_map", "transmit", "nav_msgs/srv/LoadMap", kind="service")),
-        ("mode", Topic("/set_mode", "receive", "std_srvs/srv/SetBool", kind="service")),
-        ("navi", Topic("/navigate_to_pose", "transmit", "nav2_msgs/action/NavigateToPose", kind="action")),
-        ("contr", Topic("/controller_server", "transmit", kind="parameters")),
+        ("load", Topic("/map_server/load_map", "transmit", "nav_msgs/srv/LoadMap", kind="service"), WIDE),
+        ("mode", Topic("/set_mode", "receive", "std_srvs/srv/SetBool", kind="service"), NARROW),
+        ("navi", Topic("/navigate_to_pose", "transmit", "nav2_msgs/action/NavigateToPose", kind="action"), NARROW),
+        ("contr", Topic("/controller_server", "transmit", kind="parameters"), WIDE),
     ],
 )
 def test_it_is_found_by_a_few_letters_and_comes_with_kind_provider_and_type(
-    size: tuple[int, int], letters: str, expected: Topic
+    letters: str, expected: Topic, size: tuple[int, int]
 ) -> None:
     @form(size)
     async def test(app: ConsoleApp, pilot: Pilot[None]) -> None:
