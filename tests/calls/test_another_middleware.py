@@ -60,7 +60,7 @@ def test_parameters_and_actions_cross(bridge: Bridge, start: Callable[..., Spun]
 
     goals = [client.send(5), client.send(6)]
     assert all(goal.handle().accepted for goal in goals)
-    eventually(lambda: feedback_listeners(engine))
+    eventually(lambda: server.is_heard and feedback_listeners(engine))
     for number, goal in enumerate(goals):
         goal.ask()
         server.feedback(number, number=number)

@@ -1,5 +1,6 @@
 """ROS nodes in a process of their own, until it is told to stop. usage: python -m tests.console.nodes DOMAIN SPECS
 
+SIGUSR1 has them publish no more, as nodes that hang: their publishers stay.
 SPECS is a JSON list of `Spec`. A DDS participant has one type on a topic, so each message type has one of its own.
 """
 
@@ -71,20 +72,26 @@ def _main(domain: int, specs: list[Spec]) -> None:
             due[number] = time.monotonic()
         else:
             node.create_subscription(kind, spec.topic, lambda _: None, qos)
-    stopping = False
+    stopping = hangs = False
 
     def stop(*_: object) -> None:
         nonlocal stopping
         stopping = True
 
+    def hang(*_: object) -> None:
+        nonlocal hangs
+        hangs = True
+
     signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGUSR1, hang)
     while not stopping:
         now = time.monotonic()
         for number, moment in due.items():
-            if moment <= now:
+            if moment <= now and not hangs:
                 publish[number]()
                 due[number] = max(moment + 1 / specs[number].rate, now)
-        time.sleep(min(0.1, max(0.0, min(due.values(), default=now + 0.1) - time.monotonic())))
+        due_next = now + 0.1 if hangs else min(due.values(), default=now + 0.1)
+        time.sleep(min(0.1, max(0.0, due_next - time.monotonic())))
     for node in nodes:
         node.destroy_node()
     for context in contexts.values():

@@ -87,7 +87,7 @@ def test_a_service_and_a_parameter_of_a_far_node(tmp_path: Path) -> None:
         await usable(app, pilot, f"/{NODE}")
         await pilot.press("C")
         await shown(pilot, "set one parameter")
-        for value, words in (("0.9", "the node has set it"), ("1.5", "refuses it: too fast"), ("fast", "refuses it: ")):
+        for value, words in (("0.9", "the node has set it"), ("1.5", "refuses it: too fast"), ("fast", "Wrong")):
             await fill(pilot, name="speed", value=value)
             await pilot.press("f9")
             await shown(pilot, f"Set speed of /{NODE}?")

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.console.driving import engine_of, gone, listed, on_main, put, selected_topic, shown, text, until
+from tests.console.driving import engine_of, gone, listed, on_main, put, selected_topic, shown, until
 from tests.console.scripted import FAULTY, LINK, ROUTES, route
 from textual.events import Key
 from textual.pilot import Pilot
@@ -14,8 +14,8 @@ from rsb_console.app import ConsoleApp
 @on_main()
 async def test_faults_stand_first_and_totals_above(app: ConsoleApp, pilot: Pilot[None]) -> None:
     assert listed(app)[:2] == FAULTY
-    assert "✗ 1 down  ▲ 1 stale  ‖ 1 paused  ● 5 ok" in text(app)
-    assert "● LINKED 00:12:04  encrypted ✓" in text(app)
+    await shown(pilot, "✗ 1 down  ▲ 1 stale  ‖ 1 paused  ● 5 ok")
+    await shown(pilot, "● LINKED 00:12:04  encrypted ✓")
 
 
 @on_main()
@@ -56,7 +56,7 @@ async def test_five_hundred_topics_scroll_and_the_heading_stays(app: ConsoleApp,
     await pilot.press("G")
     await shown(pilot, "/t499  ")
     await gone(pilot, "/t000")
-    assert "STATE▼" in text(app)
+    await shown(pilot, "STATE▼")
     assert app.main.topics.scroll_offset.y == 500 - app.main.topics.page
     await pilot.press("g")
     await shown(pilot, "/t000")

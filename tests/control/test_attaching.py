@@ -195,7 +195,7 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     assert not now.running
     assert {each.state for each in now.routes} | {each.state for each in now.links} == {State.DOWN}
     (since,) = {each.since for each in now.routes} | {each.since for each in now.links}
-    assert abs(since - lost.time) < 1.0
+    assert abs(since - lost.time) < 10.0
     with pytest.raises(EngineError, match="not attached"):
         remote.retry().result(10)
     again = ScriptedEngine(routes=(route("/again"),))
@@ -234,8 +234,9 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     assert {each.state for each in later.routes} == {State.DOWN}
     assert first.links[0].since == pytest.approx(later.links[0].since, abs=0.05), "since it answered last"
     engine.goes_on.set()
+    monkeypatch.undo()
     eventually(lambda: remote.snapshot().running and not remote.unreachable)
-    assert State.OK in {each.state for each in remote.snapshot().routes}
+    eventually(lambda: State.OK in {each.state for each in remote.snapshot().routes})
 
 
 def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
@@ -322,10 +323,10 @@ def test_a_stalled_console_skips_states_and_holds_up_nobody(machine: Machine) ->
 
 
 def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_STALLED_FOR", 0.5)
     machine.serve(Busy())
     with Stalled(machine).connection:
         eventually(lambda: consoles(machine) == 1)
+        monkeypatch.setattr(server, "_STALLED_FOR", 0.5)
         eventually(lambda: consoles(machine) == 0)
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be somebody else")
 NOBODY = 65534
+FALLBACK = folders._fallback_folder
 LISTENS = """
 import socket, sys
 listener = socket.socket(socket.AF_UNIX)
@@ -203,7 +204,8 @@ def test_any_name_of_a_session_makes_a_socket(machine: Machine, name: str) -> No
     assert running.path.parent == machine.folder
 
 
-def test_where_sockets_are(tmp_path: Path) -> None:
+def test_where_sockets_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folders, "_fallback_folder", FALLBACK)  # for the tests it is another
     fallback = Path(f"/tmp/rsb-console-{os.geteuid()}")
     assert folders.serving_folder({}) == fallback
     assert folders.serving_folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path("/run/user/7/rsb-console")

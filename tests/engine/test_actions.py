@@ -38,7 +38,7 @@ def test_a_goal_its_feedback_and_its_result_cross(
     goal = client.send(5)
     assert goal.handle().accepted
     goal.ask()
-    eventually(lambda: feedback_listeners(engines[0]))
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
     server.feedback(0, 1)
     server.feedback(0, 1, 1)
     eventually(lambda: len(goal.feedbacks) == 2)
@@ -58,7 +58,7 @@ def test_goals_of_many_clients_at_once(
     for goal in goals:
         goal.ask()
     by_id = {id_of(goal.handle()): goal for goal in goals}
-    eventually(lambda: feedback_listeners(engines[0]) == 2)
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]) == 2)
     for number in reversed(range(8)):
         handle = server.goal(number)
         server.feedback(number, number=number)
@@ -124,6 +124,7 @@ def test_both_consoles_show_goals_and_their_states(
     for engine in engines:
         eventually(lambda engine=engine: states(engine) == ["executing", "executing"])
         eventually(lambda engine=engine: [each.result_awaited for each in route(engine, ACTION).goals] == [False, True])
+    eventually(lambda: server.is_heard)
     server.feedback(1)
     server.feedback(2)
     other.cancel()
@@ -188,7 +189,7 @@ def test_a_goal_outlives_a_silent_cut_and_its_result_comes_though_its_server_has
     server = FibonacciServer(robot.id, result_timeout=0.2)
     engines = bridge.both(FIBONACCI)
     goal = client.send(5).ask()
-    eventually(lambda: feedback_listeners(engines[0]))
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
     server.feedback(0)
     eventually(lambda: goal.feedbacks)
     relay.stall(new=True)

@@ -11,6 +11,7 @@ from rclpy.serialization import serialize_message
 from tests.support.bridge import carries, happened, heard, link, protocol_of, route, settled
 from tests.support.domain import text
 from tests.support.filled import filled
+from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 
 from rsb_bridge.link import roles as ends
@@ -18,7 +19,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.type_names import SHORT_NAMES
-from rsb_bridge.ros.node import RosNode
 from rsb_bridge.ros.typesupport import installed_class
 from rsb_bridge.wire.sealing import Suite
 
@@ -52,9 +52,9 @@ def test_every_common_type(protocol: Any, bridge: Bridge, robot: Domain, pc: Dom
 
 
 @pytest.fixture
-def unknown(bridge: Bridge) -> Iterator[tuple[RosNode, RosNode]]:
+def unknown(bridge: Bridge) -> Iterator[tuple[KnownNode, KnownNode]]:
     """Nodes for types that rclpy does not know, one in the robot's domain and one in the PC's."""
-    nodes = RosNode(bridge.robot.id, "sends"), RosNode(bridge.pc.id, "hears")
+    nodes = KnownNode(bridge.robot.id, "sends"), KnownNode(bridge.pc.id, "hears")
     for node in nodes:
         node.start()
     yield nodes
@@ -78,7 +78,7 @@ def sizes(limit: int) -> list[int]:
     ],
 )
 def test_a_type_that_neither_side_has_in_every_size(
-    type_name: str, protocol: Any, limit: int, bridge: Bridge, unknown: tuple[RosNode, RosNode]
+    type_name: str, protocol: Any, limit: int, bridge: Bridge, unknown: tuple[KnownNode, KnownNode]
 ) -> None:
     robot, pc = unknown
     received: list[bytes] = []

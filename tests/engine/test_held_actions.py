@@ -49,7 +49,7 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
         consoles.arm(engines[1 - who], ACTION)
     first, second = client.send(1).ask(), client.send(2).ask()
     number, other = server.number_of(first), server.number_of(second)
-    eventually(lambda: feedback_listeners(engines[0]))
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
     hold(engines[who], how)
     eventually(lambda: states(*engines) == {how})
     for engine in engines:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tests.support.bridge import carries, happened, linked, route
 from tests.support.domain import text
 from tests.support.offline import loop, make_context
+from tests.support.participants import KnownNode
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.codes import EventCode
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["loop", "make_context"]
 
 
-class CountingNode(RosNode):
+class CountingNode(KnownNode):
     """Counts how often the graph is asked for a topic's endpoints."""
 
     asked = 0

@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 from tests.support.bridge import STOPS_WITHIN, carries, linked, route, stage
 from tests.support.domain import LATCHED, text
 from tests.support.filled import filled
+from tests.support.participants import KnownNode
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
@@ -22,7 +23,6 @@ from rsb_bridge.cdr.description import hash_of_text, read_description
 from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.model.peek import PEEK_LIMIT
 from rsb_bridge.model.session import Topic
-from rsb_bridge.ros.node import RosNode
 from rsb_bridge.route import peeking
 from rsb_bridge.route.topic_route import TopicRoute
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 ODOMETRY = "nav_msgs/msg/Odometry"
 
 
-class Lacks(RosNode):
+class Lacks(KnownNode):
     """A machine on which no message type is installed. Its node says so; to uninstall a package is too much here."""
 
     def installed_hash(self, type_name: str) -> str | None:
@@ -271,7 +271,7 @@ def test_where_nobody_describes_it_that_is_said(bridge: Bridge, robot: Domain) -
 
 
 def test_a_wrong_description_is_not_believed(bridge: Bridge, robot: Domain, pc: Domain) -> None:
-    class Lies(RosNode):
+    class Lies(KnownNode):
         def installed_description(self, type_name: str) -> str | None:
             text = super().installed_description(type_name)
             return text and text.replace("child_frame_id", "\x1b]0;frame_id")

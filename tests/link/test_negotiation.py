@@ -12,6 +12,7 @@ from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
 from tests.support.bridge import carries, find, happened, heard, link, route, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
+from tests.support.participants import KnownNode
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -21,7 +22,6 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,17 +61,15 @@ def test_types_by_any_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
 
 @pytest.fixture
-def other(bridge: Bridge, robot: Domain) -> Iterator[RosNode]:
+def other(bridge: Bridge, robot: Domain) -> Iterator[KnownNode]:
     """A node of another program in the robot's domain; it ends before the bridge does."""
-    node = RosNode(robot.id, "other")
+    node = KnownNode(robot.id, "other")
     node.start()
-    # Participants of one process that start together may stay unknown to each other for good.
-    eventually(lambda: node.node_name in robot.node.get_node_names(), what="the other node in the domain")
     yield node
     node.stop()
 
 
-def test_types_that_do_not_agree(other: RosNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_types_that_do_not_agree(other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     robot.publisher("/mixed", String)
     robot.publisher("/wrong", Int32)
     other.advertise("/mixed", INT32, "", Qos(), "other")
@@ -90,7 +88,7 @@ def test_types_that_do_not_agree(other: RosNode, bridge: Bridge, robot: Domain, 
     eventually(lambda: says(client, "/silent", "/silent", str(robot.id)))
 
 
-class OtherVersions(RosNode):
+class OtherVersions(KnownNode):
     """A stand-in: two versions of a package cannot be installed beside each other."""
 
     def installed_hash(self, type_name: str) -> str | None:
@@ -103,7 +101,7 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     near.publisher("/count", Int32)
     sessions = [bridge.server_session(), bridge.client_session(Topic("/count", direction))]
     receiving = 0 if direction == "transmit" else 1
-    nodes: list[RosNode | None] = [None, None]
+    nodes: list[KnownNode | None] = [None, None]
     nodes[receiving] = OtherVersions((pc if direction == "transmit" else robot).id, "other")
     server, client = (bridge.start(session, ros) for session, ros in zip(sessions, nodes, strict=True))
     for engine in (server, client):
@@ -253,7 +251,8 @@ def test_addresses_that_will_not_do(bridge: Bridge) -> None:
     assert "correct server_ip in this side's session file" in link(client).reason
     nobody = bridge.client(server_ip="localhost")
     eventually(lambda: link(nobody).attempts > 1)
-    assert f"localhost:{bridge.port}: Connection refused: is the server running there?" in link(nobody).reason
+    refused = f"localhost:{bridge.port}: Connection refused: is the server running there?"
+    eventually(lambda: refused in link(nobody).reason)
 
 
 def test_a_channel_of_the_servers_ports_number(bridge: Bridge, robot: Domain) -> None:
@@ -307,7 +306,7 @@ def test_a_type_that_changes(bridge: Bridge, robot: Domain, pc: Domain) -> None:
 
 
 def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
-    other: RosNode, bridge: Bridge, robot: Domain, pc: Domain
+    other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain
 ) -> None:
     """As after kill -9: both sides name type and node at once, what flows goes on; it heals when the old one goes."""
     strings, old = pc.listener("/state"), robot.publisher("/state")
@@ -335,7 +334,7 @@ def test_a_type_that_is_replaced_while_the_old_publisher_still_shows(
     eventually(lambda: crosses() and route(client, "/state").reason == "")
 
 
-def test_a_type_that_the_session_does_not_name(other: RosNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+def test_a_type_that_the_session_does_not_name(other: KnownNode, bridge: Bridge, robot: Domain, pc: Domain) -> None:
     """A publisher of another type comes instead: both sides say so at once, and it heals once the right one is back."""
     strings, out = pc.listener("/state"), robot.publisher("/state")
     server, client = bridge.both(Topic("/state", "transmit", type="String"))

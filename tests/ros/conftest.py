@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
@@ -15,12 +16,14 @@ from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from tests.ros.domains import DOMAIN
+from tests.support.participants import KnownNode, join
 
 from rsb_bridge.ros import service_types
-from rsb_bridge.ros.node import RosNode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from rsb_bridge.ros.node import RosNode
 
 
 @pytest.fixture
@@ -43,7 +46,7 @@ def open_node() -> Iterator[Callable[..., RosNode]]:
     nodes: list[RosNode] = []
 
     def start(domain_id: int = DOMAIN, name: str = "robot1") -> RosNode:
-        node = RosNode(domain_id, name)
+        node = KnownNode(domain_id, name)
         node.start()
         nodes.append(node)
         return node
@@ -65,30 +68,45 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 @pytest.fixture
 def rclpy_node() -> Iterator[Node]:
     """A stock rclpy node, as a robot's own programs are."""
-    context = Context()
-    context.init([], domain_id=DOMAIN)
-    node = Node("stock", context=context, enable_rosout=False, use_global_arguments=False)
-    yield node
-    node.destroy_node()
-    context.shutdown()
-    context.destroy()
+    with _stock(start_parameter_services=True) as node:
+        yield node
 
 
 @pytest.fixture
 def stock() -> Iterator[Node]:
     """A stock rclpy node that is spun."""
-    context = Context()
-    context.init([], domain_id=DOMAIN)
-    node = Node(
-        "stock", context=context, enable_rosout=False, use_global_arguments=False, start_parameter_services=False
-    )
-    executor = MultiThreadedExecutor(4, context=context)
-    executor.add_node(node)
-    spinning = threading.Thread(target=executor.spin)
-    spinning.start()
+    with _stock(start_parameter_services=False) as node:
+        executor = MultiThreadedExecutor(4, context=node.context)
+        executor.add_node(node)
+        spinning = threading.Thread(target=executor.spin)
+        spinning.start()
+        yield node
+        executor.shutdown()
+        spinning.join(60)
+
+
+@contextlib.contextmanager
+def _stock(*, start_parameter_services: bool) -> Iterator[Node]:
+    node: Node
+
+    def enter() -> Node:
+        nonlocal node
+        context = Context()
+        context.init([], domain_id=DOMAIN)
+        node = Node(
+            "stock",
+            context=context,
+            enable_rosout=False,
+            use_global_arguments=False,
+            start_parameter_services=start_parameter_services,
+        )
+        return node
+
+    def leave() -> None:
+        node.destroy_node()
+        node.context.shutdown()
+        node.context.destroy()
+
+    join(DOMAIN, enter, leave)
     yield node
-    executor.shutdown()
-    spinning.join(60)
-    node.destroy_node()
-    context.shutdown()
-    context.destroy()
+    leave()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from tests.support.participants import KnownNode
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -54,7 +54,6 @@ class Bridge:
         self.key_file = self.make_key("robot1")
         self._addresses = {"server": "127.0.0.1", "client": "127.0.0.1"}
         self._engines: list[Engine] = []
-        self._real: list[Engine] = []  # those of them that are nodes of a domain
 
     def move(self) -> None:
         """Have sessions from now on use another port."""
@@ -109,25 +108,11 @@ class Bridge:
 
     def start(self, session: Session, ros: RosInterface | None = None) -> Engine:
         """An engine that runs."""
-        self._wait_for_those_before(session)
-        engine = Engine(session, base=self.folder, ros=ros)
+        known = KnownNode(session.domain_id or 0, session.name)
+        engine = Engine(session, base=self.folder, ros=ros or known)
         self._engines.append(engine)
         engine.start()
-        if ros is None:
-            self._real.append(engine)
         return engine
-
-    def _wait_for_those_before(self, session: Session) -> None:
-        """Two participants of one process that join a domain together may stay unknown to each other (Fast DDS)."""
-        node = next((each.node for each in (self.robot, self.pc) if each.id == session.domain_id), None)
-        if node is None:
-            return
-        begun = {
-            f"rsb_{re.sub('[^A-Za-z0-9_]', '_', engine.session.name)[:64]}_"
-            for engine in self._real
-            if engine.snapshot().running and engine.session.domain_id == session.domain_id
-        }
-        eventually(lambda: all(any(n.startswith(each) for n in node.get_node_names()) for each in begun))
 
     def close(self) -> None:
         """Stop all engines: in time, without ever having failed inside, and without a thread left a little later."""

@@ -9,6 +9,7 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from tests.support.participants import join
 
 
 class Crowd:
@@ -24,12 +25,16 @@ class Crowd:
     """
 
     def __init__(self, domain_id: int, name: str, count: int) -> None:
-        self._context = Context()
-        self._context.init([], domain_id=domain_id)
-        self.nodes = [
-            Node(f"{name}{number}", context=self._context, enable_rosout=False, use_global_arguments=False)
-            for number in range(count)
-        ]
+        def enter() -> Node:
+            self._context = Context()
+            self._context.init([], domain_id=domain_id)
+            self.nodes = [
+                Node(f"{name}{number}", context=self._context, enable_rosout=False, use_global_arguments=False)
+                for number in range(count)
+            ]
+            return self.nodes[0]
+
+        join(domain_id, enter, self._leave)
         self._executor = SingleThreadedExecutor(context=self._context)
         for node in self.nodes:
             node.declare_parameter("rate", 0)
@@ -50,6 +55,10 @@ class Crowd:
         self._context.shutdown()
         self._thread.join()
         self._executor.shutdown()
+        self._leave()
+
+    def _leave(self) -> None:
         for node in self.nodes:
             node.destroy_node()
+        self._context.try_shutdown()
         self._context.destroy()

@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
+from tests.support.participants import join
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
@@ -38,8 +39,12 @@ class Domain:
         self.joined.add(self)
         self.id = domain_id
         self.listeners: list[Listener] = []
+        join(domain_id, self._enter, self._leave)
+        (self._describes_types,) = self.node.services
+
+    def _enter(self) -> Node:
         self._context = Context()
-        self._context.init([], domain_id=domain_id)
+        self._context.init([], domain_id=self.id)
         self.node = Node(
             "stock",
             context=self._context,
@@ -47,7 +52,12 @@ class Domain:
             use_global_arguments=False,
             start_parameter_services=False,
         )
-        (self._describes_types,) = self.node.services
+        return self.node
+
+    def _leave(self) -> None:
+        self.node.destroy_node()
+        self._context.shutdown()
+        self._context.destroy()
 
     def publisher(self, topic: str, kind: Any = String, qos: QoSProfile = RELIABLE) -> Publisher:
         """A publisher; its `publish` takes messages and bytes."""
@@ -78,9 +88,7 @@ class Domain:
     def close(self) -> None:
         """Leave the domain."""
         self.clear()
-        self.node.destroy_node()
-        self._context.shutdown()
-        self._context.destroy()
+        self._leave()
 
 
 class Listener:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import pytest
+from tests.support.participants import join
 from tests.support.waiting import eventually
 
 pytest.importorskip("test_msgs", reason="no package with an action is installed (ros-jazzy-test-msgs)")
@@ -56,11 +57,19 @@ class _Spun:
     """
 
     def __init__(self, domain_id: int, name: str) -> None:
-        self._context = Context()
-        self._context.init([], domain_id=domain_id)
-        self.node = Node(
-            name, context=self._context, enable_rosout=False, use_global_arguments=False, start_parameter_services=False
-        )
+        def enter() -> Node:
+            self._context = Context()
+            self._context.init([], domain_id=domain_id)
+            self.node = Node(
+                name,
+                context=self._context,
+                enable_rosout=False,
+                use_global_arguments=False,
+                start_parameter_services=False,
+            )
+            return self.node
+
+        join(domain_id, enter, self._leave)
         self._executor = MultiThreadedExecutor(8, context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name=f"{name}-spins")
@@ -76,7 +85,11 @@ class _Spun:
         self._thread.join()
         self._executor.shutdown()
         self._destroy()
+        self._leave()
+
+    def _leave(self) -> None:
         self.node.destroy_node()
+        self._context.try_shutdown()
         self._context.destroy()
 
     def _destroy(self) -> None:
@@ -146,10 +159,13 @@ class FibonacciServer(_Spun):
         return bool(self.goals) and not self.remembers
 
     def feedback(self, *sequence: int, number: int = 0) -> None:
-        """Publish feedback of a goal, once somebody hears it."""
-        goal = self.goal(number)
-        eventually(lambda: self.node.count_subscribers(f"{ACTION}/_action/feedback"), what="a listener to feedback")
-        goal.publish_feedback(Fibonacci.Feedback(sequence=sequence))
+        """Publish feedback of a goal."""
+        self.goal(number).publish_feedback(Fibonacci.Feedback(sequence=sequence))
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether somebody listens to feedback."""
+        return bool(self.node.count_subscribers(f"{ACTION}/_action/feedback"))
 
     def finish(self, *sequence: int, number: int = 0, state: str = "succeeded") -> None:
         """End a goal."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from tests.support.participants import join
 from tests.support.waiting import eventually
 
 if TYPE_CHECKING:
@@ -31,10 +32,15 @@ class Spun:
     """
 
     def __init__(self, domain_id: int, name: str, kind: Any = Node, **how: Any) -> None:
-        self._context = Context()
-        self._context.init([], domain_id=domain_id)
         how = {"enable_rosout": False, "use_global_arguments": False, **how}
-        self.node = kind(name, context=self._context, **how)
+
+        def enter() -> Node:
+            self._context = Context()
+            self._context.init([], domain_id=domain_id)
+            self.node = kind(name, context=self._context, **how)
+            return self.node
+
+        join(domain_id, enter, self._leave)
         self._executor = MultiThreadedExecutor(_THREADS, context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name=f"{name}-spins")
@@ -63,5 +69,9 @@ class Spun:
         self._context.shutdown()
         self._thread.join()
         self._executor.shutdown()
+        self._leave()
+
+    def _leave(self) -> None:
         self.node.destroy_node()
+        self._context.try_shutdown()
         self._context.destroy()

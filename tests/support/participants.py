@@ -1,0 +1,95 @@
+"""The ROS participants of this process: whoever joins a domain gets to know those that are there, and they it.
+
+Fast DDS may leave one participant of a process unknown to another of the same process for good, where they join on a
+machine that starves them: then nothing of one reaches the other, whatever a test does. No robot has two of a domain in
+one process. So whoever joins one here waits until all know each other, and where they do not, it joins anew: nothing
+has been asked of it by then.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from rsb_bridge.ros.node import RosNode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_KNOWN_WITHIN = 15.0
+"""s; DDS announces a participant five times at once, and then every three seconds."""
+_ATTEMPTS = 4
+_present: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
+"""Nodes, by which participants are known, and their domains."""
+
+
+def join(domain_id: int, enter: Callable[[], Any], leave: Callable[[], None]) -> None:
+    """Join a domain, and be known there.
+
+    Args:
+        domain_id: of the domain.
+        enter: joins it; the node of that participant, as rclpy has it.
+        leave: leaves it again.
+
+    Raises:
+        AssertionError: it is not known, however often it joins.
+    """
+    for _ in range(_ATTEMPTS):
+        node = enter()
+        others = [each for each, domain in list(_present.items()) if domain == domain_id]
+        if _know_each_other(node, others):
+            _present[node] = domain_id
+            return
+        seen = {_name(each): _seen_by(each) for each in (node, *others)}
+        leave()
+    raise AssertionError(f"not all know each other: {seen}")
+
+
+class KnownNode(RosNode):
+    """A bridge's node that is known to the others of this process before the bridge does anything."""
+
+    def __init__(self, domain_id: int, name: str) -> None:
+        super().__init__(domain_id, name)
+        self._begin_anew = lambda: RosNode.__init__(self, domain_id, name)
+
+    def start(self) -> None:
+        def enter() -> Any:
+            super(KnownNode, self).start()
+            assert self._participant is not None
+            return self._participant._node
+
+        def leave() -> None:
+            self.stop()
+            self._begin_anew()
+
+        join(self._domain_id, enter, leave)
+
+
+def _know_each_other(node: Any, others: list[Any]) -> bool:
+    deadline = time.monotonic() + _KNOWN_WITHIN
+    while time.monotonic() < deadline:
+        seen = _seen_by(node)
+        if all(_gone(each) or (_name(each) in seen and _name(node) in _seen_by(each)) for each in others):
+            return True
+        time.sleep(0.005)
+    return False
+
+
+def _name(node: Any) -> str:
+    return str(node.get_fully_qualified_name())
+
+
+def _seen_by(node: Any) -> set[str]:
+    """The nodes that one knows; it knows them only once both have the other's endpoints."""
+    try:
+        handle = getattr(node, "handle", node)
+        with handle:
+            found = handle.get_node_names_and_namespaces()
+    except RuntimeError:  # it has left
+        return set()
+    return {f"{namespace.rstrip('/')}/{name}" for name, namespace, *_ in found}
+
+
+def _gone(node: Any) -> bool:
+    return not _seen_by(node)
