@@ -10,6 +10,7 @@ from tests.support.virtual_time import VirtualClock, VirtualLoop, virtual_loop
 
 from rsb_bridge.context import Context
 from rsb_bridge.model.lanes import FEATURE
+from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.session import Session
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.queue import RosToLoopQueue
@@ -163,6 +164,7 @@ class FakePeer:
         self.revisions = Revisions()
         self.bridges: tuple[str, ...] = ("rsb_robot1_fedcba98",)
         self.budget = PeerBudget(0.0)
+        self.profile = PLAIN
 
     def send(self, message: ControlMessage) -> None:
         self.sent.append(message)

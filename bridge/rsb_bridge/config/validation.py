@@ -155,6 +155,7 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from stale_problems(session.stale_after, "stale_after")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")
+    yield from _profiles(session)
     if session.shutdown_topic is not None:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
     if session.diagnostics_topic is not None:
@@ -162,6 +163,15 @@ def _session(session: Session) -> Iterator[Problem]:
     client = session.name if session.role == "client" and session.use_name else None
     yield from _topics(session.topics, "", session, client)
     yield from _clients(session)
+
+
+def _profiles(session: Session) -> Iterator[Problem]:
+    given = [("profile", session.profile)]
+    given += [(join(join("clients", at), "profile"), client.profile) for at, client in enumerate(session.clients)]
+    for location, profile in given:
+        if session.is_bluetooth and profile not in (None, "bluetooth"):
+            message = f"{profile} is no Bluetooth link (server_ip is a MAC): give bluetooth, or leave profile out"
+            yield Problem(location, message)
 
 
 def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:

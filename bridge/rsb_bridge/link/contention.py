@@ -2,7 +2,7 @@
 
 Once a second it looks whether more is asked for than crosses: a channel that was never idle for half a second, messages
 dropped from a full queue, or pings held up behind a queue somewhere on the way. Then what arrives now, less a tenth, is
-divided (`rsb_bridge.route.allotment`). As long as that is enough, what is divided grows again, until
+divided (`rsb_bridge.model.allotment`). As long as that is enough, what is divided grows again, until
 nobody has to yield. Where all topics have one priority, nothing is divided: each has its own queue, as ever.
 """
 
@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.allotment import Wish, allot, highest
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.priority import FEATURE
 from rsb_bridge.model.snapshot import Level
-from rsb_bridge.route.allotment import Wish, allot, highest
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.route.yielding import Share
 from rsb_bridge.telemetry.throughput import Throughput
@@ -79,8 +79,15 @@ class Contention:
         self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
         self._told = -1
 
-    def tick(self, keepalive: Keepalive) -> None:
-        """Look once a second, while linked."""
+    def tick(self, keepalive: Keepalive, features: Collection[str], connection: int) -> None:
+        """Look once a second, while linked.
+
+        Args:
+            keepalive: of the link.
+            features: of the other side.
+            connection: counts up from one to the next.
+        """
+        self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
         asking = [
             _Asking(route, route.yielding.look(now))
@@ -164,7 +171,7 @@ class Contention:
                 share = Share(shares[route], min(self._carried, asked), asked, first.topic)
             route.yielding.told(share, low=route.rank < 0, qos=route.qos, now=now)
 
-    def heard(self, features: Collection[str], connection: int) -> None:
+    def _warn(self, features: Collection[str], connection: int) -> None:
         """Say, once a connection, where the other side is too old to keep to the priorities that are asked for."""
         if FEATURE in features or self._told == connection:
             return

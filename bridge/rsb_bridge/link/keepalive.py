@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.token_bucket import TokenBucket
 from rsb_bridge.telemetry.meters import ClockOffset, Smoothed
+from rsb_bridge.transport.streams import Stream
 from rsb_bridge.wire.messages import Ping, Pong
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 DEAD_AFTER = 5.0
 """s without a byte from the peer until the link is given up."""
+_KERNELS = 1.0
+"""s by which the kernel is more patient with a connection."""
 _ANSWERS, _ANSWERS_A_SECOND = 10, 4.0
 """A peer pings once a second; after a pause of its process, several times at once."""
 
@@ -28,16 +31,20 @@ class Keepalive:
         clock: round trip and clock offset.
     """
 
-    def __init__(self, context: Context, carriers: Callable[[], Collection[Carrier]]) -> None:
+    def __init__(
+        self, context: Context, carriers: Callable[[], Collection[Carrier]], patience: float | None = None
+    ) -> None:
         """Begin.
 
         Args:
             context: the engine's.
             carriers: gives all that carries bytes of the connection now.
+            patience: s without a byte until it is given up; None: `DEAD_AFTER`.
         """
         self.clock = ClockOffset()
         self._context = context
         self._carriers = carriers
+        self._patience = patience
         self._began = context.now()
         self._rx, self._tx = Smoothed(self._began), Smoothed(self._began)
         self._received = self._sent = 0
@@ -75,7 +82,7 @@ class Keepalive:
         return max(self.clock.rtt, waits + max(0, self._pings - self._answered - 1))
 
     def watch(self, on_silence: Callable[[], None]) -> None:
-        """Call a function once nothing has come for `DEAD_AFTER`, until `stop`."""
+        """Call a function once nothing has come for as long as it has patience, until `stop`."""
         self._on_silence = on_silence
         self._look()
 
@@ -90,7 +97,7 @@ class Keepalive:
         if self._on_silence is None:
             return
         # The time at which it is silent, and not how long until then: that could be too short for the clock to move.
-        silent_at = self._heard + DEAD_AFTER
+        silent_at = self._heard + (DEAD_AFTER if self._patience is None else self._patience)
         if self._context.now() < silent_at:
             self._watchdog = self._context.loop.call_at(silent_at, self._look)
         else:
@@ -105,6 +112,10 @@ class Keepalive:
         self._rx.add(max(0, received - self._received), now)
         self._tx.add(max(0, sent - self._sent), now)
         self._received, self._sent = received, sent
+        if self._patience is not None:
+            for each in carriers:
+                if isinstance(each, Stream):
+                    each.give_up_after(self._patience + _KERNELS)
         self._pings += 1
         self._pinged_at = now
         return Ping(n=self._pings, sent=self._context.wall_ns())

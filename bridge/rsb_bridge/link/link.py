@@ -20,6 +20,7 @@ from rsb_bridge.link.snapshots import snapshot_of
 from rsb_bridge.link.status import LinkStatus
 from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.link.type_questions import TypeQuestions
+from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level, LinkSnapshot, TopicInfo
 from rsb_bridge.model.verdict import LinkCause
@@ -68,8 +69,7 @@ class Link(ABC):
         connections: how many connections there have been.
         linked_at: s, when the present or last connection was made.
         channels: what carries the routes' messages.
-        contention: divides what the link carries.
-        budget: what the peer may have this side hold and do.
+        contention: divides what the link carries, and `budget` is what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
         duplicates: further clients of its name, which are refused.
         neighbourhood: the bridges in the ROS domains of both sides.
@@ -97,7 +97,7 @@ class Link(ABC):
         self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
         self.table = RouteTable(context, self)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self._carriers)
-        self.proposed = ProposedTopics(context, self.table, self.transport, name, self._prefixed)
+        self.proposed = ProposedTopics(context, self.table, self.transport, name, self._prefixed, lambda: self.profile)
         self._topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
 
@@ -133,6 +133,11 @@ class Link(ABC):
     @abstractmethod
     def client_names(self, topic: Topic) -> Topic:
         """A topic as the client sees it, which this side's operator may name as this side does."""
+
+    @property
+    def profile(self) -> profiles.LinkProfile:
+        """What its network is like, as the session says."""
+        return profiles.profile_of(self.context.session.profile)
 
     @property
     @abstractmethod
@@ -219,7 +224,7 @@ class Link(ABC):
         self.channels.connected(keys, self.role)
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = Keepalive(self.context, self._carriers)
+        self.keepalive = Keepalive(self.context, self._carriers, self.profile.patience)
         self.keepalive.watch(partial(control.abort, "the peer is silent"))
         self.status.up(self.context.wall())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
@@ -351,7 +356,7 @@ class Link(ABC):
         raise ProtocolError("unexpected preamble frame on an open stream")
 
     def is_closed_id(self, route_id: int) -> bool:
-        """Whether a route was open under that id and is no longer."""
+        """Whether a route was open under that id, and is not now."""
         return self.table.ids.is_closed(route_id)
 
     # --- time
@@ -360,8 +365,7 @@ class Link(ABC):
         """Once a second, after the routes' own tick: keepalive, reports, retries."""
         if self.control is None:
             return
-        self.contention.tick(self.keepalive)
-        self.contention.heard(self.features, self.connections)
+        self.contention.tick(self.keepalive, self.features, self.connections)
         self.send(self.keepalive.tick())
         self.channels.udp.tick()
         for report in reports(self.routes.values()):
@@ -370,8 +374,8 @@ class Link(ABC):
 
     def _carriers(self) -> set[Carrier]:
         """All that carries bytes of the present connection."""
-        carriers = self.channels.carriers(self.routes.values())
-        return carriers if self.control is None else carriers | {self.control.stream}
+        own: set[Carrier] = set() if self.control is None else {self.control.stream}
+        return self.channels.carriers(self.routes.values()) | own
 
     # --- how it is
 

@@ -11,18 +11,22 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.names import server_topic
 from rsb_bridge.model.priority import RANKS, priority_of
+from rsb_bridge.model.profiles import PLAIN, compression_of
 from rsb_bridge.model.session import Topic
 from rsb_bridge.wire.amending import Amend
 from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind
     from rsb_bridge.transport.transport import Transport
 
 _KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 
 
-def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_name: bool) -> Propose:
+def proposal_of(
+    topic: Topic, transport: Transport, *, client_name: str, use_name: bool, profile: LinkProfile = PLAIN
+) -> Propose:
     """What to ask the peer for.
 
     Args:
@@ -30,6 +34,7 @@ def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_nam
         transport: what will carry it.
         client_name: the client's name: the prefix.
         use_name: whether the server's name of the topic has the prefix.
+        profile: of the link.
     """
     on_server = topic.remote_topic or (server_topic(topic.topic, client_name) if use_name else topic.topic)
     from_client = topic.direction == "transmit"
@@ -42,7 +47,7 @@ def proposal_of(topic: Topic, transport: Transport, *, client_name: str, use_nam
         transport=transport.name,
         port=topic.port or 0,
         qos=topic.parsed_qos(),
-        compression=topic.compression or transport.compression,
+        compression=compression_of(topic.compression, profile, transport.compression),
         max_rate=topic.max_rate or 0.0,
         expected_rate=topic.expected_rate or 0.0,
         stale_after=topic.stale_after,

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.profiles import PLAIN
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.route_table import RouteTable
+    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.transport import Transport
@@ -28,6 +30,7 @@ class ProposedTopics:
         transport: of the link, which carries a topic unless that names another.
         client_name: the prefix.
         prefixed: whether this side knows that the server puts the prefix before the client's topics.
+        profile: gives the link's.
     """
 
     def __init__(
@@ -37,12 +40,14 @@ class ProposedTopics:
         transport: Transport,
         client_name: str,
         prefixed: Callable[[], bool],
+        profile: Callable[[], LinkProfile] = lambda: PLAIN,
     ) -> None:
         self._context = context
         self._table = table
         self._transport = transport
         self._client_name = client_name
         self._prefixed = prefixed
+        self._profile = profile
 
     def all(self) -> tuple[Topic, ...]:
         """What this side proposes, in a session's order. May be called from any thread."""
@@ -90,4 +95,4 @@ class ProposedTopics:
         for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
             raise LinkError(str(problem))
         transport = transports[topic.protocol] if topic.protocol else self._transport
-        return proposal_of(topic, transport, client_name=name, use_name=prefixed)
+        return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._profile())

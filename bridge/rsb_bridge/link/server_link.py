@@ -14,6 +14,7 @@ from rsb_bridge.link.shut_down import ASKED_EVERY, ShutDown
 from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fingerprints import format_fingerprint
+from rsb_bridge.model.profiles import profile_of
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.transport import ListenError, StreamTransport
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.descriptor_share import DescriptorShare
     from rsb_bridge.link.entry import Entry
+    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.ports import Ports
@@ -59,6 +61,10 @@ class ServerLink(Link):
     @property
     def address(self) -> str:
         return self.control.stream.peer if self.control else self._seen_at
+
+    @property
+    def profile(self) -> LinkProfile:
+        return profile_of(self.entry.client.profile, self.context.session.profile)
 
     @property
     def fingerprints(self) -> tuple[str, str]:

@@ -39,4 +39,6 @@ def snapshot_of(link: Link) -> LinkSnapshot:
         use_name=link.use_name,
         cause=LinkCause.NAME_TAKEN if link.warning else link.status.cause,
         warning=link.warning,
+        capacity_out=link.contention.sending.capacity,
+        capacity_in=link.contention.receiving.capacity,
     )

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from rsb_bridge.model.priority import Priority  # noqa: TC001 - msgspec resolves the annotation at run time
+from rsb_bridge.model.profiles import Compression, ProfileName  # noqa: TC001 - likewise
 from rsb_bridge.model.qos import Qos, parse_qos
 
 DEADMAN = 60.0
@@ -27,7 +28,6 @@ Provider = Literal["client", "server"]
 Identity = tuple[Kind, str, Direction]
 """What no two of a session's topics have in common: kind, name on the client, direction."""
 Protocol = Literal["tcp", "udp", "bluetooth"]
-Compression = Literal["none", "zstd"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "call", "serve"]
 
@@ -165,6 +165,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         deny: what it may not bridge, each entry a `Grant`, or a pattern of topics and services alike; stronger than
             `allow`.
         topics: what the server proposes to it whenever it links, as the client sees them.
+        profile: of its link; None: the server's `Session.profile`.
     """
 
     name: str
@@ -174,6 +175,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     allow: tuple[str | Grant, ...] = ()
     deny: tuple[str | Grant, ...] = ()
     topics: tuple[Topic, ...] = ()
+    profile: ProfileName | None = None
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -202,6 +204,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         allow: on a client, what the server may bridge, as in `Client`; empty: it may read all topics, and publish, call
             and serve what `topics` lists.
         deny: on a client, what it may not bridge, likewise; stronger than `allow`.
+        profile: what the link's network is like, which sets what nothing else does (`rsb_bridge.model.profiles`).
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
     """
 
@@ -225,6 +228,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     deny: tuple[str | Grant, ...] = ()
     ports: tuple[int, ...] | Literal["none"] | None = None
     shared_keys: bool = False
+    profile: ProfileName | None = None
 
     @property
     def is_bluetooth(self) -> bool:

@@ -9,6 +9,7 @@ import msgspec
 
 # These types must be known where a snapshot is decoded
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot  # noqa: TC001
+from rsb_bridge.model.capacity import Capacity  # noqa: TC001
 from rsb_bridge.model.qos import Qos  # noqa: TC001
 from rsb_bridge.model.session import Kind, Topic  # noqa: TC001
 
@@ -272,6 +273,8 @@ class LinkSnapshot:
         cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`; empty: there is none.
         warning: what is wrong though the link is up, for an operator; or empty.
         next_fingerprint: on a server, of the key that replaces the client's, and is valid, too; empty: none does.
+        capacity_out: what it is known to carry from here; None: nothing yet.
+        capacity_in: what it is known to carry to here; None: nothing yet.
     """
 
     name: str
@@ -295,6 +298,8 @@ class LinkSnapshot:
     cause: str = ""
     warning: str = ""
     next_fingerprint: str = ""
+    capacity_out: Capacity | None = None
+    capacity_in: Capacity | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import zstandard
 
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.wire.framing import ZSTD, Message
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
+    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.transport.transport import Transport
@@ -76,20 +78,25 @@ class Outbox:
         """Remove all messages; returns how many they were."""
         return self._queue.clear()
 
-    def limits(self, qos: Qos | None, depth: int, *, congested: bool) -> QueueLimits:
+    def limits(self, qos: Qos | None, depth: int, *, congested: bool, profile: LinkProfile = PLAIN) -> QueueLimits:
         """What may wait now. As long as the channel takes messages, the queue only passes them on.
 
         Args:
             qos: of the route; None: not known yet.
             depth: messages that the publisher keeps, of a latched topic; else 0.
             congested: whether the channel takes no messages now.
+            profile: of the link.
         """
         best_effort = qos is not None and qos.reliability == "best_effort"
-        size = _SLOW_QUEUE_BYTES if self._transport.slow and best_effort else _QUEUE_BYTES + self._largest
+        size = _QUEUE_BYTES + self._largest
+        if best_effort:
+            size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
         if qos is None or qos.history == "keep_all" or not congested:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
-        return QueueLimits(max(depth, qos.depth or _AUTO_DEPTH), AUTO_SECONDS if automatic else 0.0, size)
+        most = qos.depth or (profile.depth if best_effort else _AUTO_DEPTH)
+        kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
+        return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size)
 
     def _fits(self, size: int) -> bool:
         """Whether the transport carries a message of so many bytes; one that it does not is dropped."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.route.pause import Revisions
     from rsb_bridge.route.peer_budget import PeerBudget
     from rsb_bridge.route.route import Route
@@ -18,6 +19,11 @@ class Peer(Protocol):
     is_client: bool
     budget: PeerBudget
     revisions: Revisions
+
+    @property
+    def profile(self) -> LinkProfile:
+        """What the link's network is like."""
+        ...
 
     @property
     def bridges(self) -> tuple[str, ...]:

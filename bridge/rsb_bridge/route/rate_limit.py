@@ -67,7 +67,7 @@ class RateLimit:
     ) -> None:
         self.apply: Callable[[float], None] = lambda rate: None
         self._max_rate = max_rate
-        self._here = self._there = self._there_before = 0.0
+        self._here = self._there = self._there_before = self._profile = 0.0
         self._topic = topic
         self._rates = rates
         self._log = log
@@ -75,7 +75,7 @@ class RateLimit:
     @property
     def rate(self) -> float:
         """Hz; 0: all messages cross."""
-        return _lowest(self._max_rate, self.allowed)
+        return _lowest(self._max_rate, self.allowed, self._profile)
 
     @property
     def allowed(self) -> float:
@@ -91,6 +91,8 @@ class RateLimit:
         """Who limits it, for an operator."""
         if self.rate == self._max_rate:
             return "set on purpose (max_rate)"
+        if self.rate == self._profile:
+            return "the session's profile (max_rate overrides it)"
         return "this side allows no more (allow)" if self.rate == self._here else "the other side allows no more"
 
     def opened(self) -> None:
@@ -102,6 +104,12 @@ class RateLimit:
         """Take the limit of the topic's entry."""
         if rate != self._max_rate:
             self._max_rate = rate
+            self.apply(self.rate)
+
+    def set_profile_rate(self, rate: float) -> None:
+        """Take the limit that the link's profile has for it; 0: none."""
+        if rate != self._profile:
+            self._profile = rate
             self.apply(self.rate)
 
     def allow_here(self, rate: float) -> bool:

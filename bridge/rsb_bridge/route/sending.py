@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.ledger import RouteLedger
     from rsb_bridge.route.notices import Notices
     from rsb_bridge.route.peeking import PeekSlot
+    from rsb_bridge.route.peer import Peer
     from rsb_bridge.route.sorter import Sorter
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
@@ -34,6 +35,7 @@ class SendingRoute(Peekable, Protocol):
     Attributes:
         transport: what carries them.
         proposal: what the two sides have agreed on.
+        peer: the other side.
         channel: the way to the peer; None: there is none now.
         qos: of the topic; None: not known yet.
         notices: what an operator is told.
@@ -43,6 +45,7 @@ class SendingRoute(Peekable, Protocol):
 
     transport: Transport
     proposal: Propose
+    peer: Peer
     channel: SendingChannel | None
     qos: Qos | None
     notices: Notices
@@ -156,7 +159,8 @@ class Sending:
             channel, yielding = self._route.channel, self._route.yielding
             yielding.packed(len(messages), size)
             congested = yielding.holds or (channel is not None and channel.congested)
-            limits = self._outbox.limits(self._route.qos, depth, congested=congested)
+            profile = self._route.peer.profile
+            limits = self._outbox.limits(self._route.qos, depth, congested=congested, profile=profile)
             self._outbox.add(messages, self._context.now(), publisher, limits)
             self.flush()
 

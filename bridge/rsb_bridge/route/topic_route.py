@@ -84,9 +84,16 @@ class TopicRoute(Route):
     def tick(self) -> None:
         """Once a second: histories, stale warnings, and what has turned for the worse."""
         super().tick()
+        self.limit.set_profile_rate(self._profile_rate())
         self.latency.tick()
         cause = self.judged.shown(self.verdict()).verdict.cause
         self.silence.tick(self.context.now(), due=self.flowing and not self.is_latched, cause=cause)
+
+    def _profile_rate(self) -> float:
+        """Hz that the link's profile allows a topic that says nothing of it, and may lose messages; 0: any."""
+        if not self.outgoing or self.qos is None or self.qos.reliability != "best_effort" or self.proposal.max_rate:
+            return 0.0
+        return self.peer.profile.max_rate or 0.0
 
     def count(self, messages: int, size: int) -> None:
         """Note that messages passed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
 import socket
@@ -80,6 +81,7 @@ class Stream(asyncio.Protocol):
         self._now: Callable[[], float] = float  # until it is connected
         self._when_gone: Callable[[], None] = _nothing
         self._reason = ""
+        self._given_up_after = 0.0
 
     def write(self, data: bytes | memoryview) -> None:
         """Send, or keep until the socket takes it. Nothing happens on a stream that is over.
@@ -113,6 +115,15 @@ class Stream(asyncio.Protocol):
         """Take in again what the peer sends."""
         if self._transport is not None and not self._transport.is_closing():
             self._transport.resume_reading()
+
+    def give_up_after(self, seconds: float) -> None:
+        """Have the kernel give it up once nothing is acknowledged for so long; only TCP does. May be called again."""
+        if seconds == self._given_up_after or self._transport is None:
+            return
+        self._given_up_after = seconds
+        sock = self._transport.get_extra_info("socket")
+        with contextlib.suppress(OSError, AttributeError):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(seconds * 1000))
 
     @property
     def over(self) -> bool:

@@ -5,7 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, key_of
-from rsb_console.command.target import UsageError, attached, check_link, chosen_route, done, result, suggestion
+from rsb_bridge.model.link_budget import as_report, cost_of, told
+from rsb_console.command.shell import OK, print_line
+from rsb_console.command.target import (
+    UsageError,
+    attached,
+    check_link,
+    chosen_route,
+    done,
+    result,
+    suggestion,
+)
 from rsb_console.session.draft import SWITCHES, problems_of, topic_of, values_of
 
 if TYPE_CHECKING:
@@ -32,7 +42,26 @@ def add(arguments: Namespace) -> int:
         if len(links) > 1 and not arguments.link:
             raise UsageError(f"add {arguments.topic}: with which client? --link {' or --link '.join(links)}")
         topic = _topic(values, keys, engine, None)
+        if arguments.dry_run:
+            return _say_cost(arguments, topic, engine, arguments.link or links[0])
         return done(arguments, key=result(engine.add_topic(topic, arguments.link)))
+
+
+def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: str) -> int:
+    """Say what a topic would cost. Returns the exit code."""
+    if topic.kind != "topic":
+        raise UsageError(f"add {topic.topic}: --dry-run is about topics: calls go ahead of them, and are not budgeted")
+    now = engine.snapshot()
+    sends_here = (topic.direction == "transmit") == (now.role == "client")
+    names = {topic.topic, topic.remote_topic, f"/{link}{topic.topic}"}
+    found = result(engine.topics(None if sends_here else link))
+    type_name = next((info.type_name for info in found if info.topic in names), "")
+    cost = cost_of(now, link, topic, type_name=type_name, rate=arguments.rate, size=arguments.size)
+    if arguments.json:
+        return done(arguments, cost=as_report(cost))
+    for line in told(cost, now.time):
+        print_line(line)
+    return OK
 
 
 def edit(arguments: Namespace) -> int:

@@ -12,13 +12,15 @@ from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.profiles import PROFILES, compression_of, described, profile_of
 from rsb_bridge.model.session import Grant
 from rsb_bridge.model.text import join_first
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from rsb_bridge.model.session import Compression, Session, Topic
+    from rsb_bridge.model.profiles import Compression, LinkProfile
+    from rsb_bridge.model.session import Session, Topic
 
 _NAMED = 6
 
@@ -28,14 +30,18 @@ def summary(session: Session) -> Iterator[str]:
     where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
     yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
+    if session.profile is not None:
+        yield f"profile {session.profile}: {described(PROFILES[session.profile])}"
     for topic in session.topics:
-        yield f"  {_route(topic, session)}"
+        yield f"  {_route(topic, session, profile_of(session.profile))}"
     for client in session.clients:
         allowed, denied = _grants(client.allow) or "everything", _grants(client.deny)
         prefix = "" if client.use_name is None else f", {_prefix_of(client.name, use_name=client.use_name)}"
         yield f"  accepts {client.name}: {allowed}{', not ' if denied else ''}{denied}{prefix}"
+        if client.profile is not None:
+            yield f"    profile {client.profile}: {described(PROFILES[client.profile])}"
         for topic in client.topics:
-            yield f"    proposes {_route(topic, session)}"
+            yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}"
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
 
@@ -83,9 +89,10 @@ def _prefix_of(name: str, *, use_name: bool) -> str:
     return f"prefix /{name}" if use_name else "no prefix"
 
 
-def _route(topic: Topic, session: Session) -> str:
+def _route(topic: Topic, session: Session, profile: LinkProfile) -> str:
+    compression = compression_of(topic.compression, profile, transport_of(topic, session).compression)
     transport = transport_of(topic, session)
-    details = list(_details(topic, transport.compression))
+    details = list(_details(topic, compression))
     if topic.kind == "topic":
         what = f"{topic.direction} {topic.topic}"
     else:
@@ -93,19 +100,20 @@ def _route(topic: Topic, session: Session) -> str:
     return f"{what} over {transport.name}: {', '.join(details)}"
 
 
-def _details(topic: Topic, usual_compression: Compression) -> Iterator[str]:
+def _details(topic: Topic, compression: Compression) -> Iterator[str]:
     if topic.kind != "parameters":
         yield f"type {topic.type}"
     yield f"qos {topic.qos}" if topic.kind == "topic" else f"given up after {topic.call_timeout:g} s"
     if topic.port is not None:
         yield f"port {topic.port}"
-    compression = topic.compression or usual_compression
     if compression != "none":
         yield f"{compression} compression"
     if topic.remote_topic is not None:
         yield f"{topic.remote_topic} on the server"
     if topic.max_rate is not None:
         yield f"at most {topic.max_rate:g} {'Hz' if topic.kind == 'topic' else 'calls/s'}"
+    if topic.priority != "normal":
+        yield f"{topic.priority} priority"
     if topic.expected_rate is not None:
         yield f"expected {topic.expected_rate:g} Hz"
     if topic.stale_after is not None:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 TOPIC_KEYS = (
-    "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, expected_rate=, stale_after=, paused=, "
-    "arm=, deadman="
+    "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, priority=, expected_rate=, stale_after=, "
+    "paused=, arm=, deadman="
 )
 CALL_KEYS = (
     "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "
@@ -144,6 +144,7 @@ def add_remote_commands(
         nargs="?",
         help="of a topic: to the server, or from the server, as the client sees it",
     )
+    _cost_options(add)
     _topic_keys(add)
     add.add_argument("--link", default="", metavar="CLIENT", help="on a server of several clients: the one to bridge")
     edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
@@ -262,6 +263,16 @@ def route_arguments(parser: argparse.ArgumentParser, kinds: tuple[str, ...] = KI
 
 def _kind(parser: argparse.ArgumentParser, about: str, kinds: tuple[str, ...] = KINDS) -> None:
     parser.add_argument("--kind", choices=kinds, help=about)
+
+
+def _cost_options(parser: argparse.ArgumentParser) -> None:
+    """The options that ask what a topic would cost."""
+    parser.add_argument(
+        "--dry-run", action="store_true", help="add nothing: say what a topic would cost on the link, and who suffers"
+    )
+    figures = "with --dry-run: what it brings, where the bridge has no figure"
+    parser.add_argument("--rate", type=float, metavar="HZ", help=figures)
+    parser.add_argument("--size", type=float, metavar="BYTES", help=figures)
 
 
 def _topic_keys(parser: argparse.ArgumentParser) -> None:

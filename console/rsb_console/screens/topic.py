@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from textual import on, work
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.link_budget import LoadSource, cost_of, told
 from rsb_console.screens.form import FormScreen
 from rsb_console.screens.topic_fields import KINDS, ORDER, fields_by_kind
 from rsb_console.screens.topic_suggestions import suggestions_for
@@ -92,6 +93,28 @@ class TopicScreen(FormScreen[Draft]):
     @property
     def _link(self) -> str:
         return self.form.values.get("link") or self._links[0]
+
+    def check(self) -> None:
+        """Say what is wrong, and what a topic that is right would cost on the link."""
+        super().check()
+        self.form.fields["priority"].note.set_text("\n".join(self._cost()))
+
+    def _cost(self) -> tuple[str, ...]:
+        values = self.form.values
+        if self._kind != "topic" or not values.get("topic") or self.problems(values):
+            return ()
+        now, draft = self._engine.snapshot(), self.result(values)
+        replaces = "" if self._route is None else self._route.key
+        known = "" if self._route is None else self._route.type_name
+        cost = cost_of(now, draft.link, draft.topic, type_name=known or self._type_of(draft), replaces=replaces)
+        return told(cost, now.time) if cost.load.source is not LoadSource.UNKNOWN else ()
+
+    def _type_of(self, draft: Draft) -> str:
+        """The type that the sending side's graph has; empty: none."""
+        sends_here = (draft.topic.direction == "receive") == (self._engine.session.role == "server")
+        found = self._found.get(None if sends_here else draft.link, [])
+        names = {draft.topic.topic, draft.topic.remote_topic, f"/{draft.link}{draft.topic.topic}"}
+        return next((info.type_name for info in found if info.topic in names), "")
 
     def problems(self, values: Mapping[str, str]) -> dict[str, str]:
         replaced = None if self._route is None else self._route.spec

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
     "topic", "kind", "direction", "provider", "type", "qos", "remote_topic", "timeout", "protocol", "port", "max_rate",
-    "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
+    "priority", "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
@@ -135,6 +135,12 @@ def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
     if kind == "topic":
         after = f"{session.stale_after:g} s"
         yield Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all")
+        yield Spec(
+            "priority",
+            "Priority",
+            "While the link carries less than is asked for, lower ones are thinned first.",
+            options=(("", "normal"), ("high", "high"), ("low", "low")),
+        )
         yield Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned")
         yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
         worth = "zstd is worth it for maps and clouds, and on slow links."

@@ -1,0 +1,281 @@
+"""What one more topic would cost on a link, and what else would suffer: worked out of a snapshot, before it is added.
+
+What a link carries is a `Capacity`, with its source and age: what crossed while more waited, the most that has been
+seen, or what a bench has measured. What a topic brings is measured where it is bridged already, over another link or
+this one; else it is what topics of its type usually bring, and said to be that.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from rsb_bridge.model.allotment import Wish, allot
+from rsb_bridge.model.capacity import Capacity, CapacitySource
+from rsb_bridge.model.priority import RANKS
+from rsb_bridge.model.text import join_first
+from rsb_bridge.model.verdict import about
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+
+PER_MESSAGE = 60
+"""Bytes that a message takes on the wire beside its content, about."""
+_SUFFERS = 0.97
+"""Part of what a topic wants: with less than that, it suffers."""
+_NAMED = 3
+
+TYPICAL: Final[dict[str, tuple[float, int]]] = {
+    "geometry_msgs/msg/PoseStamped": (10.0, 90),
+    "geometry_msgs/msg/Twist": (20.0, 52),
+    "geometry_msgs/msg/TwistStamped": (20.0, 80),
+    "nav_msgs/msg/OccupancyGrid": (0.2, 150_000),
+    "nav_msgs/msg/Odometry": (50.0, 730),
+    "nav_msgs/msg/Path": (1.0, 20_000),
+    "sensor_msgs/msg/BatteryState": (1.0, 200),
+    "sensor_msgs/msg/CameraInfo": (30.0, 400),
+    "sensor_msgs/msg/CompressedImage": (30.0, 60_000),
+    "sensor_msgs/msg/Image": (30.0, 921_600),
+    "sensor_msgs/msg/Imu": (100.0, 330),
+    "sensor_msgs/msg/JointState": (50.0, 400),
+    "sensor_msgs/msg/Joy": (20.0, 100),
+    "sensor_msgs/msg/LaserScan": (10.0, 4_000),
+    "sensor_msgs/msg/NavSatFix": (5.0, 150),
+    "sensor_msgs/msg/PointCloud2": (10.0, 600_000),
+    "std_msgs/msg/String": (1.0, 50),
+    "tf2_msgs/msg/TFMessage": (50.0, 300),
+    "visualization_msgs/msg/MarkerArray": (5.0, 10_000),
+}
+"""Hz, and bytes of a message, that topics of a type usually have: an image is 640 × 480 in colour, a cloud a 16-line
+lidar's turn, a scan 500 ranges with their intensities, a map 380 × 380 cells."""
+
+
+class LoadSource(StrEnum):
+    """How it is known what a topic brings, the best first."""
+
+    GIVEN = "given"
+    HERE = "here"
+    """It is bridged already, be it over another link."""
+    ALIKE = "alike"
+    """Another topic of its type is."""
+    TYPICAL = "typical"
+    """Topics of its type usually do."""
+    UNKNOWN = "unknown"
+
+
+class Load(NamedTuple):
+    """What a topic brings.
+
+    Attributes:
+        rate: Hz.
+        size: bytes of a message.
+        source: how that is known.
+        like: the topic it was measured on; empty: it is not measured.
+    """
+
+    rate: float
+    size: float
+    source: LoadSource
+    like: str = ""
+
+    @property
+    def bytes_per_second(self) -> float:
+        """On the wire."""
+        return self.rate * (self.size + PER_MESSAGE)
+
+
+class Sufferer(NamedTuple):
+    """A topic that would have less.
+
+    Attributes:
+        topic: its name on this side.
+        before: bytes/s that it has now.
+        after: bytes/s that it would have.
+        thinned: it yields to a higher priority; False: it is the same, and its queue overflows.
+    """
+
+    topic: str
+    before: float
+    after: float
+    thinned: bool
+
+
+class Cost(NamedTuple):
+    """What a topic would cost on a link.
+
+    Attributes:
+        load: what it brings; its source says whether anything is known.
+        used: bytes/s that cross now, the same way.
+        capacity: what the link carries that way; None: not known.
+        gets: bytes/s that it would have itself.
+        sufferers: who would have less.
+    """
+
+    load: Load
+    used: float
+    capacity: Capacity | None
+    gets: float
+    sufferers: tuple[Sufferer, ...] = ()
+
+    @property
+    def over(self) -> float:
+        """Bytes/s that are more than the link is known to carry; 0: it fits, or nothing is known."""
+        if self.capacity is None:
+            return 0.0
+        return max(0.0, self.used + self.load.bytes_per_second - self.capacity.bytes_per_second)
+
+
+def cost_of(
+    now: Snapshot,
+    link: str,
+    topic: Topic,
+    *,
+    type_name: str = "",
+    rate: float | None = None,
+    size: float | None = None,
+    replaces: str = "",
+) -> Cost:
+    """What a topic would cost.
+
+    Args:
+        now: of this side's engine.
+        link: the client's name.
+        topic: as the client sees it; a topic, not a service or the like.
+        type_name: as a graph has it; empty: the topic's own entry says it, or nobody knows.
+        rate: Hz, if somebody says so.
+        size: bytes of a message, likewise.
+        replaces: key of the route that it takes the place of; empty: it is a new one.
+    """
+    outgoing = (topic.direction == "transmit") == (now.role == "client")
+    load = load_of(now, topic, type_name=type_name, rate=rate, size=size)
+    at = next((each for each in now.links if each.name == link), None)
+    capacity = None if at is None else at.capacity_out if outgoing else at.capacity_in
+    routes = [
+        route
+        for route in now.routes
+        if route.link == link and route.outgoing == outgoing and route.key != replaces and route.calls is None
+    ]
+    wishes: dict[str, Wish] = {route.key: Wish(RANKS[route.spec.priority], _wire_rate(route)) for route in routes}
+    used = sum(wish.bytes_per_second for wish in wishes.values())
+    own = Wish(RANKS[topic.priority], load.bytes_per_second)
+    if capacity is None:
+        return Cost(load, used, None, own.bytes_per_second)
+    shares = allot(capacity.bytes_per_second, wishes | {"": own})
+    yields = len({wish.rank for wish in wishes.values()} | {own.rank}) > 1
+    sufferers = tuple(
+        Sufferer(route.topic, wish.bytes_per_second, shares[route.key], yields and wish.rank < highest)
+        for highest in [max([own.rank, *(wish.rank for wish in wishes.values())])]
+        for route in routes
+        if shares[route.key] < _SUFFERS * (wish := wishes[route.key]).bytes_per_second
+    )
+    return Cost(load, used, capacity, shares[""], sufferers)
+
+
+def load_of(
+    now: Snapshot, topic: Topic, *, type_name: str = "", rate: float | None = None, size: float | None = None
+) -> Load:
+    """What a topic brings, as well as that is known; arguments as of `cost_of`."""
+    type_name = type_name or ("" if topic.type == "auto" else topic.type)
+    rate = rate or topic.expected_rate
+    found = _measured(now.routes, topic, type_name)
+    if found is None and type_name in TYPICAL:
+        found = Load(*TYPICAL[type_name], LoadSource.TYPICAL)
+    if rate is not None and size is not None:
+        found = Load(rate, size, LoadSource.GIVEN)
+    elif found is None:
+        return Load(rate or 0.0, size or 0.0, LoadSource.UNKNOWN)
+    found = found._replace(rate=rate or found.rate, size=size or found.size)
+    return found if topic.max_rate is None else found._replace(rate=min(found.rate, topic.max_rate))
+
+
+def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> Load | None:
+    alike = None
+    for route in routes:
+        if route.calls is not None or route.rate <= 0.0:
+            continue
+        load = Load(route.rate, route.bytes_per_second / route.rate, LoadSource.HERE, route.topic)
+        if (route.spec.topic, route.spec.direction) == (topic.topic, topic.direction):
+            return load
+        if type_name and route.type_name == type_name and alike is None:
+            alike = load._replace(source=LoadSource.ALIKE)
+    return alike
+
+
+def _wire_rate(route: RouteSnapshot) -> float:
+    return route.bytes_per_second + PER_MESSAGE * route.rate
+
+
+def as_report(cost: Cost) -> dict[str, object]:
+    """A cost for programs: in bytes/s, Hz and bytes."""
+    capacity = cost.capacity
+    return {
+        "bytes_per_second": cost.load.bytes_per_second,
+        "rate": cost.load.rate,
+        "size": cost.load.size,
+        "source": cost.load.source.value,
+        "used": cost.used,
+        "capacity": None if capacity is None else capacity.bytes_per_second,
+        "capacity_source": None if capacity is None else str(capacity.source),
+        "over": cost.over,
+        "gets": cost.gets,
+        "suffers": [each._asdict() for each in cost.sufferers],
+    }
+
+
+# --- in words
+
+
+def told(cost: Cost, now: float) -> tuple[str, ...]:
+    """One or two lines for an operator, at `now` (s since the epoch)."""
+    if cost.load.source is LoadSource.UNKNOWN:
+        return ("cost on the link: not known: nothing of its type is bridged yet (expected_rate and a size say it)",)
+    load, capacity = cost.load, cost.capacity
+    what = f"about {amount(load.bytes_per_second)} ({load.rate:.3g} Hz × {_size(load.size)}, {_how(load)})"
+    if capacity is None:
+        return (f"{what}; what the link carries is not known yet",)
+    first = f"{what}; the link {_carries(capacity, now)}, {amount(cost.used)} in use"
+    if not cost.over:
+        return (first,)
+    if capacity.source == CapacitySource.SEEN and not cost.sufferers:
+        return first, "more than has crossed yet: it may carry that, or not"
+    names = join_first([f"{each.topic} to {each.after / each.before:.0%}" for each in cost.sufferers], _NAMED)
+    parts = []
+    if cost.sufferers:
+        thinned = all(each.thinned for each in cost.sufferers)
+        parts.append(f"thins {names}" if thinned else f"crowds {names}: give what matters priority: high")
+    if cost.gets < _SUFFERS * load.bytes_per_second:
+        parts.append(f"it would have {cost.gets / load.bytes_per_second:.0%} of its own messages across")
+    return first, f"{amount(cost.over)} too much: {'; '.join(parts)}"
+
+
+def _how(load: Load) -> str:
+    return {
+        LoadSource.GIVEN: "as given",
+        LoadSource.HERE: f"measured on {load.like}",
+        LoadSource.ALIKE: f"as {load.like} of the same type",
+        LoadSource.TYPICAL: "usual for its type, not measured",
+    }.get(load.source, "")
+
+
+def _carries(capacity: Capacity, now: float) -> str:
+    when = f"{about(capacity.age(now))} ago"
+    rate = amount(capacity.bytes_per_second)
+    if capacity.source == CapacitySource.SEEN:
+        return f"has carried {rate} at most"
+    by = "by a bench " if capacity.source == CapacitySource.BENCH else ""
+    return f"carries {rate} (measured {by}{when})"
+
+
+def _size(size: float) -> str:
+    return f"{size / 1e6:.2g} MB" if size >= 1e6 else f"{size / 1e3:.3g} kB" if size >= 1e3 else f"{size:.0f} B"
+
+
+def amount(bytes_per_second: float) -> str:
+    """``1.1 MB/s``."""
+    for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
+        if bytes_per_second >= unit:
+            return f"{bytes_per_second / unit:.3g} {name}"
+    return f"{bytes_per_second:.0f} B/s"

@@ -1,0 +1,72 @@
+"""What a link over a kind of network is set to, where its session file does not say otherwise.
+
+One table: `PROFILES`. Without a profile, and on a ``lan``, a link is as it always was. The other figures follow.
+
+- ``wifi`` stalls for some tenths of a second, again and again. A best-effort message that has waited behind five others
+  or 1 MiB (0.2 s at 5 MB/s) is better replaced by a newer one.
+- ``lte`` is slow upwards (some 500 kB/s), is paid for by the byte, and has gaps of up to some 10 s between cells. So
+  messages are compressed, half a second of them waits (256 KiB, three messages), and sensors cross at 10 Hz. The link
+  is given up after 15 s of silence instead of 5, so that a gap costs no new connection.
+- ``bluetooth`` is what RFCOMM links are set to anyway (50 kB/s: zstd, and 64 KiB of best effort), and sensors cross at
+  5 Hz, which leaves a message 10 kB.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+ProfileName = Literal["lan", "wifi", "lte", "bluetooth"]
+Compression = Literal["none", "zstd"]
+
+
+class LinkProfile(NamedTuple):
+    """What one sets.
+
+    Attributes:
+        compression: of topics, services and actions that name none; None: the transport's.
+        depth: best-effort messages of a topic that wait, where its QoS names no depth.
+        queue_bytes: of a best-effort topic that wait; one message always may. None: the transport's.
+        max_rate: Hz of a best-effort topic that names none; None: any.
+        patience: s without a byte until the link is given up, and for which a reliable topic's messages are kept
+            meanwhile; None: 5.
+    """
+
+    compression: Compression | None = None
+    depth: int = 10
+    queue_bytes: int | None = None
+    max_rate: float | None = None
+    patience: float | None = None
+
+
+PLAIN: Final = LinkProfile()
+"""Of a link that has no profile."""
+
+PROFILES: Final[dict[ProfileName, LinkProfile]] = {
+    "lan": PLAIN,
+    "wifi": LinkProfile(depth=5, queue_bytes=1024 * 1024),
+    "lte": LinkProfile("zstd", depth=3, queue_bytes=256 * 1024, max_rate=10.0, patience=15.0),
+    "bluetooth": LinkProfile("zstd", queue_bytes=64 * 1024, max_rate=5.0),
+}
+
+
+def profile_of(*names: ProfileName | None) -> LinkProfile:
+    """The first profile that is given: a client's before its server's."""
+    return next((PROFILES[name] for name in names if name is not None), PLAIN)
+
+
+def compression_of(own: Compression | None, profile: LinkProfile, transport: Compression) -> Compression:
+    """How a topic is compressed: as it says itself, else as its link's profile or its transport wants."""
+    if own is not None:
+        return own
+    return "zstd" if "zstd" in (profile.compression, transport) else "none"
+
+
+def described(profile: LinkProfile) -> str:
+    """What a profile gives, in a line."""
+    size = f" or {profile.queue_bytes // 1024:,} KiB" if profile.queue_bytes else ""
+    parts = [
+        f"{profile.compression or 'no'} compression",
+        f"best effort: {f'{profile.max_rate:g} Hz, ' if profile.max_rate else ''}{profile.depth} messages{size} wait",
+        f"given up after {profile.patience or 5:g} s of silence",
+    ]
+    return "; ".join(parts)

@@ -1,0 +1,102 @@
+"""What a link's profile sets, and what is stronger."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rsb_bridge.config.difference import kept
+from rsb_bridge.config.session_file import SessionError, dump, parse
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.profiles import PLAIN, PROFILES, profile_of
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.outbox import Outbox
+from rsb_bridge.route.rate_limit import AllowedRates, RateLimit
+from rsb_bridge.transport.registry import default_transports
+from rsb_console.command.check_report import summary
+
+_CLIENT = """\
+name: robot1
+role: client
+server_ip: {address}
+server_port: {port}
+use_encryption: false
+profile: {profile}
+topics:
+  - {{topic: /scan, direction: transmit, priority: high}}
+  - {{topic: /map, direction: transmit, compression: none}}
+"""
+
+
+def session(profile: str, address: str = "192.168.1.10", port: int = 49152) -> Session:
+    return parse(_CLIENT.format(profile=profile, address=address, port=port), Path("robot1.yaml"))
+
+
+def test_what_is_given_wins() -> None:
+    tcp = default_transports()["tcp"]
+    lte = PROFILES["lte"]
+    given, none = (
+        proposal_of(topic, tcp, client_name="robot1", use_name=False, profile=lte)
+        for topic in session("lte").topics[::-1]
+    )
+    assert (given.compression, none.compression) == ("none", "zstd")
+
+
+def test_a_client_s_profile_is_stronger_than_its_server_s() -> None:
+    assert profile_of("wifi", "lte") is PROFILES["wifi"]
+    assert profile_of(None, "lte") is PROFILES["lte"]
+    assert profile_of(None, None) is PLAIN is PROFILES["lan"]
+
+
+@pytest.mark.parametrize("profile", ["lan", "wifi", "lte", "satellite"])
+def test_a_radio_is_no_network(profile: str) -> None:
+    with pytest.raises(SessionError) as refused:
+        session(profile, "5C:F3:70:9A:1B:2E", 3)
+    assert [problem.location for problem in refused.value.problems] == ["profile"]
+
+
+def test_it_is_kept_in_the_file_and_while_the_bridge_runs() -> None:
+    wifi, lte = session("wifi"), session("lte")
+    assert parse(dump(wifi), Path("again.yaml")) == wifi
+    unchanged, left = kept(wifi, lte)
+    assert unchanged == wifi
+    assert len(left) == 1
+
+
+def test_check_says_what_it_gives() -> None:
+    lines = list(summary(session("lte")))
+    assert any("profile lte" in line and "256 KiB" in line for line in lines)
+    assert [("zstd" in line, "high priority" in line) for line in lines if "transmit" in line] == [
+        (True, True),
+        (False, False),
+    ]
+
+
+@pytest.mark.parametrize("reliability", ["best_effort", "reliable"])
+def test_queues(reliability: str) -> None:
+    """Best effort waits for less, reliable for longer."""
+    topic = Topic("/scan", "transmit")
+    transport = default_transports()["tcp"]
+    proposal = proposal_of(topic, transport, client_name="robot1", use_name=False)
+    outbox = Outbox(transport, proposal, RouteLedger(), lambda *_: None)
+    qos = Qos(reliability="best_effort" if reliability == "best_effort" else "reliable", depth=0)
+    plain, lte = (outbox.limits(qos, 0, congested=True, profile=each) for each in (PLAIN, PROFILES["lte"]))
+    if reliability == "best_effort":
+        assert (plain.depth, lte.depth, lte.size, lte.younger_than) == (10, 3, 256 * 1024, 0.0)
+    else:
+        assert (plain.younger_than, lte.younger_than, lte.size) == (5.0, 15.0, plain.size)
+
+
+def test_its_rate_is_one_limit_among_others() -> None:
+    limit = RateLimit(0.0, "/scan", AllowedRates(), lambda *_: None)
+    told: list[float] = []
+    limit.apply = told.append
+    limit.set_profile_rate(10.0)
+    assert (limit.rate, told) == (10.0, [10.0])
+    assert "profile" in limit.why
+    limit.allow_here(4.0)
+    assert limit.rate == 4.0
+    assert "profile" not in limit.why

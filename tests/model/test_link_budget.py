@@ -1,0 +1,137 @@
+"""What a topic would cost on a link, by what is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from tests.console.scripted import LINK, NOW, route
+
+from rsb_bridge.model.capacity import LASTS, Capacity, CapacitySource, newer
+from rsb_bridge.model.link_budget import PER_MESSAGE, TYPICAL, LoadSource, as_report, cost_of, load_of, told
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+from rsb_bridge.telemetry.throughput import Throughput
+
+_SCAN = "sensor_msgs/msg/LaserScan"
+_IMAGE = "sensor_msgs/msg/Image"
+
+
+def sent(topic: str, priority: str, rate: float, size: float, **changes: object) -> RouteSnapshot:
+    """A topic that this client sends."""
+    spec = Topic(topic, "transmit", priority="high" if priority == "high" else "low" if priority == "low" else "normal")
+    return route(topic, outgoing=True, spec=spec, rate=rate, bytes_per_second=rate * size, **changes)
+
+
+def snapshot(
+    *routes: RouteSnapshot, carries: float | None = None, source: CapacitySource = CapacitySource.FULL
+) -> Snapshot:
+    capacity = None if carries is None else Capacity(carries, source, NOW - 180.0)
+    link = replace(LINK, capacity_out=capacity)
+    return Snapshot(NOW, "robot1", "client", "10.0.0.20", 3, running=True, links=(link,), routes=routes)
+
+
+def test_it_fits() -> None:
+    now = snapshot(sent("/scan", "normal", 10.0, 4_000), carries=1e6)
+    cost = cost_of(now, "robot1", Topic("/odom", "transmit"), rate=50.0, size=700.0)
+    assert cost.load.bytes_per_second == pytest.approx(50.0 * (700.0 + PER_MESSAGE))
+    assert (cost.over, cost.sufferers, cost.load.source) == (0.0, (), LoadSource.GIVEN)
+    assert cost.gets == cost.load.bytes_per_second
+    assert len(told(cost, NOW)) == 1
+
+
+def test_who_suffers() -> None:
+    """Lower priorities yield, the lowest first; the same one is crowded."""
+    now = snapshot(
+        sent("/scan", "high", 10.0, 4_000), sent("/map", "normal", 1.0, 200_000), sent("/camera", "low", 10.0, 60_000),
+        carries=1e6,
+    )  # fmt: skip
+    cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
+    assert [(each.topic, each.thinned) for each in cost.sufferers] == [("/camera", True)]
+    assert cost.gets == pytest.approx(cost.load.bytes_per_second)
+    assert cost.over > 300_000
+    first, second = told(cost, NOW)
+    assert "3 min" in first
+    assert "/camera" in second
+
+
+def test_all_of_one_priority() -> None:
+    now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.7e6)
+    cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
+    assert [(each.topic, each.thinned) for each in cost.sufferers] == [("/camera", False)]
+    assert cost.gets < cost.load.bytes_per_second
+    assert len(told(cost, NOW)) == 2
+
+
+def test_a_lower_one_yields_itself() -> None:
+    now = snapshot(sent("/camera", "normal", 10.0, 60_000), carries=0.7e6)
+    cost = cost_of(now, "robot1", Topic("/points", "transmit", priority="low"), rate=5.0, size=100_000.0)
+    assert cost.sufferers == ()
+    assert cost.gets < 0.3 * cost.load.bytes_per_second
+
+
+def test_the_other_direction_and_other_links_do_not_count() -> None:
+    now = snapshot(
+        route("/cmd_vel", bytes_per_second=9e5), sent("/scan", "normal", 10.0, 9e4, link="robot2"), carries=1e6
+    )
+    assert cost_of(now, "robot1", Topic("/odom", "transmit"), rate=50.0, size=700.0).used == 0.0
+
+
+def test_what_it_replaces_does_not_count() -> None:
+    now = snapshot(sent("/scan", "normal", 10.0, 4_000), carries=1e6)
+    assert cost_of(now, "robot1", Topic("/scan", "transmit", max_rate=5.0), replaces="/scan").used == 0.0
+
+
+def test_nothing_is_known_of_the_link() -> None:
+    cost = cost_of(snapshot(), "robot1", Topic("/scan", "transmit", type=_SCAN))
+    assert (cost.capacity, cost.over, cost.sufferers) == (None, 0.0, ())
+    assert len(told(cost, NOW)) == 1
+
+
+def test_more_than_was_ever_seen() -> None:
+    now = snapshot(carries=1e5, source=CapacitySource.SEEN)
+    cost = cost_of(now, "robot1", Topic("/image", "transmit", type=_IMAGE))
+    assert cost.over > 0
+    assert as_report(cost)["capacity_source"] == "seen"
+    assert len(told(cost, NOW)) == 2
+
+
+def test_what_a_topic_brings() -> None:
+    """Measured on the topic itself, else on one of its type, else what is usual, else nothing; limits hold for all."""
+    routes = (sent("/scan", "normal", 12.0, 3_000), sent("/front", "normal", 8.0, 9_000))
+    now = snapshot(*routes)
+    assert load_of(now, Topic("/scan", "transmit"))[:3] == (12.0, 3_000.0, LoadSource.HERE)
+    alike = load_of(now, Topic("/rear", "transmit"), type_name=_SCAN)
+    assert (alike.source, alike.like) == (LoadSource.ALIKE, "/scan")
+    usual = load_of(now, Topic("/image", "transmit", type=_IMAGE))
+    assert usual == (*TYPICAL[_IMAGE], LoadSource.TYPICAL, "")
+    assert load_of(now, Topic("/image", "transmit", type=_IMAGE, max_rate=5.0)).rate == 5.0
+    assert load_of(now, Topic("/image", "transmit", type=_IMAGE, expected_rate=7.0)).rate == 7.0
+    unknown = cost_of(now, "robot1", Topic("/x", "transmit", type="my_msgs/msg/X"))
+    assert unknown.load.source is LoadSource.UNKNOWN
+    assert len(told(unknown, NOW)) == 1
+
+
+def test_what_is_measured_gives_way_once_it_is_old() -> None:
+    full = Capacity(1e6, CapacitySource.FULL, 100.0)
+    less, more = (Capacity(rate, CapacitySource.SEEN, 200.0) for rate in (5e5, 2e6))
+    assert newer(None, less) is less
+    assert newer(full, less) is full
+    assert newer(full, more) is more
+    assert newer(full, Capacity(5e5, CapacitySource.SEEN, 101.0 + LASTS)).source == CapacitySource.SEEN
+    assert newer(more, full) is full
+
+
+def test_throughput() -> None:
+    """What a link carries is known after some seconds; a full link says it, whatever was seen before."""
+    meter = Throughput()
+    for second in range(10):
+        meter.look(2e6, float(second), float(second), full=False)
+    assert meter.capacity is not None
+    assert (meter.capacity.bytes_per_second, meter.capacity.source) == (2e6, CapacitySource.SEEN)
+    for second in range(10, 20):
+        meter.look(1e6, float(second), float(second), full=True)
+    assert meter.capacity is not None
+    assert (meter.capacity.bytes_per_second, meter.capacity.source) == (1e6, CapacitySource.FULL)
+    meter.measured(Capacity(3e6, CapacitySource.BENCH, 20.0))
+    assert meter.capacity.bytes_per_second == 3e6
