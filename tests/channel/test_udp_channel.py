@@ -197,6 +197,7 @@ def test_a_connection_that_is_over_is_forgotten() -> None:
                 link_id = number.to_bytes(8, "big")
                 client, _ = server.connect(link_id)
                 await ready(client)
+                await until(lambda link_id=link_id: server.ready[-1:] == [link_id])
                 client.close()
                 server.channels[link_id].close()
             stranger = _keys(b"stranger", "client")
