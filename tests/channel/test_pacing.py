@@ -23,6 +23,7 @@ class Path:
         buffer: bytes of the receiver's buffer.
         held_up: s, from and until when the receiver does not read.
         receipts: whether the receiver sends any.
+        losing: each 500th datagram is lost on the way.
         arrived: datagrams read so far.
         lost: datagrams.
     """
@@ -33,6 +34,7 @@ class Path:
         self.queue_limit = 1 << 30
         self.held_up = (-1.0, -1.0)
         self.receipts = True
+        self.losing = False
         self.arrived = self.lost = 0
         self.pacer = Pacer()
         self._sequence = 0
@@ -64,7 +66,7 @@ class Path:
 
     def _put(self) -> None:
         carried = max(self._carried, self.time) + DATAGRAM / self.speed
-        if (carried - self.time) * self.speed > self.queue_limit:
+        if (carried - self.time) * self.speed > self.queue_limit or (self.losing and self._sequence % 500 == 499):
             self.lost += 1
         else:
             self._carried = carried
@@ -144,6 +146,22 @@ def test_a_narrow_path_is_found_and_kept_to() -> None:
     assert path.pacer._burst < 128 * 1024
 
 
+def test_losses_that_were_chance_do_not_slow_it_down_for_long() -> None:
+    path = Path()
+    path.losing = True
+    for _ in range(10):
+        path.send(6_000_000, 1.0)
+    assert path.lost
+    assert path.pacer._burst < 500_000
+    path.losing = False
+    for _ in range(100):
+        path.send(6_000_000, 1.0)
+        path.time += 0.1
+    began = path.time
+    path.send(60_000_000, 1.0)
+    assert 60e6 / (path.time - began) > 400e6
+
+
 def test_what_overtakes_is_not_lost() -> None:
     """Each receipt misses a datagram that is still under way."""
     pacer = Pacer()
@@ -151,7 +169,7 @@ def test_what_overtakes_is_not_lost() -> None:
         pacer.sent(100_000, number * 10, number * 0.01)
         pacer.receipt(number * 10, number * 10, 8 << 20, number * 0.01 + 0.001)
     assert pacer._burst >= 128 * 1024
-    assert not pacer._careful
+    assert pacer._lost_at is None
 
 
 def test_receipts_that_were_overtaken_count_for_nothing() -> None:

@@ -4,8 +4,8 @@ Two bounds, both learned from receipts (`rsb_bridge.wire.datagram.Receipt`):
 
 - A window: what is under way fits the receiver's kernel buffer, and beyond it what the path itself holds (its rate
   times its delay). So a receiver that is held up for a moment loses nothing.
-- A rate: 128 MB/s at first, a gigabit's. It grows by half with each receipt as long as nothing is lost, shrinks by 0.3
-  when something is, and grows by 5 % a second from then on.
+- A rate: 128 MB/s at first, a gigabit's. It grows by half with each receipt as long as nothing is lost, and shrinks by
+  0.3 when something is. From then on it grows by 5 % a second, and the faster the longer nothing is lost.
 
 A peer that sends no receipts has the first rate, and no window.
 """
@@ -23,6 +23,8 @@ _GROWTH, _CAREFUL_GROWTH, _SHRINKING = 1.5, 0.05, 0.7
 WINDOW = 2
 """The part of the receiver's buffer that one route may fill: its routes share it, and small datagrams cost more."""
 _MOST_ON_PATH = 16 * 1024 * 1024
+_FIRST_WAIT = 0.01
+"""s, at most, until the first receipt, which says how much the receiver's buffer takes."""
 _PATIENCE = 0.25
 """s without a receipt, after which what is under way counts as arrived or lost."""
 _SPAN = 0.005
@@ -43,37 +45,39 @@ class Pacer:
         self._filled_at = 0.0
         self._limited = False
         self._sent = 0
+        self._began = 0.0
         self._arrived = 0
         self._under_way: deque[tuple[int, int, float]] = deque()  # last sequence number, bytes sent with it, when
         self._passed = (-1, 0)  # the last sequence number before what is under way, and bytes sent up to it
-        self._heard_at: float | None = None
+        self._heard_at = 0.0
         self._newest = -1
         self._missing: int | None = None
         self._most_missing = 0
-        self._careful = False
+        self._lost_at: float | None = None
         self._delay = float("inf")
         self._rate = 0.0
+        self._on_path = 0
         self._span = (0.0, 0)  # since when the rate is measured, and what had arrived then
 
     def room(self, now: float) -> int:
         """Bytes that may be sent now; 0 or less: none."""
         burst = self._burst
-        self._tokens = min(2 * burst, self._tokens + (now - self._filled_at) * burst / _PAUSE)
-        self._filled_at = now
-        if self._tokens <= 0:
+        tokens = self._tokens + (now - self._filled_at) * burst / _PAUSE
+        if tokens > 2 * burst:
+            tokens = 2 * burst
+        elif tokens <= 0:
             self._limited = True
-        return int(min(self._tokens, self._left(now)))
-
-    def _left(self, now: float) -> float:
-        """Bytes that the window leaves."""
+        self._tokens = tokens
+        self._filled_at = now
         if not self.window:
-            return self._tokens
-        if self._under_way and now - max(self._under_way[-1][2], self._heard_at or 0.0) >= _PATIENCE:
+            return 0 if self._sent >= _FIRST_BURST and now - self._began < _FIRST_WAIT else int(tokens)
+        left = self.window + self._on_path - (self._sent - self._arrived)
+        if left <= 0 and now - max(self._under_way[-1][2], self._heard_at) >= _PATIENCE:
             self._arrived = self._sent
             self._passed = self._under_way[-1][:2]
             self._under_way.clear()
-        on_path = min(self._rate * self._delay, _MOST_ON_PATH) if self._rate else 0
-        return self.window + on_path - (self._sent - self._arrived)
+            left = self.window
+        return int(min(tokens, left))
 
     def pause(self) -> float:
         """Time (s) until it is worth asking for room again, where no receipt comes before."""
@@ -81,11 +85,14 @@ class Pacer:
 
     def sent(self, size: int, sequence: int, now: float) -> None:
         """So many bytes were sent; the last datagram had this sequence number."""
+        if not self._sent:
+            self._began = now
         self._tokens -= size
         self._sent += size
         self._under_way.append((sequence, self._sent, now))
         if not self.window and len(self._under_way) > 1 and now - self._under_way[0][2] > _PATIENCE:
             self._passed = self._under_way.popleft()[:2]  # a peer that sends no receipts
+            self._arrived = self._passed[1]
 
     def receipt(self, newest: int, opened: int, buffer: int, now: float) -> None:
         """The receiver has opened so many datagrams, up to that sequence number, and has a buffer of so many bytes."""
@@ -101,12 +108,12 @@ class Pacer:
             (begin, before), (last, after, _) = self._passed, self._under_way[0]
             part = (newest - begin) / (last - begin)
             self._arrived = max(self._arrived, before + int(part * (after - before)))
-        since = now - self._heard_at if self._heard_at is not None else 0.0
-        self._heard_at = now
+        since, self._heard_at = now - self._heard_at, now
         began, arrived = self._span
         if now - began >= max(_SPAN, self._delay):
             self._rate = max((self._arrived - arrived) / (now - began), 0.9 * self._rate)
             self._span = now, self._arrived
+        self._on_path = min(int(self._rate * self._delay), _MOST_ON_PATH) if self._rate else 0
         self._adapt(newest + 1 - opened, since)
 
     def _adapt(self, missing: int, since: float) -> None:
@@ -118,9 +125,11 @@ class Pacer:
         lost = min(before, missing)
         if lost > self._most_missing:
             self._most_missing = lost
-            self._careful = True
+            self._lost_at = self._heard_at
             self._burst = max(self._burst * _SHRINKING, _LEAST_BURST)
         elif self._limited:
-            growth = 1 + _CAREFUL_GROWTH * min(since, 1.0) if self._careful else _GROWTH
+            growth = _GROWTH
+            if self._lost_at is not None:
+                growth = min(1 + _CAREFUL_GROWTH * since * (1 + (self._heard_at - self._lost_at) ** 2), _GROWTH)
             self._burst = min(self._burst * growth, _MOST_BURST)
         self._limited = False
