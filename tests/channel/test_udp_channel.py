@@ -6,6 +6,7 @@ import asyncio
 import socket
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pytest
@@ -125,6 +126,11 @@ async def ready(channel: ClientUdpChannel) -> None:
     await until(lambda: channel.ready)
 
 
+def _newest_is(server: Server, link_id: bytes) -> bool:
+    """Whether the server's end of a connection was the last to become ready."""
+    return server.ready[-1:] == [link_id]
+
+
 async def settled(server: Server, client: ClientUdpChannel) -> ServerUdpChannel:
     """The server's end, once it has the client's address."""
     await ready(client)
@@ -198,6 +204,7 @@ def test_a_connection_that_is_over_is_forgotten() -> None:
                 link_id = number.to_bytes(8, "big")
                 client, _ = server.connect(link_id)
                 await ready(client)
+                await until(partial(_newest_is, server, link_id))
                 client.close()
                 server.channels[link_id].close()
             stranger = _keys(b"stranger", "client")

@@ -44,6 +44,7 @@ class Machine:
         address: its IPv4 address.
         off_at: s, since when it is switched off; None: it is on.
         stream_buffer: bytes of a stream that its kernel takes before the peer's has acknowledged them.
+        receive_buffer: bytes of datagrams that its kernel keeps for a socket (net.core.rmem_max).
         refuses: a firewall here answers connects with a refusal.
         bound: sockets by their type and port.
         processes: those that run.
@@ -55,6 +56,7 @@ class Machine:
         self.address = address
         self.off_at: float | None = None
         self.refuses = False
+        self.receive_buffer = 8 << 20
         self.stream_buffer = network.random.choice(_STREAM_BUFFERS)
         self.bound: dict[tuple[int, int], Socket] = {}
         self.processes: list[Process] = []

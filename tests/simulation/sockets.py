@@ -32,9 +32,9 @@ _SYN_PAUSES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """s between the packets that ask for a connection which nobody answers."""
 _LOOK_UP = (0.0005, 0.05)
 """s, between which a name server takes to answer."""
-_BUFFER = 8 << 20
 _HEADERS = 28
 _IP_PKTINFO, _IP_MTU = 8, 14
+_SO_RCVBUFFORCE = 33
 _FIRST_DESCRIPTOR = 16
 _TRANSPORTS = ("rsb_bridge.transport.", "aiohappyeyeballs.")
 """Modules that get simulated sockets."""
@@ -88,11 +88,23 @@ class Socket:
         """Nothing in here blocks."""
 
     def setsockopt(self, level: int, option: int, value: Any) -> None:
-        """Note an option."""
+        """Note an option.
+
+        Raises:
+            OSError: the kernel has none of UDP's offloads, and lets nobody exceed its limits.
+        """
+        if level == real.SOL_UDP:
+            raise os_error(errno.ENOPROTOOPT)
+        if (level, option) == (real.SOL_SOCKET, _SO_RCVBUFFORCE):
+            raise os_error(errno.EPERM)
+        if (level, option) == (real.SOL_SOCKET, real.SO_RCVBUF):
+            value = 2 * min(value, self._machine.receive_buffer)
         self.options[level, option] = value
 
     def getsockopt(self, level: int, option: int, size: int = 0) -> int | bytes:
         """Read an option; of TCP's own figures, all are 0."""
+        if level == real.SOL_UDP:
+            raise os_error(errno.ENOPROTOOPT)
         if (level, option) == (real.IPPROTO_TCP, real.TCP_INFO):
             return bytes(size)
         if (level, option) == (real.IPPROTO_IP, _IP_MTU):
@@ -279,7 +291,7 @@ class Socket:
         """A datagram came."""
         if self._remote is not None and sender != self._remote:
             return  # it is connected to somebody else
-        if self._queued_bytes + len(data) <= _BUFFER:
+        if self._queued_bytes + len(data) <= self._machine.receive_buffer:
             self._queue.append((data, sender))
             self._queued_bytes += len(data)
             self._rouse()

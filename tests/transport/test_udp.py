@@ -3,21 +3,182 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import socket
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
 
+import pytest
+
+from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.streams import StreamHandler
-from rsb_bridge.transport.transport import Acceptor
-from rsb_bridge.transport.udp import Udp
+from rsb_bridge.transport.transport import RECEIVE_BUFFER, Acceptor
+from rsb_bridge.transport.udp import Udp, UdpSocket
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+
+HOSTS = pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+
+
+def has_segments() -> bool:
+    with socket.socket(type=socket.SOCK_DGRAM) as probe:
+        return udp_segments.can_segment(probe) and udp_segments.coalesce(probe)
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(60):
+        while not condition():  # noqa: ASYNC110 — plain state, looked at for a moment
+            await asyncio.sleep(0.005)
+
+
+@asynccontextmanager
+async def pair(host: str) -> AsyncIterator[tuple[UdpSocket, UdpSocket, list[bytes]]]:
+    """A bound socket, one that is connected to it, and what came to the bound one."""
+    came: list[bytes] = []
+    acceptor = Acceptor(StreamHandler, lambda _, datagrams: came.extend(bytes(each) for each, _ in datagrams), print)
+    bound = await Udp().listen(host, 0, acceptor)
+    (server,) = bound.sockets
+    client = Udp().connect(server._sock.getsockname(), lambda *_: None)
+    try:
+        yield server, client, came
+    finally:
+        client.close()
+        bound.close()
+
+
+class Watched:
+    """A socket whose calls are counted, and fail as told."""
+
+    def __init__(self, sock: Any) -> None:
+        self._sock = sock
+        self.failures: list[OSError | None] = []
+        self.refuses = False
+        self.sent: list[int] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sock, name)
+
+    def send(self, data: bytes) -> int:
+        self._check(1)
+        return int(self._sock.send(data))
+
+    def sendmsg(self, buffers: list[bytes], *further: Any) -> int:
+        self._check(len(buffers))
+        return int(self._sock.sendmsg(buffers, *further))
+
+    def _check(self, count: int) -> None:
+        if self.refuses:
+            raise BlockingIOError
+        if self.failures and (error := self.failures.pop(0)) is not None:
+            raise error
+        self.sent.append(count)
+
+
+def watch(udp: UdpSocket) -> Watched:
+    watched = Watched(udp._sock)
+    udp._sock = watched  # type: ignore[assignment]
+    return watched
 
 
 def test_a_peer_that_roams_does_not_make_the_table_of_sizes_grow() -> None:
     async def main() -> None:
-        bound = await Udp().listen("127.0.0.1", 0, Acceptor(StreamHandler, lambda *_: None, lambda _: None))
-        (sock,) = bound.sockets
-        for number in range(1000):
-            assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
-        assert len(sock._sizes) <= 256
-        bound.close()
+        async with pair("127.0.0.1") as (sock, _, _):
+            for number in range(1000):
+                assert sock.datagram_size((f"127.0.{number // 250}.{number % 250 + 1}", 1000)) > 1000
+            assert len(sock._sizes) <= 256
+
+    asyncio.run(main())
+
+
+@HOSTS
+@pytest.mark.parametrize("with_segments", [True, False])
+def test_datagrams_arrive_as_they_were_sent(host: str, with_segments: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one size and of several, both ways, with the kernel's help and without."""
+    if not with_segments:
+        monkeypatch.setattr(udp_segments, "can_segment", lambda _: False)
+        monkeypatch.setattr(udp_segments, "coalesce", lambda _: False)
+    sizes = [1200] * 150 + [700] + [1200] * 3 + [1, 2, 0, 5] + [60_000, 60_000, 9000]
+    datagrams = [bytes([index % 251]) * size for index, size in enumerate(sizes)]
+
+    async def main() -> None:
+        async with pair(host) as (server, client, came):
+            client.send(datagrams, None)
+            await until(lambda: len(came) >= len(datagrams))
+            assert came == datagrams
+            back: list[bytes] = []
+            client._received = lambda _, received: back.extend(bytes(each) for each, _ in received)
+            server.send(datagrams, server.path(host, client._sock.getsockname()))
+            await until(lambda: len(back) >= len(datagrams))
+            assert back == datagrams
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
+@HOSTS
+def test_datagrams_of_one_size_go_in_one_call(host: str) -> None:
+    async def main() -> None:
+        async with pair(host) as (server, client, came):
+            calls = watch(client)
+            client.send([bytes(1000)] * 64 + [bytes(400), bytes(1000)], None)
+            await until(lambda: len(came) == 66)
+            assert calls.sent == [64, 1, 1]
+            assert server.receive_buffer > 0
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(not has_segments(), reason="the kernel has no UDP segmentation")
+@pytest.mark.parametrize("number", [errno.EIO, errno.EINVAL, errno.EMSGSIZE])
+def test_what_the_kernel_does_not_cut_goes_one_by_one_for_a_while(number: int) -> None:
+    """An interface may not be able to, or the path has just become narrower; nothing is lost by it."""
+
+    async def main() -> None:
+        async with pair("127.0.0.1") as (_, client, came):
+            calls = watch(client)
+            calls.failures = [OSError(number, "")]
+            client.send([bytes(1000)] * 10, None)
+            await until(lambda: len(came) == 10)
+            client.send([bytes(1000)] * 10, None)
+            await until(lambda: len(came) == 20)
+            assert calls.sent == [1] * 20
+            client._one_by_one_until = 0.0
+            client.send([bytes(1000)] * 10, None)
+            await until(lambda: len(came) == 30)
+            assert calls.sent[20:] == [10]
+
+    asyncio.run(main())
+
+
+def test_a_datagram_that_fails_alone_is_lost_and_no_other() -> None:
+    async def main() -> None:
+        async with pair("127.0.0.1") as (_, client, came):
+            client._segments = False
+            watch(client).failures = [None, OSError(errno.EMSGSIZE, "")]
+            client.send([b"a", b"b", b"c"], None)
+            await until(lambda: len(came) == 2)
+            assert came == [b"a", b"c"]
+
+    asyncio.run(main())
+
+
+def test_what_the_kernel_refuses_waits_in_order_and_is_bounded() -> None:
+    async def main() -> None:
+        async with pair("127.0.0.1") as (_, client, came):
+            calls, written = watch(client), asyncio.Event()
+            client.when_writable.add(written.set)
+            calls.refuses = True
+            for number in range(40):
+                client.send([bytes([number]) * 1000] * 1000, None)
+            assert client.congested
+            assert 16 << 20 <= client.waiting_bytes <= (16 << 20) + 1_000_000
+            calls.refuses = False
+            await written.wait()
+            assert not client.congested
+            assert client.waiting_bytes == 0
+            await until(lambda: came)
+            assert came == sorted(came)
 
     asyncio.run(main())
 
@@ -33,35 +194,59 @@ class _Counted(bytes):
 
 
 def test_what_waits_is_not_counted_anew_for_each_message() -> None:
-    """One link's large message waits for its turn, and all links send on the same socket meanwhile."""
+    """What one link sent waits for the kernel, and all links send on the same socket meanwhile."""
 
-    async def run() -> int:
-        with socket.socket(type=socket.SOCK_DGRAM) as peer:
-            peer.bind(("127.0.0.1", 0))
-            udp = Udp().connect(peer.getsockname(), lambda *_: None)
-            udp.send([_Counted(1400) for _ in range(5000)], None)
-            assert udp.congested
+    async def main() -> None:
+        async with pair("127.0.0.1") as (_, client, _):
+            watch(client).refuses = True
+            client.send([_Counted(1400) for _ in range(5000)], None)
             _Counted.asked = 0
             for _ in range(1000):
-                udp.send([_Counted(1400)], None)
-            udp.close()
-        return _Counted.asked
+                client.send([_Counted(1400)], None)
+            assert _Counted.asked <= 10 * 1000
 
-    assert asyncio.run(run()) <= 10 * 1000
+    asyncio.run(main())
 
 
-def test_what_waits_is_bounded() -> None:
-    async def run() -> int:
-        with socket.socket(type=socket.SOCK_DGRAM) as peer:
-            peer.bind(("127.0.0.1", 0))
-            udp, sent = Udp().connect(peer.getsockname(), lambda *_: None), asyncio.Event()
-            udp.when_writable.add(sent.set)
-            for _ in range(40):
-                udp.send([bytes(1400)] * 1000, None)
-            waiting = udp.waiting_bytes
-            await sent.wait()
-            assert udp.waiting_bytes == 0
-            udp.close()
-        return waiting
+def test_a_limit_that_was_raised_is_used_without_a_restart() -> None:
+    async def main() -> None:
+        async with pair("127.0.0.1") as (_, client, _):
+            client._sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 50_000)
+            with socket.socket(type=socket.SOCK_DGRAM) as other:
+                other.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+                allowed = other.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+            assert allowed <= client.receive_buffer <= RECEIVE_BUFFER
 
-    assert 16 << 20 <= asyncio.run(run()) <= (16 << 20) + 1_400_000
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("sizes", "ends"),
+    [
+        ([5], [1]),
+        ([5, 5, 5], [3]),
+        ([5, 5, 3, 5], [3, 4]),
+        ([3, 5], [1, 2]),
+        ([5, 0, 5], [1, 2, 3]),
+        ([0, 0], [1, 2]),
+        ([1000] * 70, [64, 70]),
+        ([30_000] * 3, [2, 3]),
+        ([65_507, 65_507], [1, 2]),
+    ],
+)
+def test_runs_are_what_the_kernel_can_cut(sizes: list[int], ends: list[int]) -> None:
+    datagrams, found, begin = [bytes(size) for size in sizes], [], 0
+    while begin < len(datagrams):
+        begin = udp_segments.end_of_run(datagrams, begin)
+        found.append(begin)
+    assert found == ends
+
+
+def test_what_came_at_once_is_split_as_the_kernel_says() -> None:
+    def control(size: int) -> list[udp_segments.Control]:
+        return [(0, 8, b"other"), (socket.SOL_UDP, 104, size.to_bytes(4, "little"))]
+
+    assert [bytes(each) for each in udp_segments.split(b"aabbc", control(2))] == [b"aa", b"bb", b"c"]
+    assert udp_segments.split(b"aabbc", control(5)) == [b"aabbc"]
+    assert udp_segments.split(b"aabbc", control(0)) == [b"aabbc"]
+    assert udp_segments.split(b"", []) == [b""]

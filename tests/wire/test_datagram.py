@@ -12,7 +12,9 @@ from rsb_bridge.wire.datagram import (
     DatagramReader,
     DatagramWriter,
     Probe,
+    Receipt,
     addressee,
+    unpack_probe,
 )
 from rsb_bridge.wire.framing import SOURCE_FLAGS, SOURCE_SHIFT, ZSTD, ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, Suite
@@ -256,7 +258,40 @@ def test_probes_travel_on_their_own_route(pong: bool, opaque: int) -> None:
     assert addressee(datagram) == (PROBE_ROUTE, LINK)
     message = DatagramReader(DatagramOpener(Suite.AESGCM, KEY), PROBE_ROUTE).receive(datagram, 0.0)
     assert message is not None
-    assert Probe.unpack(message[0]) == probe
+    assert unpack_probe(message[0]) == probe
+
+
+@given(st.integers(1, 2**32 - 1), st.integers(0, 2**64 - 1), st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1))
+def test_receipts_are_as_the_document_says(route: int, newest: int, opened: int, buffer: int) -> None:
+    receipt = Receipt(route, newest, opened, buffer)
+    assert receipt.pack() == struct.pack(">BIQQI", 2, route, newest, opened, buffer)
+    assert unpack_probe(receipt.pack()) == receipt
+    with pytest.raises(ProtocolError, match="a receipt of kind 3"):
+        unpack_probe(b"\3" + receipt.pack()[1:])
+    with pytest.raises(ProtocolError, match="a probe of 25 bytes"):  # what an older side makes of it
+        Probe.unpack(receipt.pack())
+
+
+def test_a_reader_counts_what_it_opens() -> None:
+    writer, reader = ends()
+    datagrams = writer.write(bytes(30), 0, 0, OVERHEAD + 10)
+    assert (reader.opened, reader.newest_sequence, writer.sequence) == (0, -1, 3)
+    for index in (2, 0, 0):
+        reader.receive(datagrams[index], 0.0)
+    assert (reader.opened, reader.newest_sequence) == (2, 2)
+
+
+@given(st.integers(0, 5000), st.integers(1, 300))
+def test_fragments_have_one_size_as_far_as_it_divides(size: int, room: int) -> None:
+    writer, reader = ends()
+    datagrams = writer.write(bytes(size), 0, 0, OVERHEAD + room)
+    sizes = [len(datagram) - OVERHEAD for datagram in datagrams]
+    assert len(sizes) == max(1, -(-size // room)) == writer.datagrams(size, OVERHEAD + room)
+    assert max(sizes) <= room
+    assert len(set(sizes[:-1])) <= 1
+    assert min(sizes) == sizes[-1] > 0 or not size
+    if len(sizes) < 1000:
+        assert [reader.receive(datagram, 0.0) for datagram in datagrams][-1] == (bytes(size), 0, 0)
 
 
 @given(st.binary(max_size=20).filter(lambda payload: len(payload) != 9))

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.channel import Counts
+from rsb_bridge.channel.pacing import WINDOW, Pacer
+from rsb_bridge.channel.udp_channel import BufferShortage
 from rsb_bridge.transport.streams import BATCH_BYTES
+from rsb_bridge.transport.transport import RECEIVE_BUFFER
+from rsb_bridge.wire.datagram import Receipt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,9 +20,12 @@ if TYPE_CHECKING:
     from rsb_bridge.channel.udp_channel import UdpChannel
     from rsb_bridge.wire.datagram import DatagramReader, DatagramWriter
     from rsb_bridge.wire.framing import Message
+    from rsb_bridge.wire.sealing import Buffer
 
 _EXPIRE = 1.0
 """s after which a message whose fragments did not all come is given up."""
+_RECEIPTS_PER_BUFFER = 4 * WINDOW
+"""The receiver says what has come each time a quarter of the sender's window has."""
 
 
 class _DatagramChannel:
@@ -44,18 +52,23 @@ class _DatagramChannel:
 
 
 class DatagramSender(_DatagramChannel):
-    """The sending end."""
+    """The sending end. What the pace holds up waits here, sealed; nothing more is sealed meanwhile."""
 
     batch_bytes = BATCH_BYTES
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter) -> None:
         super().__init__(udp_channel, route)
         self._codec = codec
-        udp_channel.add_sender(route.id, route.flush)
+        self._loop = asyncio.get_running_loop()
+        self._pacer = Pacer()
+        self._waiting: Sequence[bytes] = ()
+        self._timer: asyncio.TimerHandle | None = None
+        self._largest = 0
+        udp_channel.add_sender(route.id, self)
 
     @property
     def congested(self) -> bool:
-        return self.carrier.socket.congested
+        return bool(self._waiting) or self.carrier.socket.congested
 
     def datagrams(self, size: int) -> int:
         """How many datagrams a message of `size` bytes takes now; only once it is ready."""
@@ -63,8 +76,59 @@ class DatagramSender(_DatagramChannel):
 
     def send(self, batch: Sequence[Message]) -> None:
         size = self.carrier.datagram_size()
+        datagrams = [*self._waiting]
         for payload, stamp, flags in batch:
-            self.carrier.send(self._codec.write(payload, stamp, flags, size))
+            datagrams += self._codec.write(payload, stamp, flags, size)
+            if len(payload) > self._largest:  # noqa: PLR1730 - max() takes three times as long
+                self._largest = len(payload)
+        self._waiting = datagrams
+        if self._timer is None:
+            self._send_waiting()
+
+    def close(self, reason: str) -> None:
+        self._waiting = ()
+        if self._timer is not None:
+            self._timer.cancel()
+        super().close(reason)
+
+    def writable(self) -> None:
+        """As `DatagramSource.writable`."""
+        if self._timer is None:
+            self._go_on()
+
+    def receipt(self, receipt: Receipt) -> None:
+        """As `DatagramSource.receipt`."""
+        self._pacer.receipt(receipt.newest, receipt.opened, receipt.buffer, self._loop.time())
+        if receipt.buffer < RECEIVE_BUFFER and self._largest > self._pacer.window:
+            self.carrier.shortages[False] = BufferShortage(False, receipt.buffer, self._largest)
+        if self._timer is not None:
+            self._timer.cancel()
+            self._go_on()
+
+    def _go_on(self) -> None:
+        self._timer = None
+        self._send_waiting()
+        if not self.congested:
+            self._route.flush()
+
+    def _send_waiting(self) -> None:
+        """Send as much as the pace allows, and set the timer for the rest; while the socket is congested it calls."""
+        while self._waiting and not self.carrier.socket.congested:
+            now = self._loop.time()
+            room = self._pacer.room(now)
+            if room <= 0:
+                self._timer = self._loop.call_later(self._pacer.pause(), self._go_on)
+                return
+            waiting, self._waiting = self._waiting, ()
+            size = sum(map(len, waiting))
+            if size > room:
+                size, count = 0, 0
+                while size < room:
+                    size += len(waiting[count])
+                    count += 1
+                waiting, self._waiting = waiting[:count], waiting[count:]
+            self.carrier.send(waiting)
+            self._pacer.sent(size, self._codec.sequence - len(self._waiting) - 1, now)
 
 
 class DatagramReceiver(_DatagramChannel):
@@ -74,6 +138,9 @@ class DatagramReceiver(_DatagramChannel):
         super().__init__(udp_channel, route)
         self._codec = codec
         self._whole: list[Message] = []
+        self._buffer = udp_channel.socket.receive_buffer
+        self._due = self._buffer // _RECEIPTS_PER_BUFFER
+        self._since_receipt = self._due  # the sender knows the buffer as soon as anything comes
         udp_channel.add_receiver(route.id, self)
 
     def counts(self) -> Counts | None:
@@ -83,23 +150,40 @@ class DatagramReceiver(_DatagramChannel):
         self._codec.close()
         super().close(reason)
 
-    def received(self, datagram: bytes, now: float) -> bool:
+    def received(self, datagram: Buffer, now: float) -> bool:
         """As `DatagramSink.received`."""
+        opened = self._codec.opened
         message = self._codec.receive(datagram, now)
+        if self._codec.opened > opened:
+            self._since_receipt += len(datagram)
         if message is None:
             return False
         self._whole.append(message)
         return True
 
     def hand_over(self) -> None:
-        """Deliver the messages that are whole."""
+        """Deliver the messages that are whole, and have the sender know what has come, when that is due."""
         whole, self._whole = self._whole, []
+        if self._since_receipt >= self._due and self._codec.opened:
+            self._since_receipt = 0
+            self.carrier.acknowledge(
+                Receipt(self._route_id, self._codec.newest_sequence, self._codec.opened, self._buffer)
+            )
         if whole:
+            if self._buffer < RECEIVE_BUFFER:
+                self._check_buffer(max(len(payload) for payload, _, _ in whole))
             self._route.deliver(whole)
 
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
         self._codec.expire(now, _EXPIRE)
+        if self._buffer < RECEIVE_BUFFER:  # its limit may have been raised
+            self._buffer = self.carrier.socket.receive_buffer
+            self._due = self._buffer // _RECEIPTS_PER_BUFFER
+
+    def _check_buffer(self, largest: int) -> None:
+        if largest > self._buffer // WINDOW:
+            self.carrier.shortages[True] = BufferShortage(True, self._buffer, largest)
 
 
 def datagram_channel(udp_channel: UdpChannel, route: RouteSink, keys: DataKeys) -> DatagramSender | DatagramReceiver:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe
+from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, unpack_probe
 from rsb_bridge.wire.framing import ProtocolError
 
 if TYPE_CHECKING:
     from rsb_bridge.channel.data_keys import DataKeys
+    from rsb_bridge.wire.sealing import Buffer
 
 
 class PathProbe:
@@ -23,16 +24,16 @@ class PathProbe:
         self._writer = keys.datagram_writer(PROBE_ROUTE)
         self._reader = keys.datagram_reader(PROBE_ROUTE)
 
-    def write(self, probe: Probe, size: int) -> list[bytes]:
-        """The probe as datagrams of at most `size` bytes."""
+    def write(self, probe: Probe | Receipt, size: int) -> list[bytes]:
+        """The probe, or receipt, as datagrams of at most `size` bytes."""
         return self._writer.write(probe.pack(), 0, 0, size)
 
-    def read(self, datagram: bytes, now: float) -> Probe | None:
-        """The probe in a datagram; None: forged, replayed, or no probe at all."""
+    def read(self, datagram: Buffer, now: float) -> Probe | Receipt | None:
+        """What a datagram says; None: forged, replayed, or neither of the two."""
         message = self._reader.receive(datagram, now)
         if message is None:
             return None
         try:
-            return Probe.unpack(message[0])
+            return unpack_probe(message[0])
         except ProtocolError:
             return None

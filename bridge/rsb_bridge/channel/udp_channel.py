@@ -9,14 +9,15 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, addressee
+from rsb_bridge.wire.datagram import PROBE_ROUTE, Probe, Receipt, addressee
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from rsb_bridge.channel.path_probe import PathProbe
     from rsb_bridge.transport.streams import Address
     from rsb_bridge.transport.transport import Datagrams, DatagramSocket, DatagramTransport, SendPath
+    from rsb_bridge.wire.sealing import Buffer
 
 _SILENT = 6.0
 """s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
@@ -31,10 +32,36 @@ class _Challenge(NamedTuple):
     since: float
 
 
+class BufferShortage(NamedTuple):
+    """A kernel's receive buffer is smaller than a topic's messages need.
+
+    Attributes:
+        here: it is this side's; else the peer's.
+        granted: bytes that the kernel grants.
+        message: bytes of the message that showed it.
+    """
+
+    here: bool
+    granted: int
+    message: int
+
+
+class DatagramSource(Protocol):
+    """The sending end of a route's channel."""
+
+    def writable(self) -> None:
+        """The socket was congested and takes more again."""
+        ...
+
+    def receipt(self, receipt: Receipt) -> None:
+        """The peer says what has come."""
+        ...
+
+
 class DatagramSink(Protocol):
     """The receiving end of a route's channel."""
 
-    def received(self, datagram: bytes, now: float) -> bool:
+    def received(self, datagram: Buffer, now: float) -> bool:
         """A datagram of its route came; returns whether it made a message whole, and with that authentic."""
         ...
 
@@ -58,6 +85,7 @@ class UdpChannel:
         received_bytes: so far.
         sent_bytes: so far.
         on_close: called when it is over.
+        shortages: of receive buffers, by whether it is this side's.
     """
 
     def __init__(
@@ -77,6 +105,7 @@ class UdpChannel:
         self.received_bytes = 0
         self.sent_bytes = 0
         self.on_close: Callable[[], None] = _nothing
+        self.shortages: dict[bool, BufferShortage] = {}
         self._probe = probe
         self._now = now
         self._on_ready = on_ready
@@ -84,7 +113,7 @@ class UdpChannel:
         self._path: SendPath | None = None
         self._began = self.received_at = now()
         self._heard: float | None = None
-        self._senders: dict[int, Callable[[], None]] = {}
+        self._senders: dict[int, DatagramSource] = {}
         self._receivers: dict[int, DatagramSink] = {}
 
     @property
@@ -92,10 +121,10 @@ class UdpChannel:
         """Whether datagrams are known to get through."""
         return self._heard is not None
 
-    def add_sender(self, route_id: int, writable: Callable[[], None]) -> None:
-        """Tell a route when the socket was congested and takes more again."""
-        self._senders[route_id] = writable
-        self.socket.when_writable.add(writable)
+    def add_sender(self, route_id: int, sender: DatagramSource) -> None:
+        """Tell a route what concerns its pace."""
+        self._senders[route_id] = sender
+        self.socket.when_writable.add(sender.writable)
 
     def add_receiver(self, route_id: int, receiver: DatagramSink) -> None:
         """Give a route its datagrams."""
@@ -103,15 +132,15 @@ class UdpChannel:
 
     def remove(self, route_id: int) -> None:
         """A route leaves; the last one closes the UDP channel."""
-        writable = self._senders.pop(route_id, None)
-        if writable is not None:
-            self.socket.when_writable.discard(writable)
+        sender = self._senders.pop(route_id, None)
+        if sender is not None:
+            self.socket.when_writable.discard(sender.writable)
         self._receivers.pop(route_id, None)
         if not self._senders and not self._receivers:
             self.close()
 
-    def send(self, datagrams: list[bytes]) -> None:
-        """Send one message's datagrams; nothing happens while the peer's address is not known."""
+    def send(self, datagrams: Sequence[bytes]) -> None:
+        """Send datagrams; nothing happens while the peer's address is not known."""
         if self._peer is not None:
             self.sent_bytes += sum([len(datagram) for datagram in datagrams])
             self.socket.send(datagrams, self._path)
@@ -121,7 +150,12 @@ class UdpChannel:
         assert self._peer is not None, "a UDP channel sends only once it is ready"
         return self.socket.datagram_size(self._peer)
 
-    def received(self, datagrams: Iterable[tuple[int, bytes, Address]]) -> None:
+    def acknowledge(self, receipt: Receipt) -> None:
+        """Say what has come of a route."""
+        if self._peer is not None:
+            self.send(self._probe.write(receipt, self.datagram_size()))
+
+    def received(self, datagrams: Iterable[tuple[int, Buffer, Address]]) -> None:
         """Take datagrams that name this connection, each with its route id."""
         now = self._now()
         was_ready = self.ready
@@ -135,13 +169,21 @@ class UdpChannel:
                 touched[receiver] = None
             elif route_id == PROBE_ROUTE:
                 probe = self._probe.read(datagram, now)
-                if probe is not None and self._probed(probe, address):
+                if isinstance(probe, Receipt):
+                    self._receipted(probe, now)
+                elif probe is not None and self._probed(probe, address):
                     self._heard = self.received_at = now
             # else the route was closed while the datagram was under way, or the peer has nothing to say on it
         for receiver in touched:
             receiver.hand_over()
         if self.ready and not was_ready:
             self._on_ready()
+
+    def _receipted(self, receipt: Receipt, now: float) -> None:
+        self.received_at = now
+        sender = self._senders.get(receipt.route)
+        if sender is not None:
+            sender.receipt(receipt)
 
     def _probed(self, probe: Probe, address: Address) -> bool:
         """An authentic probe came; returns whether it came from the peer's own address."""
@@ -233,7 +275,7 @@ class ServerUdpChannel(UdpChannel):
         self._source = source
         self._challenges: dict[Address, _Challenge] = {}  # the oldest first
 
-    def send(self, datagrams: list[bytes]) -> None:
+    def send(self, datagrams: Sequence[bytes]) -> None:
         if self._heard is not None and self._now() - self._heard <= _SILENT:  # else somebody else may have the address
             super().send(datagrams)
 
@@ -289,7 +331,7 @@ class UdpDemultiplexer:
 
     def received(self, socket: DatagramSocket, datagrams: Datagrams) -> None:
         """Take what one wake-up of a socket brought."""
-        by_link: dict[bytes, list[tuple[int, bytes, Address]]] = {}
+        by_link: dict[bytes, list[tuple[int, Buffer, Address]]] = {}
         for datagram, address in datagrams:
             if to := addressee(datagram):
                 by_link.setdefault(to[1], []).append((to[0], datagram, address))

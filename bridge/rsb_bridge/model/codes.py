@@ -102,6 +102,8 @@ class EventCode(StrEnum):
     """No second machine tries to connect under the name of the linked one any more."""
     LINK_UDP_BLOCKED = "link.udp_blocked"
     LINK_UDP_RESTORED = "link.udp_restored"
+    LINK_UDP_BUFFER = "link.udp_buffer"
+    """A kernel's limit for receive buffers is too small for the messages that come by UDP."""
     LINK_EVENTS_LEFT_OUT = "link.events_left_out"
     """The link had more events than its share of the log; the text says how many."""
 

@@ -23,10 +23,14 @@ from rsb_bridge.model.transports import TransportTraits
 from rsb_bridge.transport.streams import Address, format_address
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.model.session import Session
     from rsb_bridge.transport.streams import Stream, StreamHandler
+
+
+RECEIVE_BUFFER = 8 * 1024 * 1024
+"""Bytes of the kernel's receive buffer that a datagram socket asks for."""
 
 
 class ListenError(Exception):
@@ -64,8 +68,13 @@ class DatagramSocket(Protocol):
         """Whether datagrams wait here for the network: better not to send now."""
         ...
 
-    def send(self, datagrams: list[bytes], path: SendPath | None) -> None:
-        """Send one message's datagrams, along a path or, on a connected socket, None. Never waits; may lose them."""
+    @property
+    def receive_buffer(self) -> int:
+        """Bytes that the kernel grants of `RECEIVE_BUFFER`."""
+        ...
+
+    def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
+        """Send datagrams, along a path or, on a connected socket, None. Never waits; may lose them."""
         ...
 
     def path(self, source: str, address: Address) -> SendPath:
@@ -81,7 +90,7 @@ class DatagramSocket(Protocol):
         ...
 
 
-Datagrams: TypeAlias = list[tuple[bytes, Address]]
+Datagrams: TypeAlias = list[tuple[bytes | memoryview, Address]]
 """Datagrams, each with the address it came from."""
 
 

@@ -1,4 +1,4 @@
-"""UDP sockets on the I/O loop, with what asyncio's datagram transport lacks: draining, pacing, path MTU."""
+"""UDP sockets on the I/O loop, with what asyncio's datagram transport lacks: draining, segmentation, path MTU."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from rsb_bridge.model.transports import UdpTraits
+from rsb_bridge.transport import udp_segments
 from rsb_bridge.transport.listening import bind
 from rsb_bridge.transport.transport import (
+    RECEIVE_BUFFER,
     Acceptor,
     Datagrams,
     DatagramSocket,
@@ -22,25 +24,25 @@ from rsb_bridge.transport.transport import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rsb_bridge.transport.streams import Address
 
-_READS_PER_WAKE = 64
-_BUFFER = 8 * 1024 * 1024
-"""Bytes of each kernel buffer, if it grants that much."""
+_DATAGRAMS_PER_WAKE, _BYTES_PER_WAKE = 64, 1024 * 1024
+"""What is read before the I/O loop turns to other work."""
 _LARGEST = 65_535
 """Bytes of a datagram with its headers."""
-_BURST = 128 * 1024
-_BURST_PAUSE = 0.001
-"""A message larger than `_BURST` bytes is sent in bursts with pauses of so many s between them."""
-_SO_RCVBUFFORCE, _SO_SNDBUFFORCE = 33, 32
+_RECEIVE_BUFFER = 33, socket.SO_RCVBUF
+_SEND_BUFFER = 32, socket.SO_SNDBUF
+"""The option that forces a buffer's size, and the one that asks for it."""
 _IP_PKTINFO, _IP_MTU, _IPV6_MTU = 8, 14, 24
 _HEADERS = {socket.AF_INET: 28, socket.AF_INET6: 48}
 _SIZE_HOLDS = 1.0
-"""s until the kernel is asked again for the path's MTU, which ICMP may have changed."""
+"""s until the kernel is asked again for the path's MTU, which ICMP may have changed, or to cut what is sent at once."""
 _SIZES_KEPT = 256
 """Addresses whose path's MTU is kept; a peer that roams has a new one each time."""
 _BACKLOG_LIMIT = 16 * 1024 * 1024
-"""Bytes that wait for the kernel, or for their turn."""
+"""Bytes that wait for the kernel."""
 
 
 Received: TypeAlias = Callable[[DatagramSocket, Datagrams], None]
@@ -51,18 +53,21 @@ class UdpSocket:
 
     Attributes:
         when_writable: called when the socket was congested and takes more again.
-        waiting_bytes: what waits for the kernel, or for its turn.
+        waiting_bytes: what waits for the kernel.
     """
 
     def __init__(self, sock: socket.socket, received: Received) -> None:
         sock.setblocking(False)
-        _enlarge_buffers(sock)
+        _enlarge(sock, *_SEND_BUFFER, RECEIVE_BUFFER)
+        _enlarge(sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
         self._sock = sock
         self._received = received
         self._loop = asyncio.get_running_loop()
-        self._backlog: deque[tuple[bytes, SendPath | None]] = deque()
+        self._segments = udp_segments.can_segment(sock)
+        self._one_by_one_until = 0.0
+        self._coalesces = udp_segments.coalesce(sock)
+        self._backlog: deque[tuple[Sequence[bytes], SendPath | None]] = deque()
         self._sizes: dict[Address, tuple[int, float]] = {}
-        self._timer: asyncio.TimerHandle | None = None
         self.waiting_bytes = 0
         self.when_writable: set[Callable[[], None]] = set()
         self._loop.add_reader(sock, self._read)
@@ -76,6 +81,15 @@ class UdpSocket:
     def congested(self) -> bool:
         return bool(self._backlog)
 
+    @property
+    def receive_buffer(self) -> int:
+        """See `DatagramSocket.receive_buffer`; what the kernel has not granted is asked for again."""
+        granted = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it counts its overhead double
+        if granted < RECEIVE_BUFFER:
+            _enlarge(self._sock, *_RECEIVE_BUFFER, RECEIVE_BUFFER)
+            granted = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
+        return granted
+
     def path(self, source: str, address: Address) -> SendPath:
         """See `DatagramSocket.path`; the kernel alone might choose another source (IP_PKTINFO, IPV6_PKTINFO)."""
         if len(address) == 4:
@@ -84,30 +98,19 @@ class UdpSocket:
         content = struct.pack("=I4s4x", 0, socket.inet_aton(source))
         return SendPath(address, [(socket.IPPROTO_IP, _IP_PKTINFO, content)])
 
-    def send(self, datagrams: list[bytes], path: SendPath | None) -> None:
-        """See `DatagramSocket.send`.
-
-        A message larger than a burst is paced at 128 MB/s: the far kernel's buffer is small, and nothing on loopback or
-        a fast link would slow us down.
-        """
+    def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
+        """See `DatagramSocket.send`."""
         if self._backlog:
             if self.waiting_bytes < _BACKLOG_LIMIT:
                 self._wait(datagrams, path)
             return
-        burst = _BURST
-        for index, datagram in enumerate(datagrams):
-            burst -= len(datagram)
-            if burst < 0 and index:
-                self._wait(datagrams[index:], path)
-                self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
-                return
-            if not self._send_one(datagram, path):
-                self._wait(datagrams[index:], path)
-                self._loop.add_writer(self._sock, self._flush)
-                return
+        taken = self._send_all(datagrams, path)
+        if taken < len(datagrams):
+            self._wait(datagrams[taken:], path)
+            self._loop.add_writer(self._sock, self._flush)
 
-    def _wait(self, datagrams: list[bytes], path: SendPath | None) -> None:
-        self._backlog.extend((datagram, path) for datagram in datagrams)
+    def _wait(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
+        self._backlog.append((datagrams, path))
         self.waiting_bytes += sum(map(len, datagrams))
 
     def datagram_size(self, address: Address) -> int:
@@ -123,8 +126,6 @@ class UdpSocket:
 
     def close(self) -> None:
         """Close it; what waits is lost."""
-        if self._timer:
-            self._timer.cancel()
         self._loop.remove_reader(self._sock)
         self._loop.remove_writer(self._sock)
         self._backlog.clear()
@@ -133,40 +134,61 @@ class UdpSocket:
 
     def _read(self) -> None:
         datagrams: Datagrams = []
+        size = 0
         # An OSError is an ICMP error of an earlier send: the control connection tells whether the peer lives.
         with contextlib.suppress(OSError):
-            while len(datagrams) < _READS_PER_WAKE:
-                datagrams.append(self._sock.recvfrom(_LARGEST))
+            while len(datagrams) < _DATAGRAMS_PER_WAKE and size < _BYTES_PER_WAKE:
+                if self._coalesces:
+                    data, control, _, address = self._sock.recvmsg(_LARGEST, udp_segments.CONTROL_SPACE)
+                    datagrams += [(datagram, address) for datagram in udp_segments.split(data, control)]
+                else:
+                    data, address = self._sock.recvfrom(_LARGEST)
+                    datagrams.append((data, address))
+                size += len(data)
         if datagrams:
             self._received(self, datagrams)
 
-    def _send_one(self, datagram: bytes, path: SendPath | None) -> bool:
-        try:
+    def _send_all(self, datagrams: Sequence[bytes], path: SendPath | None) -> int:
+        """Send until the kernel has no room; returns how many it has taken, or lost as UDP may."""
+        begin, count = 0, len(datagrams)
+        while begin < count:
+            together = self._segments and begin + 1 < count and self._loop.time() >= self._one_by_one_until
+            end = udp_segments.end_of_run(datagrams, begin) if together else begin + 1
+            try:
+                self._send_run(datagrams[begin:end], path)
+            except BlockingIOError:
+                return begin
+            except OSError:
+                self._sizes.clear()  # EMSGSIZE: the path changed
+                if end - begin > 1:  # by the interface (EIO), or because of the path (EINVAL): one by one they may go
+                    self._one_by_one_until = self._loop.time() + _SIZE_HOLDS
+                    continue
+            begin = end
+        return count
+
+    def _send_run(self, run: Sequence[bytes], path: SendPath | None) -> None:
+        if len(run) == 1:
             if path is None:
-                self._sock.send(datagram)
+                self._sock.send(run[0])
             else:
-                self._sock.sendmsg((datagram,), path.control, 0, path.address)
-        except BlockingIOError:
-            return False
-        except OSError:
-            self._sizes.clear()  # EMSGSIZE: the path changed; other errors: lost, as UDP may
-        return True
+                self._sock.sendmsg(run, path.control, 0, path.address)
+            return
+        cut = udp_segments.segment(len(run[0]))
+        if path is None:
+            self._sock.sendmsg(run, [cut])
+        else:
+            self._sock.sendmsg(run, [*path.control, cut], 0, path.address)
 
     def _flush(self) -> None:
-        self._loop.remove_writer(self._sock)
-        self._timer = None
-        burst = _BURST
         while self._backlog:
-            datagram, path = self._backlog[0]
-            burst -= len(datagram)
-            if burst < 0:
-                self._timer = self._loop.call_later(_BURST_PAUSE, self._flush)
-                return
-            if not self._send_one(datagram, path):
-                self._loop.add_writer(self._sock, self._flush)
+            datagrams, path = self._backlog[0]
+            taken = self._send_all(datagrams, path)
+            self.waiting_bytes -= sum(map(len, datagrams[:taken]))
+            if taken < len(datagrams):
+                self._backlog[0] = datagrams[taken:], path
                 return
             self._backlog.popleft()
-            self.waiting_bytes -= len(datagram)
+        self._loop.remove_writer(self._sock)
         for writable in tuple(self.when_writable):
             writable()
 
@@ -202,12 +224,11 @@ class Udp(UdpTraits, DatagramTransport):
         return UdpSocket(sock, received)
 
 
-def _enlarge_buffers(sock: socket.socket) -> None:
-    for forced, asked in ((_SO_RCVBUFFORCE, socket.SO_RCVBUF), (_SO_SNDBUFFORCE, socket.SO_SNDBUF)):
-        try:
-            sock.setsockopt(socket.SOL_SOCKET, forced, _BUFFER)  # beyond net.core.?mem_max: root only
-        except OSError:
-            sock.setsockopt(socket.SOL_SOCKET, asked, _BUFFER)
+def _enlarge(sock: socket.socket, forced: int, asked: int, size: int) -> None:
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, forced, size)  # beyond net.core.?mem_max: with CAP_NET_ADMIN only
+    except OSError:
+        sock.setsockopt(socket.SOL_SOCKET, asked, size)
 
 
 def _path_mtu(family: int, address: Address) -> int:

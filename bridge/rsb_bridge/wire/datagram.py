@@ -25,6 +25,8 @@ PROBE_ROUTE = 0
 _HEADER = struct.Struct(">BBHHI8sQIQ")
 _ADDRESSEE = struct.Struct(">I8s")
 _PROBE = struct.Struct(">?Q")
+_RECEIPT = struct.Struct(">BIQQI")
+_RECEIPT_KIND = 2
 _UNKNOWN_FLAGS = 0xFF & ~(ZSTD | HISTORY | SOURCE_FLAGS)
 _FRAGMENT_COST = 400
 """Bytes of memory that a fragment takes beyond its content: many tiny ones must not take more than is counted."""
@@ -69,6 +71,40 @@ class Probe(NamedTuple):
         return cls._make(_PROBE.unpack(payload))
 
 
+class Receipt(NamedTuple):
+    """Another payload of `PROBE_ROUTE`'s messages: what a receiver has of a route, for its sender's pace.
+
+    Attributes:
+        route: its id.
+        newest: the highest sequence number opened.
+        opened: datagrams opened so far.
+        buffer: bytes of the kernel's receive buffer on the receiver's side, at most 2**32 - 1.
+    """
+
+    route: int
+    newest: int
+    opened: int
+    buffer: int
+
+    def pack(self) -> bytes:
+        """The receipt as a payload."""
+        return _RECEIPT.pack(_RECEIPT_KIND, *self)
+
+
+def unpack_probe(payload: bytes) -> Probe | Receipt:
+    """What a payload of `PROBE_ROUTE` says.
+
+    Raises:
+        ProtocolError: it is neither a probe nor a receipt.
+    """
+    if len(payload) != _RECEIPT.size:
+        return Probe.unpack(payload)
+    kind, *fields = _RECEIPT.unpack(payload)
+    if kind != _RECEIPT_KIND:
+        raise ProtocolError(f"a receipt of kind {kind}")
+    return Receipt._make(fields)
+
+
 class DatagramWriter:
     """Seals a route's messages as datagrams.
 
@@ -83,12 +119,17 @@ class DatagramWriter:
         self._route = route
         self._overhead = _HEADER.size + sealer.suite.tag_length
 
+    @property
+    def sequence(self) -> int:
+        """The next datagram's sequence number."""
+        return self._sealer.sequence
+
     def datagrams(self, size: int, max_datagram: int) -> int:
         """How many datagrams of at most `max_datagram` bytes a message of `size` bytes takes."""
         return max(-(-size // (max_datagram - self._overhead)), 1)
 
     def write(self, payload: Buffer, stamp: int, flags: int, max_datagram: int) -> list[bytes]:
-        """One message as datagrams.
+        """One message as datagrams, of one size as far as it divides: the kernel takes such at once.
 
         Args:
             payload: the serialized message.
@@ -99,11 +140,11 @@ class DatagramWriter:
         Raises:
             ValueError: the message needs more than `FRAGMENTS_LIMIT` datagrams; none was written.
         """
-        size = max_datagram - self._overhead
         count = self.datagrams(len(payload), max_datagram)
         if count > FRAGMENTS_LIMIT:
             raise ValueError(f"a message of {len(payload)} bytes takes more than {FRAGMENTS_LIMIT} datagrams: use tcp")
         self.number += 1
+        size = -(-len(payload) // count)
         sealer, view, datagrams = self._sealer, memoryview(payload), []
         for index in range(count):
             header = _HEADER.pack(
@@ -138,6 +179,8 @@ class DatagramReader:
     Attributes:
         expired: messages given up incomplete.
         newest: the highest message number seen.
+        opened: datagrams opened so far.
+        newest_sequence: the highest sequence number opened; -1: none.
     """
 
     def __init__(
@@ -157,6 +200,8 @@ class DatagramReader:
         """
         self.expired = 0
         self.newest = 0
+        self.opened = 0
+        self.newest_sequence = -1
         self._open = opener.open
         self._route = route
         self._budget = budget or Budget(UNFINISHED_LIMIT)
@@ -181,14 +226,17 @@ class DatagramReader:
         """
         if len(datagram) < _HEADER.size:
             return None
-        header = datagram[: _HEADER.size]
+        view = memoryview(datagram)
+        header = view[: _HEADER.size]
         magic, flags, index, count, route, _, sequence, number, stamp = _HEADER.unpack(header)
         if magic != MAGIC or flags & _UNKNOWN_FLAGS or index >= count or route != self._route:
             return None
         try:
-            content = self._open(sequence, datagram[_HEADER.size :], header)
+            content = self._open(sequence, view[_HEADER.size :], header)
         except SealError:
             return None
+        self.opened += 1
+        self.newest_sequence = max(self.newest_sequence, sequence)
         number = self._unwrap(number)
         if count == 1:
             return content, stamp, flags

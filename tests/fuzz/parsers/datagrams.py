@@ -9,7 +9,7 @@ from tests.fuzz.editing import behind, edit_bytes
 from tests.fuzz.parser import Parser
 
 from rsb_bridge.wire.budget import Budget
-from rsb_bridge.wire.datagram import MAGIC, DatagramReader, DatagramWriter, Probe, addressee
+from rsb_bridge.wire.datagram import MAGIC, DatagramReader, DatagramWriter, Probe, Receipt, addressee, unpack_probe
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.sealing import DatagramOpener, Sealer, SealError, Suite
 
@@ -65,10 +65,10 @@ def _read_unsealed(data: bytes) -> None:
 
 def _read_probe(data: bytes) -> None:
     try:
-        probe = Probe.unpack(data)
+        probe = unpack_probe(data)
     except ProtocolError:
         return
-    assert Probe.unpack(probe.pack()) == probe
+    assert unpack_probe(probe.pack()) == probe
 
 
 def _round_trip(data: bytes) -> None:
@@ -105,6 +105,6 @@ PARSERS = (
             for suite in (Suite.PLAIN, Suite.CHACHAPOLY)
         ),
     ),
-    Parser("probe", _read_probe, (Probe(pong=True, opaque=2**64 - 1).pack(),)),
+    Parser("probe", _read_probe, (Probe(pong=True, opaque=2**64 - 1).pack(), Receipt(7, 2**40, 2**33, 1 << 23).pack())),
     Parser("datagram_round_trip", _round_trip, (b"\3any content", bytes(400)), behind(1, edit_bytes)),
 )

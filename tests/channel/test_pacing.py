@@ -1,0 +1,197 @@
+"""The pace of a route's datagrams, on a simulated path to a receiver that reads when it comes to it."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import pytest
+
+from rsb_bridge.channel.pacing import WINDOW, Pacer
+
+DATAGRAM = 1400
+STEP = 0.0002
+
+
+class Path:
+    """A path and a receiver, in steps of time.
+
+    Attributes:
+        time: s.
+        delay: s, each way.
+        speed: bytes/s that the path carries; what is more waits in its queue.
+        queue_limit: bytes that wait on the path at most.
+        buffer: bytes of the receiver's buffer.
+        held_up: s, from and until when the receiver does not read.
+        receipts: whether the receiver sends any.
+        losing: each 500th datagram is lost on the way.
+        arrived: datagrams read so far.
+        lost: datagrams.
+    """
+
+    def __init__(self, *, speed: float = 1e9, delay: float = 0.0002, buffer: int = 8 << 20) -> None:
+        self.time = 0.0
+        self.delay, self.speed, self.buffer = delay, speed, buffer
+        self.queue_limit = 1 << 30
+        self.held_up = (-1.0, -1.0)
+        self.receipts = True
+        self.losing = False
+        self.arrived = self.lost = 0
+        self.pacer = Pacer()
+        self._sequence = 0
+        self._carried = 0.0
+        self._on_path: deque[tuple[float, int]] = deque()
+        self._in_buffer: deque[int] = deque()
+        self._answers: deque[tuple[float, int, int]] = deque()
+        self._since = WINDOW * buffer
+        self._newest = -1
+
+    def send(self, size: int, within: float) -> bool:
+        """Send a message; whether all of it has left in time."""
+        until, left = self.time + within, size // DATAGRAM
+        while (left or self._on_path or self._in_buffer) and self.time < until:
+            left -= self._send(left)
+            self.step()
+        return not left
+
+    def _send(self, most: int) -> int:
+        """As `DatagramSender` does: until there is no room."""
+        sent = 0
+        while sent < most and (room := self.pacer.room(self.time)) > 0:
+            count = min(-(-room // DATAGRAM), most - sent)
+            for _ in range(count):
+                self._put()
+            self.pacer.sent(count * DATAGRAM, self._sequence - 1, self.time)
+            sent += count
+        return sent
+
+    def _put(self) -> None:
+        carried = max(self._carried, self.time) + DATAGRAM / self.speed
+        if (carried - self.time) * self.speed > self.queue_limit or (self.losing and self._sequence % 500 == 499):
+            self.lost += 1
+        else:
+            self._carried = carried
+            self._on_path.append((carried + self.delay, self._sequence))
+        self._sequence += 1
+
+    def step(self) -> None:
+        self.time += STEP
+        while self._on_path and self._on_path[0][0] <= self.time:
+            _, sequence = self._on_path.popleft()
+            if len(self._in_buffer) * DATAGRAM + DATAGRAM <= self.buffer:
+                self._in_buffer.append(sequence)
+            else:
+                self.lost += 1
+        if not self.held_up[0] <= self.time < self.held_up[1]:
+            while self._in_buffer:
+                self._newest = self._in_buffer.popleft()
+                self.arrived += 1
+                self._since += DATAGRAM
+                if self.receipts and self._since * 4 * WINDOW >= self.buffer:
+                    self._since = 0
+                    self._answers.append((self.time + self.delay, self._newest, self.arrived))
+        while self._answers and self._answers[0][0] <= self.time:
+            _, newest, opened = self._answers.popleft()
+            self.pacer.receipt(newest, opened, self.buffer, self.time)
+
+
+def test_a_path_that_loses_nothing_soon_carries_as_much_as_it_can() -> None:
+    path = Path()
+    assert path.send(60_000_000, 1.0)
+    began = path.time
+    assert path.send(60_000_000, 1.0)
+    assert path.lost == 0
+    assert 60e6 / (path.time - began) > 400e6
+
+
+def test_without_receipts_it_is_a_gigabit_as_ever() -> None:
+    path = Path()
+    path.receipts = False
+    assert not path.send(20_000_000, 0.1)
+    assert path.send(20_000_000, 0.5)
+    assert path.lost == 0
+    assert 90e6 < path.arrived * DATAGRAM / path.time < 140e6
+
+
+@pytest.mark.parametrize("buffer", [212_992, 1 << 20, 8 << 20])
+@pytest.mark.parametrize("pause", [0.01, 0.05, 0.2])
+def test_a_receiver_that_is_held_up_loses_nothing(buffer: int, pause: float) -> None:
+    path = Path(buffer=buffer)
+    path.send(buffer, 5.0)
+    lost = path.lost
+    for _ in range(3):
+        path.held_up = (path.time + 0.002, path.time + 0.002 + pause)
+        assert path.send(3 * buffer, 5.0)
+    assert path.lost == lost == 0
+
+
+def test_a_small_buffer_at_a_distance_does_not_hold_the_path_up() -> None:
+    path = Path(buffer=212_992, delay=0.015, speed=50e6)
+    path.queue_limit = 2 << 20
+    path.send(20_000_000, 5.0)
+    began = path.time
+    path.send(20_000_000, 5.0)
+    assert 20e6 / (path.time - began) > 20e6
+
+
+def test_a_narrow_path_is_found_and_kept_to() -> None:
+    """Beyond its 40 MB/s a switch drops: the pace shrinks, and then hardly anything is lost."""
+    path = Path(speed=40e6)
+    path.queue_limit = 256 << 10
+    for _ in range(20):
+        path.send(6_000_000, 1.0)
+    lost, arrived = path.lost, path.arrived
+    for _ in range(20):
+        path.send(6_000_000, 1.0)
+    assert path.lost - lost < 0.02 * (path.arrived - arrived)
+    assert path.pacer._burst < 128 * 1024
+
+
+def test_losses_that_were_chance_do_not_slow_it_down_for_long() -> None:
+    path = Path()
+    path.losing = True
+    for _ in range(10):
+        path.send(6_000_000, 1.0)
+    assert path.lost
+    assert path.pacer._burst < 500_000
+    path.losing = False
+    for _ in range(100):
+        path.send(6_000_000, 1.0)
+        path.time += 0.1
+    began = path.time
+    path.send(60_000_000, 1.0)
+    assert 60e6 / (path.time - began) > 400e6
+
+
+def test_what_overtakes_is_not_lost() -> None:
+    """Each receipt misses a datagram that is still under way."""
+    pacer = Pacer()
+    for number in range(1, 50):
+        pacer.sent(100_000, number * 10, number * 0.01)
+        pacer.receipt(number * 10, number * 10, 8 << 20, number * 0.01 + 0.001)
+    assert pacer._burst >= 128 * 1024
+    assert pacer._lost_at is None
+
+
+def test_receipts_that_were_overtaken_count_for_nothing() -> None:
+    pacer = Pacer()
+    pacer.sent(1000, 9, 0.0)
+    pacer.receipt(9, 10, 8 << 20, 0.1)
+    pacer.receipt(4, 5, 100, 0.2)
+    assert pacer.window == (8 << 20) // WINDOW
+
+
+def test_receipts_that_are_lost_hold_nothing_up_for_long() -> None:
+    path = Path(buffer=212_992)
+    assert path.send(212_992, 1.0)
+    path.receipts = False
+    assert path.send(10 * 212_992, 10.0)
+
+
+@pytest.mark.parametrize(("newest", "opened", "buffer"), [(2**64 - 1, 0, 0), (0, 2**64 - 1, 2**32 - 1), (5, 0, 1)])
+def test_a_peer_that_says_anything_stops_only_what_goes_to_it(newest: int, opened: int, buffer: int) -> None:
+    pacer = Pacer()
+    pacer.sent(1000, 0, 0.0)
+    pacer.receipt(newest, opened, buffer, 0.0)
+    pacer.sent(200_000, 3, 0.1)
+    assert pacer.room(0.1) <= 8 << 20
+    assert pacer.room(10.0) > 0
