@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rsb_bridge.model.benchmark import Leave  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.qos import Qos, parse_qos
 
 DEADMAN = 60.0
@@ -162,6 +163,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         deny: what it may not bridge, each entry a `Grant`, or a pattern of topics and services alike; stronger than
             `allow`.
         topics: what the server proposes to it whenever it links, as the client sees them.
+        bench: it may measure the link, and cause so much by that; None: it may not.
     """
 
     name: str
@@ -171,6 +173,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     allow: tuple[str | Grant, ...] = ()
     deny: tuple[str | Grant, ...] = ()
     topics: tuple[Topic, ...] = ()
+    bench: Leave | None = None
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -198,6 +201,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
             and serve what `topics` lists.
         deny: on a client, what it may not bridge, likewise; stronger than `allow`.
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
+        bench: on a client, the server may measure the link, and cause so much by that; on a server without a list of
+            clients, likewise its client. None: it may not.
     """
 
     name: str
@@ -219,6 +224,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     deny: tuple[str | Grant, ...] = ()
     ports: tuple[int, ...] | Literal["none"] | None = None
     shared_keys: bool = False
+    bench: Leave | None = None
 
     @property
     def is_bluetooth(self) -> bool:
@@ -228,7 +234,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
         """The clients that a server lets in."""
-        return self.clients or (Client(self.name),)
+        return self.clients or (Client(self.name, bench=self.bench),)
 
     @property
     def adapter(self) -> str | None:
