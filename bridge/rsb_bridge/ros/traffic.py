@@ -147,10 +147,11 @@ def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool)
         with contextlib.suppress(ExternalShutdownException):
             executor.spin()
     else:
-        _drain(context, [each.handle for each in subscriptions], take)
+        drain(context, [each.handle for each in subscriptions], take)
 
 
-def _drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], None]) -> None:
+def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], object]) -> None:
+    """Give what subscriptions take to `take`, serialized, until the context is shut down."""
     with context.handle, contextlib.ExitStack() as held:
         for handle in handles:
             held.enter_context(handle)

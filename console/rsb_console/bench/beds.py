@@ -166,9 +166,20 @@ def bridged(
     far: int,
     sizes: Sequence[int] = (),
     *,
+    side: Callable[[Path], Process] | None = None,
     client: Callable[[Path], Process] | None = None,
 ) -> Iterator[Bed]:
-    """Our bridge between them: two processes, encrypted; `client` starts another client than the headless one."""
+    """Our bridge between them: two processes, encrypted.
+
+    Args:
+        protocol: of all topics.
+        near: the talker's domain, and the client's.
+        far: the listener's, and the server's.
+        sizes: with a topic for each; none: one topic for all.
+        side: starts a side; None: `headless`.
+        client: starts another client; None: `side`.
+    """
+    side = side or headless
     with tempfile.TemporaryDirectory(prefix="rsb-bench-") as name, ends(near, far, sizes=sizes) as bed:
         folder = Path(name)
         names = {topic_of(size): depth_of(size) for size in sizes} or {TOPIC: _DEPTH}
@@ -179,9 +190,9 @@ def bridged(
         port = write_sessions(folder, near, far, entries)
         with contextlib.ExitStack() as between:
             bed.started = time.monotonic()
-            server = between.enter_context(headless(folder / "server.yaml"))
+            server = between.enter_context(side(folder / "server.yaml"))
             bed.listening = listening(server, port) - bed.started
-            sending = between.enter_context((client or headless)(folder / "client.yaml"))
+            sending = between.enter_context((client or side)(folder / "client.yaml"))
             bed.between += [sending, server]
             bed.sockets += [folder / "client.sock", folder / "server.sock"]
             yield ready(bed)
