@@ -119,7 +119,7 @@ def _key(console: Watched, index: int) -> float:
 def _carried(client: Callable[[Path], bed.Process] | None) -> tuple[float, ...]:
     """Messages lost; p50 and p99, ms; CPU of the client, s."""
     with bed.bridged("tcp", client) as between:
-        process = between.between[-1]
+        process = between.between[0]
         cpu = process.cpu()
         run = between.send(RATE, SECONDS, SIZE)
         return run.sent - run.received, run.p50, run.p99, process.cpu() - cpu

@@ -10,25 +10,28 @@ import sys
 import threading
 
 import rclpy
-from bench.traffic import QOS, drain
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
+
+from rsb_bridge.ros.traffic import DEPTH, drain
 
 
 def main() -> None:
     near_domain, far_domain, topic = sys.argv[1:]
     near, far = _node(int(near_domain)), _node(int(far_domain))
-    publisher = far.create_publisher(String, topic, QOS)
-    subscription = near.create_subscription(String, topic, lambda _: None, QOS, raw=True)
+    qos = QoSProfile(depth=DEPTH)
+    publisher = far.create_publisher(String, topic, qos)
+    subscription = near.create_subscription(String, topic, lambda _: None, qos, raw=True)
 
     def until_told() -> None:
         sys.stdin.read()
         near.context.try_shutdown()
 
     threading.Thread(target=until_told, daemon=True).start()
-    drain(near.context, subscription.handle, publisher.handle.publish_raw)
+    drain(near.context, [subscription.handle], publisher.handle.publish_raw)
 
 
 def _node(domain: int) -> Node:

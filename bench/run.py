@@ -1,6 +1,7 @@
-"""Prints the bridge's figures next to those of no bridge and of the thesis's pipeline, in one run: ``make bench``.
+"""Prints the bridge's figures next to those of no bridge, a relay, and the thesis's pipeline: ``make bench``.
 
-Machines differ and are noisy; the ratios of one run hold.
+Each round measures all of them in turn, so that what else the machine does hits all alike. Figures are medians of the
+rounds with the lowest and the highest; ratios are of one round each. Machines differ; the ratios hold.
 """
 
 from __future__ import annotations
@@ -8,112 +9,117 @@ from __future__ import annotations
 import math
 import os
 import platform
+import statistics
+import sys
 import time
+from collections import defaultdict
+from typing import TYPE_CHECKING
 
 from bench import bed, calls, opening
 
+from rsb_console.bench.search import highest_lossless
+
+if TYPE_CHECKING:
+    from rsb_console.bench.results import Run
+
 SIZES = (2_500, 5_000, 10_000)
-CPU_RATES = (1_000, 10_000, 30_000)
+CPU_RATES = (100, 1_000, 10_000, 30_000)
+LARGE = ((100_000, 1_000), (1_000_000, 100), (6_000_000, 30))
+"""Bytes, and Hz at which their CPU is measured."""
 FIRST_RATE = 5_000
-SECONDS = 2.0
+SECONDS, LATENCY_SECONDS, IDLE_SECONDS = 2.0, 10.0, 5.0
+ROUNDS = 3
 
 # What stands between talker and listener. "rclpy" and "drained" are no bridge: a raw subscription on rclpy's executor,
 # and one on a drain loop like the bridge's own.
 BEDS = {
     "rclpy": lambda: bed.direct("spin"),
     "drained": bed.direct,
+    "relay": bed.relayed,
     "tcp": lambda: bed.bridged("tcp"),
     "udp": lambda: bed.bridged("udp"),
     "thesis": bed.thesis,
 }
-BRIDGES = ("tcp", "udp", "thesis")
+NONE = ("rclpy", "drained")
+_FEW = 0.99  # of the messages that have to arrive for a figure of the CPU to count
+_Figures = defaultdict[tuple[str, str], list[float]]
 
 
 def main() -> None:
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}\n")
-    rates: dict[tuple[str, int], bed.Run] = {}
-    cpu: dict[tuple[str, int], float] = {}
-    for kind, make in BEDS.items():
-        with make() as between:
-            for size in SIZES:
-                rates[kind, size] = _highest(between, size)
-            for rate in CPU_RATES if kind in BRIDGES else ():
-                cpu[kind, rate] = _cpu(between, rate)
-    _print_rates(rates)
-    _print_cpu(rates, cpu)
-    _print_latency()
+    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else ROUNDS
+    cores, load = os.cpu_count(), os.getloadavg()[0]
+    print(f"{platform.machine()}, {cores} cores, Python {platform.python_version()}, load {load:.1f}, {rounds} rounds")
+    figures: _Figures = defaultdict(list)
+    for _ in range(rounds):
+        for kind, make in BEDS.items():
+            with make() as between:
+                _measure(kind, between, figures)
+    rates = [f"{size:,} B" for size in SIZES]
+    _print(figures, "Highest lossless rate, msg/s", rates, ("drained", "relay", "thesis"), 0)
+    at = [f"{rate:,} Hz" for rate in CPU_RATES] + [f"{size:,} B at {rate:,} Hz" for size, rate in LARGE]
+    _print(
+        figures,
+        "CPU of all between, µs a message (2,500 B unless said; nan: more than 1 % lost)",
+        at,
+        ("relay", "thesis"),
+        0,
+    )
+    _print(figures, "Latency at 100 Hz, 2,500 B, ms", ["p50", "p99", "p99.9"], ("drained", "relay"), 2)
+    _print(figures, "Memory, MB a side; idle, % of a core a side", ["memory", "idle"], (), 2)
     opening.report(opening.TOPICS)
     calls.report(calls.ROUNDS)
 
 
-def _print_rates(rates: dict[tuple[str, int], bed.Run]) -> None:
-    print("Highest lossless rate, msg/s")
-    ratios = (("tcp", "rclpy"), ("udp", "rclpy"), ("tcp", "thesis"), ("udp", "thesis"))
-    _row("bytes", *BEDS, *("/".join(pair) for pair in ratios))
+def _measure(kind: str, between: bed.Bed, figures: _Figures) -> None:
+    gentle = between.send(100, LATENCY_SECONDS, SIZES[0])
+    for name, value in (("p50", gentle.p50), ("p99", gentle.p99), ("p99.9", gentle.p999)):
+        figures[kind, name].append(value)
     for size in SIZES:
-        reached = {kind: rates[kind, size].rate for kind in BEDS}
-        _row(
-            size, *(f"{rate:.0f}" for rate in reached.values()), *(f"{reached[a] / reached[b]:.2f}" for a, b in ratios)
-        )
 
+        def trial(rate: float, size: int = size) -> Run:
+            return between.send(rate, SECONDS, size)
 
-def _print_cpu(rates: dict[tuple[str, int], bed.Run], cpu: dict[tuple[str, int], float]) -> None:
-    print("\nCPU of both sides together, µs a message of 2,500 bytes (nan: not without loss)")
-    _row("rate", *BRIDGES, "tcp/thesis", "udp/thesis")
-    for rate in CPU_RATES:
-        _cpu_row(rate, [cpu[kind, rate] for kind in BRIDGES])
-    _cpu_row("highest", [rates[kind, SIZES[0]].cpu_per_message for kind in BRIDGES])
-
-
-def _cpu_row(rate: object, costs: list[float]) -> None:
-    tcp, udp, thesis = costs
-    _row(rate, *(f"{cost:.1f}" for cost in costs), f"{tcp / thesis:.2f}", f"{udp / thesis:.2f}")
-
-
-def _print_latency() -> None:
-    print("\nLatency at 100 Hz, 2,500 bytes, ms; memory, MB a side; idle, % CPU a side")
-    _row("", "p50", "p99", "added p50", "added p99", "memory", "idle")
-    with BEDS["drained"]() as between:
-        base = between.send(100, 20.0, SIZES[0])
-        _row("drained", f"{base.p50:.2f}", f"{base.p99:.2f}")
-    for kind in BRIDGES:
-        with BEDS[kind]() as between:
-            run = between.send(100, 20.0, SIZES[0])
-            added = f"{run.p50 - base.p50:.2f}", f"{run.p99 - base.p99:.2f}"
-            memory = max(process.memory() for process in between.between)
-            _row(kind, f"{run.p50:.2f}", f"{run.p99:.2f}", *added, f"{memory:.0f}", f"{_idle(between):.2f}")
-
-
-def _row(*cells: object) -> None:
-    print(" ".join(f"{cell!s:>11}" for cell in cells))
-
-
-def _highest(between: bed.Bed, size: int) -> bed.Run:
-    """The run at the highest rate at which nothing was lost, to a tenth; each rate has two tries."""
-    rate, good, bad = float(FIRST_RATE), None, 0.0
-    while not (good and bad) or bad > 1.1 * good.rate:
-        tries = (between.send(int(rate), SECONDS, size) for _ in range(2))
-        passed = next((run for run in tries if run.lossless), None)
-        if passed is None:
-            bad = rate
-        else:
-            good = passed
-            if passed.rate < 0.95 * rate:
-                return passed  # the talker can't do more
-        rate = (good.rate + bad) / 2 if good and bad else rate * 2 if good else rate / 2
-    return good
-
-
-def _cpu(between: bed.Bed, rate: int) -> float:
-    run = between.send(rate, 3.0, SIZES[0])
-    return run.cpu_per_message if run.lossless and run.rate > 0.95 * rate else math.nan
+        best = highest_lossless(trial, first=FIRST_RATE).best
+        figures[kind, f"{size:,} B"].append(best.rate if best else math.nan)
+    if kind in NONE:
+        return
+    figures[kind, "memory"].append(max(process.memory() for process in between.between))
+    figures[kind, "idle"].append(_idle(between))
+    wanted = [(f"{rate:,} Hz", SIZES[0], rate) for rate in CPU_RATES]
+    wanted += [(f"{size:,} B at {rate:,} Hz", size, rate) for size, rate in LARGE]
+    for name, size, rate in wanted:
+        run = between.send(rate, SECONDS, size)
+        kept = run.received >= _FEW * run.sent and run.rate > 0.95 * rate
+        figures[kind, name].append(run.cpu_per_message if kept else math.nan)
 
 
 def _idle(between: bed.Bed) -> float:
     before, began = sum(process.cpu() for process in between.between), time.monotonic()
-    time.sleep(10)
+    time.sleep(IDLE_SECONDS)
     used = sum(process.cpu() for process in between.between) - before
     return used / (time.monotonic() - began) / len(between.between) * 100
+
+
+def _print(figures: _Figures, title: str, names: list[str], others: tuple[str, ...], digits: int) -> None:
+    """One table: a row for each figure, with what it is for each kind, and the ratios of ours to others."""
+    kinds = [kind for kind in BEDS if figures.get((kind, names[0]))]
+    pairs = [(ours, other) for ours in ("tcp", "udp") for other in others]
+    print(f"\n{title}: median (lowest to highest)")
+    print(f"{'':>22}", *(f"{kind:>22}" for kind in kinds), *(f"{'/'.join(pair):>12}" for pair in pairs))
+    for name in names:
+        cells = [_spread(figures[kind, name], digits) for kind in kinds]
+        ratios = [
+            statistics.median(
+                a / b if b else math.nan for a, b in zip(figures[ours, name], figures[other, name], strict=True)
+            )
+            for ours, other in pairs
+        ]
+        print(f"{name:>22}", *(f"{cell:>22}" for cell in cells), *(f"{ratio:>12.2f}" for ratio in ratios), flush=True)
+
+
+def _spread(values: list[float], digits: int) -> str:
+    low, middle, high = min(values), statistics.median(values), max(values)
+    return f"{middle:,.{digits}f} ({low:,.{digits}f} to {high:,.{digits}f})"
 
 
 if __name__ == "__main__":

@@ -134,7 +134,7 @@ class Stage:
         resources.callback(self._clients.close)
 
     def _ros(self, part: str, domain: int, topic: str) -> bed.Process:
-        return self._resources.enter_context(bed.Process("-m", "bench.traffic", part, str(domain), topic))
+        return self._resources.enter_context(bed.Process("-m", "rsb_bridge.ros.traffic", part, str(domain), topic))
 
     def watch(self, seconds: float) -> Row:
         """What everybody has for so long."""

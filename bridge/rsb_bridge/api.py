@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
     from pathlib import Path
 
+    from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.reloaded import Reloaded
@@ -199,6 +200,14 @@ class EngineApi(Protocol):
 
         Returns:
             The response, as YAML.
+        """
+        ...
+
+    def bench(self, order: Order) -> Future[Outcome]:
+        """Send some messages over a link, on a topic that no node has, and see what comes.
+
+        It needs the peer's leave (`rsb_bridge.model.benchmark.Leave`). The topic is removed when nothing is ordered for
+        some seconds.
         """
         ...
 

@@ -15,6 +15,7 @@ import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.arming import BridgeArming
+from rsb_bridge.benchmarking import carry_out
 from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
 from rsb_bridge.config.difference import changes, described
 from rsb_bridge.config.shared_keys import shared_key_problem
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
+    from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.route.route import Route
@@ -364,6 +366,11 @@ class Bridge:
             topic, link = route.local_topic, route.peer.name
             text = f"{topic}: {text}"
         self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
+
+    async def bench(self, order: Order) -> Outcome:
+        """Measure a link."""
+        with self._command():
+            return await carry_out(order, self.links())
 
     async def topics(self, link: str | None = None) -> list[TopicInfo]:
         """What can be bridged, on this side or on a peer's."""

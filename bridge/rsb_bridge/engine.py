@@ -35,6 +35,7 @@ from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.snapshot import Event, Level, Snapshot, TopicInfo
 from rsb_bridge.ros.api import RosError, RosInterface
 from rsb_bridge.ros.queue import RosToLoopQueue
+from rsb_bridge.ros.side import ros_side
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 from rsb_bridge.transport.registry import Transports, default_transports
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.link.roles import Keys
+    from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.session import Client, Session, Topic
@@ -164,7 +166,7 @@ class Engine(EngineApi):
             self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
         keys = _load_keys(self._session, self._base)
         self._warn_of(keys)
-        ros = self._ros or _ros_node(domain, self._session.name)
+        ros = ros_side(self._ros, domain, self._session.name, self._clock)
         try:
             ros.start()
         except RosError as error:
@@ -272,6 +274,9 @@ class Engine(EngineApi):
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
         return self._command(lambda bridge: bridge.contents.call(key, request, lane))
+
+    def bench(self, order: Order) -> Future[Outcome]:
+        return self._command(lambda bridge: bridge.bench(order))
 
     def _command(self, work: Callable[[Bridge], Coroutine[None, None, T]]) -> Future[T]:
         """Run on the I/O thread."""
@@ -390,9 +395,3 @@ def _load_keys(session: Session, base: Path) -> Keys:
         return unshared_keys(session, base)
     except KeyFileError as error:
         raise EngineError(str(error)) from None
-
-
-def _ros_node(domain: int, name: str) -> RosInterface:
-    from rsb_bridge.ros.node import RosNode  # noqa: PLC0415 — only a running engine needs ROS
-
-    return RosNode(domain, name)

@@ -94,6 +94,9 @@ class Side(FakePeer):
     def closed(self, route_id: int) -> None:
         self.table.closed(route_id)
 
+    def bench_refusal(self, topic: str) -> str:
+        return ""
+
     def with_local_name(self, proposal: Propose) -> Propose:
         return proposal
 

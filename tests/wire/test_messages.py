@@ -11,6 +11,7 @@ from rsb_bridge.model.qos import PROFILES, Qos
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.wire.amending import Amend, Limit, Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm
+from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.framing import ProtocolError
@@ -138,6 +139,8 @@ EXAMPLES = [
     TopicList(request=2, topics=(TopicEntry("/add", "example/srv/Add", "RIHS01_00", None, 1, 2, "service"),)),
     AskType(route=1),
     TypeText(route=1, text=b"\x28\xb5\x2f\xfd"),
+    BenchAsk(request=1, route=3, reset=True, size=2500, rate=100.0, count=50),
+    BenchAnswer(request=1, problem="no", sent=5, rate=9.5, received=4, p50=-0.001, cpu=1.5, memory=7, max_rate=10.0),
     Duplicate(address="10.0.0.9", host="spare", others=2),
     Shutdown(reason="stopped"),
 ]

@@ -24,7 +24,7 @@ def with_client(session: Session, client: Client) -> Session:
     clients = _clients(session)
     if any(each.name == client.name for each in clients):
         raise ClientError(f"{client.name} is a client already; `client rekey {client.name}` makes a new key for it")
-    return msgspec.structs.replace(session, clients=(*clients, client))
+    return msgspec.structs.replace(session, clients=(*clients, client), bench=None)
 
 
 def with_changed_client(session: Session, client: Client) -> Session:
@@ -35,7 +35,7 @@ def with_changed_client(session: Session, client: Client) -> Session:
     """
     old = client_named(session, client.name)
     clients = tuple(client if each == old else each for each in _clients(session))
-    return msgspec.structs.replace(session, clients=clients)
+    return msgspec.structs.replace(session, clients=clients, bench=None)
 
 
 def without_client(session: Session, name: str) -> Session:
@@ -48,7 +48,7 @@ def without_client(session: Session, name: str) -> Session:
     clients = tuple(each for each in _clients(session) if each != old)
     if not clients:
         raise ClientError(f"{name} is the server's only client: add another one first, or stop the server")
-    return msgspec.structs.replace(session, clients=clients)
+    return msgspec.structs.replace(session, clients=clients, bench=None)
 
 
 def client_named(session: Session, name: str) -> Client:

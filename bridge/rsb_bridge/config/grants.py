@@ -14,11 +14,13 @@ from rsb_bridge.model.session import Grant, May, Problem
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rsb_bridge.model.benchmark import Leave
     from rsb_bridge.model.session import Client, Session
 
 TOPIC_USES: Final[tuple[May, May]] = ("publish", "read")
 CALL_USES: Final[tuple[May, May]] = ("call", "serve")
 """What a peer may do here that sends messages or requests, and that takes them."""
+_MOST_LEAVE = 1e6
 _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 """A mapping, or a word: entries have blanks or commas between them."""
 
@@ -103,6 +105,16 @@ def _pattern_problems(pattern: str, noun: str, location: str) -> Iterator[Proble
     elif pattern.endswith("/") or "//" in pattern:
         message = f"{show(pattern)} matches no {noun}: names have one / before each part, and none at the end"
         yield Problem(location, message)
+
+
+def leave_problems(leave: Leave | None, location: str) -> Iterator[Problem]:
+    """Mistakes in what a benchmark may cause."""
+    if leave is None:
+        return
+    yield from rate_problems(leave.max_rate, join(location, "max_rate"))
+    for key, value in (("seconds", leave.seconds), ("megabytes", leave.megabytes)):
+        if not 0 < value <= _MOST_LEAVE:
+            yield Problem(join(location, key), f"{value:g} is out of range: above 0, at most {_MOST_LEAVE:g}")
 
 
 def rate_problems(rate: float | None, location: str) -> Iterator[Problem]:

@@ -12,6 +12,7 @@ from rsb_bridge.config.call_rules import service_names
 from rsb_bridge.config.file_form import LISTS
 from rsb_bridge.config.grants import CALL_USES, TOPIC_USES, allowing, denying
 from rsb_bridge.config.yaml_text import inline
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.names import client_topic
 from rsb_bridge.model.text import join_first
@@ -19,6 +20,7 @@ from rsb_bridge.model.text import join_first
 if TYPE_CHECKING:
     from collections.abc import Sequence, Set
 
+    from rsb_bridge.model.benchmark import Leave
     from rsb_bridge.model.session import Client, Direction, Grant, Identity, Kind, May, Session
 
 _NAMED = 6
@@ -87,6 +89,7 @@ class Rights:
         prefix: a client's name, which the names of its topics may have before them here.
         listed: on a client, the identities of its own topics (`Topic.identity`), which say what the server may publish,
             call and serve.
+        bench: whether it may measure the link, and what it may cause by that.
     """
 
     peer: str
@@ -96,9 +99,12 @@ class Rights:
     deny: tuple[Grant, ...]
     prefix: str = ""
     listed: Set[Identity] | None = None
+    bench: Leave | None = None
 
     def refusal(self, use: Use) -> Refusal | None:
         """Why the peer may not do something; None: it may."""
+        if is_bench_topic(use.topic):
+            return None if self.bench is not None and use.kind == "topic" else self._no_leave()
         for grant in self._about(self.deny, use, also=_meant_by(use)):
             if not grant.protocol or use.protocol in protocols_of(grant):
                 return Refusal(f"{self.owner} denies {use} to {self.peer}", f"deny {self.place} has {_text(grant)}")
@@ -112,8 +118,14 @@ class Rights:
             return None
         return Refusal(f"{self.owner} does not let {self.peer} {use.may} {use}", self._remedy(use))
 
+    def _no_leave(self) -> Refusal:
+        reason = f"{self.owner} does not let {self.peer} measure this link"
+        return Refusal(reason, f"add bench: {{}} {self.place}")
+
     def max_rate(self, use: Use) -> float:
         """The most messages or calls a second that may cross, whoever asked for them; 0: there is no limit."""
+        if is_bench_topic(use.topic):
+            return self.bench.max_rate if self.bench is not None else 0.0
         return min((grant.max_rate for grant in self._about(self.allow, use) if grant.max_rate), default=0.0)
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:
@@ -155,6 +167,7 @@ def rights_of_client(client: Client, server: str) -> Rights:
         tuple(map(allowing, client.allow)),
         tuple(map(denying, client.deny)),
         prefix=client.name,
+        bench=client.bench,
     )
 
 
@@ -174,6 +187,7 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
         tuple(map(allowing, session.allow)),
         tuple(map(denying, session.deny)),
         listed=listed,
+        bench=session.bench,
     )
 
 

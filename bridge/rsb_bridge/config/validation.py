@@ -22,7 +22,7 @@ from rsb_bridge.config.file_form import (
     foreign,
     locations,
 )
-from rsb_bridge.config.grants import grant_problems
+from rsb_bridge.config.grants import grant_problems, leave_problems
 from rsb_bridge.config.key_files import key_file_problems
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.topic_rules import (
@@ -283,9 +283,13 @@ def _clients(session: Session) -> Iterator[Problem]:
     yield from grant_problems(session, "")
     if session.role == "server" and (session.allow or session.deny):
         yield Problem("allow" if session.allow else "deny", "belongs under the client that it is for, in clients")
+    yield from leave_problems(session.bench, "bench")
+    if session.bench is not None and session.clients:
+        yield Problem("bench", "belongs under the client that it is for, in clients")
     names: dict[str, int] = {}
     for at, client in enumerate(session.clients):
         location = join("clients", at)
+        yield from leave_problems(client.bench, join(location, "bench"))
         use_name = session.use_name if client.use_name is None else client.use_name
         yield from _name(client.name, join(location, "name"), use_name=use_name)
         first = names.setdefault(client.name, at)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.commands import Command
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.model.reloaded import Reloaded
@@ -210,6 +211,9 @@ class RemoteEngine(EngineApi):
 
     def history(self, seconds: float) -> Future[HistoryReport]:
         return self._request(commands.History(seconds), requests.as_history)
+
+    def bench(self, order: Order) -> Future[Outcome]:
+        return self._request(commands.Bench(order), requests.as_outcome)
 
     def stop_bridge(self) -> Future[None]:
         """End the bridge's process, as SIGTERM does; done when it has understood."""

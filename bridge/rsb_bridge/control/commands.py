@@ -6,6 +6,7 @@ from typing import TypeAlias
 
 import msgspec
 
+from rsb_bridge.model.benchmark import Order  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Client, Topic  # noqa: TC001 -- msgspec resolves the hints
 
 
@@ -140,6 +141,12 @@ class History(_Command, frozen=True, tag="history"):
     seconds: float
 
 
+class Bench(_Command, frozen=True, tag="bench"):
+    """See `AddTopic`."""
+
+    order: Order
+
+
 class Stop(_Command, frozen=True, tag="stop"):
     """End the bridge's process, as SIGTERM does."""
 
@@ -166,6 +173,7 @@ Command: TypeAlias = (
     | Template
     | Call
     | History
+    | Bench
     | Stop
 )
 

@@ -6,6 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.control import commands
+from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.reloaded import Reloaded
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.commands import Command
 
 T = TypeVar("T")
-Answer: TypeAlias = str | tuple[TopicInfo, ...] | PeekedMessage | Reloaded | HistoryReport | None
+Answer: TypeAlias = str | tuple[TopicInfo, ...] | PeekedMessage | Reloaded | HistoryReport | Outcome | None
 
 
 async def perform(
@@ -76,6 +77,8 @@ async def perform(
             return await asyncio.wrap_future(engine.call(command.key, command.request, command.lane))
         case commands.History():
             return await _done(engine.history(command.seconds))
+        case commands.Bench():
+            return await _done(engine.bench(command.order))
         case commands.Restart():
             await _done(engine.restart(step))
         case commands.Reload():

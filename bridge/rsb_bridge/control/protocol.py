@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 import msgspec
 
 from rsb_bridge.control.commands import Command  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.benchmark import Outcome  # noqa: TC001
 from rsb_bridge.model.history import HistoryReport  # noqa: TC001
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
@@ -213,12 +214,14 @@ class Reply(_Message, frozen=True, tag="reply"):
         value: a route's key, topics, a message, the description of a type, or nothing.
         reloaded: the answer to `Reload`; `value` has room for one kind of object only.
         history: the answer to `History`, likewise.
+        bench: the answer to `Bench`, likewise.
     """
 
     id: int
     value: str | tuple[TopicInfo, ...] | PeekedMessage | None = None
     reloaded: Reloaded | None = None
     history: HistoryReport | None = None
+    bench: Outcome | None = None
 
 
 class Failed(_Message, frozen=True, tag="failed"):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
+from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.reloaded import Reloaded
@@ -55,7 +56,7 @@ class Requests:
         if isinstance(message, Failed):
             answered.set_exception(EngineError(message.reason))
         else:
-            answered.set_result(message.reloaded or message.history or message.value)
+            answered.set_result(message.reloaded or message.history or message.bench or message.value)
 
     def fail(self, reason: str) -> None:
         """No answer will come to any of them."""
@@ -87,6 +88,12 @@ def as_reloaded(value: object) -> Reloaded:
 def as_history(value: object) -> HistoryReport:
     """Of `History`."""
     assert isinstance(value, HistoryReport)
+    return value
+
+
+def as_outcome(value: object) -> Outcome:
+    """Of `Bench`."""
+    assert isinstance(value, Outcome)
     return value
 
 

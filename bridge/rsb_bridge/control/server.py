@@ -15,6 +15,7 @@ from rsb_bridge.control.identity import identify
 from rsb_bridge.control.performing import perform
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.consoles import on_console
 from rsb_bridge.model.history import HistoryReport
 from rsb_bridge.model.operators import acting
@@ -340,4 +341,6 @@ def _reply(request: int, answer: Answer) -> protocol.Reply:
         return protocol.Reply(request, reloaded=answer)
     if isinstance(answer, HistoryReport):
         return protocol.Reply(request, history=answer)
+    if isinstance(answer, Outcome):
+        return protocol.Reply(request, bench=answer)
     return protocol.Reply(request, answer)

@@ -29,6 +29,10 @@ class Authority(Protocol):
         """What the peer may do here."""
         ...
 
+    def bench_refusal(self, topic: str) -> str:
+        """Why the peer may not measure the link now with a topic; empty: it may, or the topic is an ordinary one."""
+        ...
+
     def with_local_name(self, proposal: Propose) -> Propose:
         """The peer's proposal with this side's name for the topic."""
         ...
@@ -46,6 +50,8 @@ def authorized(proposal: Propose, authority: Authority, session: Session) -> Pro
     use = use_of(ours, is_client=authority.is_client)
     if refusal := authority.rights.refusal(use):
         raise LinkError(str(refusal))
+    if refused := authority.bench_refusal(use.topic):
+        raise LinkError(refused)
     for problem in validate_topic(topic_of(ours), session):
         raise LinkError(str(problem))
     if use.may == "publish" and use.topic == session.shutdown_topic:

@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.datagram import datagram_channel
+from rsb_bridge.link.bench import LinkBench
 from rsb_bridge.link.contention import Contention
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
@@ -28,6 +29,7 @@ from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import StreamTransport
+from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Shutdown
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
@@ -93,12 +95,13 @@ class Link(ABC):
         self.duplicates = DuplicateClients(name)
         self.neighbourhood = Neighbourhood(context, self.send)
         self._tasks = Tasks(context.loop, self.fail)
-        self.keepalive = Keepalive(context, self._carriers)
+        self.keepalive = Keepalive(context, self.carriers)
         self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
         self.table = RouteTable(context, self)
-        self.contention = Contention(context, lambda: tuple(self.routes.values()), self._carriers)
+        self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
         self.proposed = ProposedTopics(context, self.table, self.transport, name, self._prefixed, lambda: self.profile)
         self._topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
+        self.bench = LinkBench(self)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
 
     # --- what client and server do differently
@@ -143,6 +146,9 @@ class Link(ABC):
     @abstractmethod
     def rights(self) -> Rights:
         """What the peer may do here."""
+
+    def bench_refusal(self, topic: str) -> str:
+        return self.bench.refusal(topic, self.rights.bench)
 
     @abstractmethod
     def with_local_name(self, proposal: Propose) -> Propose:
@@ -224,7 +230,7 @@ class Link(ABC):
         self.channels.connected(keys, self.role)
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = Keepalive(self.context, self._carriers, self.profile.patience)
+        self.keepalive = Keepalive(self.context, self.carriers, self.profile.patience)
         self.keepalive.watch(partial(control.abort, "the peer is silent"))
         self.status.up(self.context.wall())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
@@ -246,6 +252,7 @@ class Link(ABC):
         self.channels.disconnected()
         self._topic_lists.disconnected()
         self.type_questions.disconnected()
+        self.bench.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
@@ -298,6 +305,8 @@ class Link(ABC):
                 self.neighbourhood.heard(message)
             case AskType() | TypeText():
                 self.type_questions.handle(message)
+            case BenchAsk() | BenchAnswer():
+                self.bench.handle(message)
             case Duplicate():
                 self.on_duplicate(message)
             case Shutdown():
@@ -371,13 +380,12 @@ class Link(ABC):
         for report in reports(self.routes.values()):
             self.send(report)
         self.table.tick()
+        self.bench.tick()
 
-    def _carriers(self) -> set[Carrier]:
+    def carriers(self) -> set[Carrier]:
         """All that carries bytes of the present connection."""
         own: set[Carrier] = set() if self.control is None else {self.control.stream}
         return self.channels.carriers(self.routes.values()) | own
-
-    # --- how it is
 
     def snapshot(self) -> LinkSnapshot:
         """The link as it is now."""

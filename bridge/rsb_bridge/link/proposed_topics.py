@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.profiles import PLAIN
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ class ProposedTopics:
 
     def all(self) -> tuple[Topic, ...]:
         """What this side proposes, in a session's order. May be called from any thread."""
-        topics = [route.spec for route in tuple(self._table.routes.values()) if route.proposed_here]
+        proposed = [route.spec for route in tuple(self._table.routes.values()) if route.proposed_here]
+        topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
         return (*topics, *tuple(self._table.yielded.values()))
 
     def add(self, topic: Topic) -> Route:

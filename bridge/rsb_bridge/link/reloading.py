@@ -65,7 +65,7 @@ def client_steps(link: ClientLink, session: Session, key: Key | None) -> Iterato
         kind, name, direction = identity
         text = f"{named(Topic(name, direction, kind=kind))}: listed no more"
         yield Step(text, partial(link.table.listed.discard, identity))
-    differs = changes(link.context.session, session, only=("allow", "deny"))
+    differs = changes(link.context.session, session, only=("allow", "deny", "bench"))
     effect = _denial_effect(link, rights_of_server(session, listed))
     if differs or effect:
         yield Step(": ".join(filter(None, (", ".join(differs), effect))), partial(link.change_listed, listed))

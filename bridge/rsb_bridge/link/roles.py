@@ -18,7 +18,7 @@ from rsb_bridge.link.entry import Entry
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server import Server
-from rsb_bridge.model import lanes, priority
+from rsb_bridge.model import benchmark, lanes, priority
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import client_topic
@@ -44,7 +44,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, tuple[Key, ...]]
 """Those that are valid, the next one last, by client's name; none: without encryption."""
-FEATURES = (lanes.FEATURE, priority.FEATURE)
+FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE)
 """What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
 """Is told each step of a restart, as text for an operator."""
@@ -221,7 +221,7 @@ class ServerRole:
         session = self._context.session
         if not session.clients and not any(client.topics for client in clients):
             return session
-        return msgspec.structs.replace(session, clients=clients)
+        return msgspec.structs.replace(session, clients=clients, bench=None)
 
     @property
     def keys(self) -> Keys:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rsb_bridge.model.benchmark import Leave  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.priority import Priority  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.model.profiles import Compression, ProfileName  # noqa: TC001 - likewise
 from rsb_bridge.model.qos import Qos, parse_qos
@@ -166,6 +167,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
             `allow`.
         topics: what the server proposes to it whenever it links, as the client sees them.
         profile: of its link; None: the server's `Session.profile`.
+        bench: it may measure the link, and cause so much by that; None: it may not.
     """
 
     name: str
@@ -176,6 +178,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     deny: tuple[str | Grant, ...] = ()
     topics: tuple[Topic, ...] = ()
     profile: ProfileName | None = None
+    bench: Leave | None = None
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -206,6 +209,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         deny: on a client, what it may not bridge, likewise; stronger than `allow`.
         profile: what the link's network is like, which sets what nothing else does (`rsb_bridge.model.profiles`).
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
+        bench: on a client, the server may measure the link, and cause so much by that; on a server without a list of
+            clients, likewise its client. None: it may not.
     """
 
     name: str
@@ -229,6 +234,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     ports: tuple[int, ...] | Literal["none"] | None = None
     shared_keys: bool = False
     profile: ProfileName | None = None
+    bench: Leave | None = None
 
     @property
     def is_bluetooth(self) -> bool:
@@ -238,7 +244,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
         """The clients that a server lets in."""
-        return self.clients or (Client(self.name),)
+        return self.clients or (Client(self.name, bench=self.bench),)
 
     @property
     def adapter(self) -> str | None:

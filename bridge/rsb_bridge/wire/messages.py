@@ -12,6 +12,7 @@ from rsb_bridge.model.qos import Qos  # noqa: TC001 - msgspec resolves the annot
 from rsb_bridge.model.sources import MOST_SOURCES
 from rsb_bridge.wire.amending import Amend, Limit, Pause
 from rsb_bridge.wire.arming import Arm, Armed, Disarm, check_deadman
+from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.fields import (
     Bridges,
@@ -371,6 +372,8 @@ ControlMessage: TypeAlias = (
     | TopicList
     | AskType
     | TypeText
+    | BenchAsk
+    | BenchAnswer
     | Duplicate
     | Shutdown
 )

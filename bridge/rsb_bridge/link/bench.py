@@ -1,0 +1,326 @@
+"""Measuring a link with topics that no node has: for this side's operator, and for the peer with this side's leave.
+
+The side that measures proposes the topics, and orders each run. The other side sends or counts, and says what it has
+used. It needs no DDS for that. `rsb_bridge.ros.synthetic` makes and takes the messages.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from rsb_bridge.link.bench_budget import BenchBudget
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.questions import Questions
+from rsb_bridge.model.benchmark import (
+    FEATURE,
+    LEAST_SIZE,
+    MOST_SECONDS,
+    MOST_SIZE,
+    TYPE,
+    Outcome,
+    Usage,
+    bench_topic,
+    is_bench_topic,
+)
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.ros.synthetic import Arrived, resources, synthetic_of
+from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.model.benchmark import Leave, Order
+    from rsb_bridge.ros.synthetic import Drain, Source
+    from rsb_bridge.route.route import Route
+
+_DEPTH = 2000
+_ANSWERED_WITHIN = 5.0
+_OPENED_WITHIN = 10.0
+_IDLE_FOR = 5.0
+"""s after which the topics of a benchmark that orders nothing more are removed."""
+_QUIET = 0.7
+"""s without a message after which no more is waited for."""
+_LOOK_EVERY = 0.05
+_ENDED = "the benchmark is over"
+
+
+class LinkBench:
+    """One link's benchmark, in either role.
+
+    Args:
+        link: which.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._synthetic = synthetic_of(link.context.ros)
+        self._now = link.context.now
+        self._budget = BenchBudget(self._now)
+        self._request = 0
+        self._questions: Questions[BenchAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
+        self._used_at = 0.0
+        self._busy = False
+        self._seen: dict[str, tuple[int, int]] = {}
+        """Of the peer's topics: messages and bytes that had come at the last tick."""
+
+    # --- for the peer
+
+    def refusal(self, topic: str, leave: Leave | None) -> str:
+        """Why the peer may not propose a topic that measures; empty: it may, or it is an ordinary one."""
+        if not is_bench_topic(topic):
+            return ""
+        return self._budget.refusal(leave) if self._synthetic is not None else "nothing can be measured here"
+
+    def handle(self, message: BenchAsk | BenchAnswer) -> None:
+        """Answer the peer's question, or take its answer."""
+        match message:
+            case BenchAsk():
+                self._questions.answer(message.request, lambda: self._answer(message))
+            case BenchAnswer():
+                self._questions.answered(message.request, message)
+
+    async def _answer(self, ask: BenchAsk) -> BenchAnswer:
+        route = self._link.table.ids.open_route(ask.route)
+        if route is None or not is_bench_topic(route.local_topic):
+            return BenchAnswer(ask.request, "there is no such topic that measures")
+        source, drain = self._ends(route)
+        if ask.reset and drain is not None:
+            drain.reset()
+            self._seen.pop(route.key, None)
+        problem = self._send_for_peer(ask, route, source) if ask.count else ""
+        usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, 0, (0.0, 0.0, 0.0))
+        leave = self._link.rights.bench
+        busy = source is not None and source.busy
+        return BenchAnswer(
+            ask.request,
+            sanitize_text(problem),
+            0 if source is None else source.sent,
+            0.0 if source is None or busy else source.rate,
+            arrived.count,
+            *arrived.latencies,
+            usage.cpu,
+            usage.memory,
+            usage.sent_bytes,
+            usage.received_bytes,
+            0.0 if leave is None else leave.max_rate,
+        )
+
+    def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
+        """Begin to send for the peer; why that is not done, or empty."""
+        if source is None:
+            return "this side does not send on that topic"
+        if source.busy:
+            return "this side still sends what was asked for before"
+        seconds = ask.count / max(ask.rate, 1e-3)
+        if seconds > MOST_SECONDS:
+            return f"a run takes at most {MOST_SECONDS:g} s"
+        if not route.proposed_here:
+            if refused := self._budget.refusal(self._link.rights.bench, seconds, ask.size * ask.count, ask.rate):
+                return refused
+            self._budget.spend(seconds, ask.size * ask.count)
+        source.start(max(ask.size, LEAST_SIZE), ask.rate, ask.count)
+        return ""
+
+    def tick(self) -> None:
+        """Once a second: count what the peer has caused, and remove the topics of a benchmark that has gone."""
+        for route in self._routes():
+            if route.proposed_here:
+                if not self._busy and self._now() - self._used_at > _IDLE_FOR:
+                    self._link.table.remove(route, _ENDED)
+                continue
+            _, drain = self._ends(route)
+            count, size = (drain.count, drain.bytes) if drain is not None else (0, 0)
+            before, bytes_before = self._seen.get(route.key, (0, 0))
+            if count > before:
+                self._budget.spend(1.0, size - bytes_before)
+            self._seen[route.key] = count, size
+            if refused := self._budget.refusal(self._link.rights.bench):
+                self._link.table.deny(route, refused)
+
+    # --- for this side's operator
+
+    async def run(self, order: Order) -> Outcome:
+        """Send some messages over the link, wait until no more comes, and say what came.
+
+        Raises:
+            LinkError: it cannot be done, or the peer does not allow it.
+        """
+        if self._busy:
+            raise LinkError("the link is being measured already")
+        self._check(order)
+        self._busy = True
+        try:
+            return await self._run(order)
+        finally:
+            self._busy = False
+            self._used_at = self._now()
+
+    def end(self) -> None:
+        """Remove the topics."""
+        for route in self._routes():
+            if route.proposed_here:
+                self._link.table.remove(route, _ENDED)
+
+    def disconnected(self) -> None:
+        """The connection is over."""
+        self._questions.disconnected()
+        self._seen.clear()
+
+    def usage(self) -> Usage:
+        """What this process has used so far, with the bytes of this link."""
+        cpu, memory = resources()
+        return Usage(cpu, memory, *self.wire_bytes())
+
+    def wire_bytes(self) -> tuple[int, int]:
+        """Bytes sent and received by what carries the present connection."""
+        carriers = self._link.carriers()
+        return sum(each.sent_bytes for each in carriers), sum(each.received_bytes for each in carriers)
+
+    def _check(self, order: Order) -> None:
+        link = self._link
+        if self._synthetic is None:
+            raise LinkError("nothing can be measured here")
+        if not link.linked:
+            raise LinkError(f"{link.name} is not linked: {link.status.reason}")
+        if FEATURE not in link.features:
+            raise LinkError("the other side's rsb-console is too old to be measured: update it")
+        if not LEAST_SIZE <= order.size <= MOST_SIZE:
+            raise LinkError(f"a message has {LEAST_SIZE} to {MOST_SIZE:,} bytes")
+        if order.count < 1 or not 0 < order.rate < 1e6 or order.count / order.rate > MOST_SECONDS:
+            raise LinkError(f"a run has a message at least, and takes at most {MOST_SECONDS:g} s")
+
+    async def _run(self, order: Order) -> Outcome:
+        route = await self._opened(order)
+        sends = route.outgoing
+        theirs = await self._ask(route, reset=True)
+        ours = self.usage()
+        if sends:
+            source, _ = self._ends(route)
+            if source is None:
+                raise LinkError(_why_not(route))
+            source.start(order.size, order.rate, order.count)
+            await self._until_idle(lambda: source.busy, order)
+            answer = await self._settled_there(route, order)
+            sent, rate, received = source.sent, source.rate, answer.received
+            latencies = (answer.p50, answer.p99, answer.p999)
+        else:
+            _, drain = self._ends(route)
+            if drain is None:
+                raise LinkError(_why_not(route))
+            drain.reset()
+            await self._ask(route, size=order.size, rate=order.rate, count=order.count)
+            await self._settled_here(drain, order)
+            answer = await self._ask(route)
+            sent, rate, received = answer.sent, answer.rate or order.rate, drain.count
+            latencies = drain.arrived.latencies
+        now = self.usage()
+        mine = _between(ours, now)
+        peers = _between(_usage_in(theirs), _usage_in(answer))
+        offset = (self._link.clock_offset or 0.0) * (-1 if sends else 1)
+        p50, p99, p999 = (each + offset for each in latencies)
+        return Outcome(
+            now,
+            sent,
+            received,
+            rate,
+            p50,
+            p99,
+            p999,
+            self._link.clock_uncertainty,
+            mine if sends else peers,
+            peers if sends else mine,
+            answer.max_rate,
+        )
+
+    async def _opened(self, order: Order) -> Route:
+        """The topic's route, once messages can cross on it."""
+        link = self._link
+        transport = order.transport or link.transport.name
+        name = bench_topic(transport, order.direction)
+        route = next((each for each in self._routes() if each.proposed_here and each.spec.topic == name), None)
+        if route is None:
+            protocol: Any = order.transport or None
+            topic = Topic(
+                name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0
+            )  # fmt: skip
+            route = link.proposed.add(topic)
+        deadline = self._now() + _OPENED_WITHIN
+        while not self._open(route):
+            if route.refusal:
+                raise LinkError(route.refusal)
+            if route.key not in link.routes or self._now() > deadline:
+                raise LinkError(_why_not(route))
+            await asyncio.sleep(_LOOK_EVERY)
+        return route
+
+    def _open(self, route: Route) -> bool:
+        source, drain = self._ends(route)
+        return route.flowing and (source is not None if route.outgoing else drain is not None)
+
+    async def _ask(self, route: Route, **wanted: Any) -> BenchAnswer:
+        if route.refusal or not route.id:
+            raise LinkError(_why_not(route))
+        self._request += 1
+        answer = await self._questions.ask(self._request, BenchAsk(self._request, route.id, **wanted))
+        if answer.problem:
+            raise LinkError(f"refused by the other side: {answer.problem}")
+        return answer
+
+    async def _until_idle(self, busy: Callable[[], bool], order: Order) -> None:
+        deadline = self._now() + 2 * order.count / order.rate + _QUIET
+        while busy() and self._now() < deadline:  # noqa: ASYNC110 -- a thread's state
+            await asyncio.sleep(_LOOK_EVERY)
+
+    async def _settled_there(self, route: Route, order: Order) -> BenchAnswer:
+        answer, grown = await self._ask(route), self._now()
+        while answer.received < order.count and self._now() - grown < max(_QUIET, 2 / order.rate):
+            await asyncio.sleep(_LOOK_EVERY)
+            newer = await self._ask(route)
+            if newer.received > answer.received:
+                grown = self._now()
+            answer = newer
+        return answer
+
+    async def _settled_here(self, drain: Drain, order: Order) -> None:
+        come, grown = drain.count, self._now()
+        deadline = self._now() + 2 * order.count / order.rate + _QUIET
+        interval = max(_QUIET, 2 / order.rate)
+        while come < order.count and self._now() - grown < interval and self._now() < deadline:
+            await asyncio.sleep(_LOOK_EVERY)
+            if drain.count > come:
+                come, grown = drain.count, self._now()
+
+    # --- both
+
+    def _routes(self) -> list[Route]:
+        return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]
+
+    def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
+        if self._synthetic is None:
+            return None, None
+        topic = route.local_topic
+        return self._synthetic.sources.get(topic), self._synthetic.drains.get(topic)
+
+
+def _why_not(route: Route) -> str:
+    """Why nothing crosses on a route that measures."""
+    if route.refusal:
+        return route.refusal
+    return "stopped: the other side has removed or paused the topic" if not route.flowing else route.trouble()
+
+
+def _usage_in(answer: BenchAnswer) -> Usage:
+    return Usage(answer.cpu, answer.memory, answer.sent_bytes, answer.received_bytes)
+
+
+def _between(before: Usage, after: Usage) -> Usage:
+    return Usage(
+        max(0.0, after.cpu - before.cpu),
+        after.memory,
+        max(0, after.sent_bytes - before.sent_bytes),
+        max(0, after.received_bytes - before.received_bytes),
+    )

@@ -1,0 +1,63 @@
+"""What a peer that measures the link may still cause here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.model.benchmark import Leave
+
+HOUR = 3600.0
+
+
+class BenchBudget:
+    """One link's, for an hour from the first use on; then it begins anew.
+
+    Args:
+        now: the clock that all timers use, in s.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._began = float("-inf")
+        self._seconds = self._bytes = 0.0
+
+    def refusal(self, leave: Leave | None, seconds: float = 0.0, size: float = 0.0, rate: float = 0.0) -> str:
+        """Why nothing, or nothing of this kind, may be caused now; empty: it may.
+
+        Args:
+            leave: what the session says now; None: nothing is allowed.
+            seconds: s for which is to be sent.
+            size: bytes that are to be sent.
+            rate: Hz at which.
+        """
+        if leave is None:
+            return "this side gives no leave to measure the link"
+        self._renew()
+        if rate > leave.max_rate:
+            return f"this side allows {leave.max_rate:g} messages a second to a benchmark (bench.max_rate)"
+        if self._seconds >= leave.seconds or self._seconds + seconds > leave.seconds:
+            return (
+                f"this side allows {leave.seconds:g} s of a benchmark in an hour (bench.seconds), and they are used up"
+            )
+        most = leave.megabytes * 1e6
+        if self._bytes >= most or self._bytes + size > most:
+            return (
+                f"this side allows {most / 1e6:g} MB to a benchmark in an hour (bench.megabytes), and they are used up"
+            )
+        return ""
+
+    def spend(self, seconds: float, size: float) -> None:
+        """So many s were used, and bytes."""
+        self._renew()
+        if self._began == float("-inf"):
+            self._began = self._now()
+        self._seconds += seconds
+        self._bytes += size
+
+    def _renew(self) -> None:
+        if self._now() - self._began >= HOUR:
+            self._began = float("-inf")
+            self._seconds = self._bytes = 0.0

@@ -1,0 +1,214 @@
+"""Topics that no node has, for measuring a link: `Synthetic` makes their messages, and takes them where they arrive.
+
+For a route they are topics like any other: its messages are sealed, limited and counted. DDS sees nothing of them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+from rsb_bridge.model.benchmark import TYPE, TYPE_HASH, is_bench_topic
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.percentiles import percentiles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable
+
+    from rsb_bridge.ros.api import OnFailure, Publisher, RosInterface, Sink, Subscription
+
+_NODE = "/rsb_bench"
+_GID = b"rsb_bench".ljust(16, b"\0")
+_HEADER = b"\x00\x01\x00\x00"
+_STAMP = 8  # bytes
+_SAMPLES = 100_000
+_AT_ONCE, _BYTES_AT_ONCE = 64, 8 << 20
+_PAUSE = 0.0005
+_BYTES_PER_KB = 1024
+
+
+class Arrived(NamedTuple):
+    """What has arrived on a topic since it was last reset.
+
+    Attributes:
+        count: messages.
+        bytes: of payload.
+        latencies: s on the two wall clocks: the 50th, 99th and 99.9th percentile.
+    """
+
+    count: int
+    bytes: int
+    latencies: tuple[float, float, float]
+
+
+class Time:
+    """The clocks that messages are made by."""
+
+    def __init__(self, wall_ns: Callable[[], int] = time.time_ns) -> None:
+        self.wall_ns = wall_ns
+        self.now = time.monotonic
+        self.sleep = time.sleep
+
+
+class Source:
+    """Makes the messages of one topic, as the ROS thread takes those of others."""
+
+    def __init__(self, sink: Sink, clocks: Time, closed: Callable[[], None]) -> None:
+        self._sink = sink
+        self._clocks = clocks
+        self._closed = closed
+        self._thread: threading.Thread | None = None
+        self._stops = False
+        self.lost = 0
+        self.sent = 0
+        self.rate = 0.0
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run is under way."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def start(self, size: int, rate: float, count: int) -> None:
+        """Send messages of a size at a rate (Hz), on a thread of its own."""
+        self.sent, self.rate = 0, 0.0
+        self._thread = threading.Thread(target=self.send, args=(size, rate, count), name="rsb-bench", daemon=True)
+        self._thread.start()
+
+    def send(self, size: int, rate: float, count: int) -> None:
+        """Send messages, and return when the last one is handed over."""
+        clocks, rest = self._clocks, bytes(max(0, size - _STAMP - len(_HEADER)))
+        most = max(1, min(_AT_ONCE, _BYTES_AT_ONCE // max(1, size)))
+        began = clocks.now()
+        sent = 0
+        while sent < count and not self._stops:
+            due = min(count, int((clocks.now() - began) * rate) + 1)
+            while sent < due and not self._stops:
+                batch = []
+                for number in range(sent, min(due, sent + most)):
+                    stamp = clocks.wall_ns()
+                    payload = b"%b%b%b" % (_HEADER, stamp.to_bytes(_STAMP, "little"), rest)
+                    batch.append(RawMessage(payload, stamp, _GID, number + 1))
+                self._sink(batch)
+                sent += len(batch)
+                self.sent = sent
+            clocks.sleep(_PAUSE)
+        passed = clocks.now() - began
+        self.rate = min(rate, sent / passed) if passed > 0 else rate
+
+    def close(self) -> None:
+        """End the run that is under way."""
+        self._stops = True
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(1.0)
+        self._closed()
+
+
+class Drain:
+    """Takes the messages of one topic where they arrive."""
+
+    gid = _GID
+    subscriber_count = 1
+    acknowledged = True
+
+    def __init__(self, clocks: Time, closed: Callable[[], None]) -> None:
+        self._clocks = clocks
+        self._closed = closed
+        self._latencies: list[int] = []
+        self.count = self.bytes = 0
+
+    def publish(self, payload: bytes) -> None:
+        """Take one message."""
+        self.count += 1
+        self.bytes += len(payload)
+        if len(self._latencies) < _SAMPLES:
+            stamp = int.from_bytes(payload[len(_HEADER) : len(_HEADER) + _STAMP], "little")
+            self._latencies.append(self._clocks.wall_ns() - stamp)
+
+    def reset(self) -> None:
+        """Count from 0."""
+        self.count = self.bytes = 0
+        self._latencies.clear()
+
+    @property
+    def arrived(self) -> Arrived:
+        """What has come since the last reset."""
+        p50, p99, p999 = (each / 1e9 for each in percentiles(self._latencies))
+        return Arrived(self.count, self.bytes, (p50, p99, p999))
+
+    def close(self) -> None:
+        """Take no more."""
+        self._closed()
+
+
+class Synthetic:
+    """A ROS side with such topics beside those of its graph.
+
+    Attributes:
+        sources: by topic, those that a route sends.
+        drains: by topic, those that a route receives.
+    """
+
+    def __init__(self, ros: RosInterface, clocks: Time) -> None:
+        self._ros = ros
+        self._clocks = clocks
+        self.sources: dict[str, Source] = {}
+        self.drains: dict[str, Drain] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._ros, name)
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """See `rsb_bridge.ros.api.RosInterface`, likewise those below."""
+        return [_endpoint()] if is_bench_topic(topic) else self._ros.publishers(topic)
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        return [_endpoint()] if is_bench_topic(topic) else self._ros.subscriptions(topic)
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> Subscription:
+        if not is_bench_topic(topic):
+            return self._ros.subscribe(topic, type_name, type_hash, qos, sink, origin, on_failure)
+        source = self.sources[topic] = Source(sink, self._clocks, lambda: _forget(self.sources, topic, source))
+        return source
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
+        if not is_bench_topic(topic):
+            return self._ros.advertise(topic, type_name, type_hash, qos, origin)
+        drain = self.drains[topic] = Drain(self._clocks, lambda: _forget(self.drains, topic, drain))
+        return drain
+
+
+def _endpoint() -> Endpoint:
+    return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _GID)
+
+
+def _forget(held: dict[str, Any], topic: str, which: object) -> None:
+    if held.get(topic) is which:
+        del held[topic]
+
+
+def with_synthetic(ros: RosInterface, wall_ns: Callable[[], int]) -> RosInterface:
+    """A ROS side that has these topics, too."""
+    return cast("RosInterface", Synthetic(ros, Time(wall_ns)))
+
+
+def synthetic_of(ros: RosInterface) -> Synthetic | None:
+    """What makes such topics; None: nothing does."""
+    return ros if isinstance(ros, Synthetic) else None
+
+
+def resources() -> tuple[float, int]:
+    """Processor time (s) and resident memory (bytes) of this process."""
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    return time.process_time(), int(status.partition("VmRSS:")[2].split()[0]) * _BYTES_PER_KB

@@ -1,0 +1,170 @@
+"""The ends of a measured stream of std_msgs/String: ``python -m rsb_bridge.ros.traffic PART DOMAIN TOPIC[:DEPTH]...``.
+
+It is commanded by lines, and answers with lines of JSON; it ends with its standard input.
+
+- ``talk``: ``send RATE COUNT SIZE [AT]`` publishes COUNT messages of SIZE bytes at RATE Hz on the topic of that number,
+  and answers with the rate reached.
+- ``listen``: ``reset`` forgets; ``count`` answers with the count, ``report`` with the count and the latencies (ns).
+  ``spin`` listens on rclpy's own executor.
+- ``many DOMAIN PREFIX COUNT`` publishes on COUNT topics, each at 1 Hz.
+
+Talker and listener drain and publish raw, so that they cost as little as they can beside what is measured.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import threading
+import time
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
+
+from rsb_bridge.ros.percentiles import percentiles
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+DEPTH = 2000
+_STAMP = 20  # digits
+_SAMPLES = 100_000
+_STAMPED_BELOW = 5000  # Hz
+_OF_MANY = 200  # bytes
+
+
+def message(size: int) -> bytes:
+    """A String of `size` bytes, at least 20, serialized, with the time now (monotonic ns) as its first digits."""
+    header, rest = _frame(size)
+    return b"%b%020d%b" % (header, time.monotonic_ns(), rest)
+
+
+@lru_cache(maxsize=4)
+def _frame(size: int) -> tuple[bytes, bytes]:
+    length = max(size, _STAMP) + 1
+    return b"\x00\x01\x00\x00" + length.to_bytes(4, "little"), bytes(length - 1 - _STAMP).replace(b"\0", b"x") + b"\0"
+
+
+def main() -> None:
+    """Run one part."""
+    part, domain, *topics = sys.argv[1:]
+    context = Context()
+    rclpy.init(context=context, domain_id=int(domain), signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(f"bench_{part}", context=context, enable_rosout=False, start_parameter_services=False)
+    if part == "talk":
+        _talk(node, topics)
+    elif part == "many":
+        _publish_many(node, topics[0], int(topics[1]))
+    else:
+        _listen(context, node, topics, stock=part == "spin")
+
+
+def _answer(**fields: object) -> None:
+    sys.stdout.write(f"{json.dumps(fields)}\n")
+    sys.stdout.flush()
+
+
+def _parsed(topic: str) -> tuple[str, QoSProfile]:
+    name, _, depth = topic.partition(":")
+    return name, QoSProfile(depth=int(depth or DEPTH))
+
+
+def _talk(node: Node, topics: Sequence[str]) -> None:
+    publishers = [node.create_publisher(String, *_parsed(topic)) for topic in topics]
+    for line in sys.stdin:
+        command, *numbers = line.split()
+        if command == "match":
+            _answer(subscribers=min(each.get_subscription_count() for each in publishers))
+            continue
+        rate = float(numbers[0])
+        count, size = map(int, numbers[1:3])
+        publish = publishers[int(numbers[3]) if len(numbers) > 3 else 0].publish
+        template = message(size)
+        began, sent = time.perf_counter(), 0
+        while sent < count:
+            due = min(count, int((time.perf_counter() - began) * rate) + 1)
+            # A stamp of its own each where it costs nothing; at high rates only the count matters.
+            for _ in range(due - sent):
+                publish(message(size) if rate <= _STAMPED_BELOW else template)
+            sent = max(sent, due)
+            time.sleep(0.0005)
+        # A single message takes no time; a rate has intervals.
+        _answer(rate=min(rate, count / max(time.perf_counter() - began, 1e-9)))
+
+
+def _publish_many(node: Node, prefix: str, count: int) -> None:
+    publishers = [node.create_publisher(String, f"{prefix}{number:03d}", 10) for number in range(count)]
+    ends = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ends.set()), daemon=True).start()
+    while not ends.is_set():
+        for publisher in publishers:
+            publisher.publish(message(_OF_MANY))
+            if ends.wait(1 / count):
+                break
+
+
+def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool) -> None:
+    latencies: list[int] = []
+    count = 0
+
+    def take(payload: bytes) -> None:
+        nonlocal count
+        count += 1
+        if len(latencies) < _SAMPLES:
+            latencies.append(time.monotonic_ns() - int(payload[8 : 8 + _STAMP]))
+
+    def commands() -> None:
+        nonlocal count
+        for line in sys.stdin:
+            match line.strip():
+                case "reset":
+                    count = 0
+                    latencies.clear()
+                    _answer(ok=True)
+                case "count":
+                    _answer(count=count)
+                case _:
+                    p50, p99, p999 = percentiles(latencies)
+                    _answer(count=count, p50=p50, p99=p99, p999=p999)
+        context.try_shutdown()
+
+    subscriptions = [
+        node.create_subscription(String, topic, take, qos, raw=True) for topic, qos in map(_parsed, topics)
+    ]
+    threading.Thread(target=commands, daemon=True).start()
+    if stock:
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        with contextlib.suppress(ExternalShutdownException):
+            executor.spin()
+    else:
+        drain(context, [each.handle for each in subscriptions], take)
+
+
+def drain(context: Context, handles: Sequence[Any], take: Callable[[bytes], object]) -> None:
+    """Give what subscriptions take to `take`, serialized, until the context is shut down."""
+    with context.handle, contextlib.ExitStack() as held:
+        for handle in handles:
+            held.enter_context(handle)
+        waits = _rclpy.WaitSet(len(handles), 0, 0, 0, 0, 0, context.handle)
+        while context.ok():
+            waits.clear_entities()
+            for handle in handles:
+                waits.add_subscription(handle)
+            waits.wait(100_000_000)
+            for handle in handles:
+                while (taken := handle.take_message(String, True)) is not None:
+                    take(taken[0])
+
+
+if __name__ == "__main__":
+    main()

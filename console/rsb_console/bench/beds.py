@@ -1,0 +1,256 @@
+"""A talker and a listener on this machine, each in a ROS domain, and what stands between the two."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import os
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.model.benchmark import Order
+from rsb_console.bench.ends import BenchError
+from rsb_console.bench.processes import Process, free_port
+from rsb_console.bench.results import Run, Side
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+TOPIC = "/bench"
+TRAFFIC = "rsb_bridge.ros.traffic"
+_TYPE = "std_msgs/msg/String"
+_DEPTH = 2000
+_HISTORY = 64 << 20
+"""Bytes that a publisher or a subscription keeps at most."""
+_LEAST_DEPTH = 4
+_QUIET = 0.7
+"""s without a message after which no more is waited for."""
+_LOOK_EVERY = 0.05
+_READY_WITHIN = 20.0
+_ANSWERS_WITHIN = 5.0
+
+
+def depth_of(size: int) -> int:
+    """How many messages of a size are kept."""
+    return max(_LEAST_DEPTH, min(_DEPTH, _HISTORY // max(1, size)))
+
+
+@dataclass(slots=True)
+class Bed:
+    """A talker, a listener, and what stands between them.
+
+    Attributes:
+        talker: publishes.
+        listener: subscribes.
+        between: the processes between them, in the order of the messages' way.
+        topics: the number of the topic for messages of a size; others go by the first.
+        sockets: of the control connections of `between`, where they have any.
+        started: monotonic s, when the first of `between` was started.
+        listening: s after which the receiving bridge listened.
+        first: s after which the first message was through.
+    """
+
+    talker: Process
+    listener: Process
+    between: list[Process] = field(default_factory=list)
+    topics: dict[int, int] = field(default_factory=dict)
+    sockets: list[Path] = field(default_factory=list)
+    started: float = 0.0
+    listening: float | None = None
+    first: float | None = None
+
+    def send(self, rate: float, seconds: float, size: int) -> Run:
+        """Send for a while, wait until no more comes, and say what came."""
+        self.listener.ask("reset")
+        before = [process.cpu() for process in self.between]
+        count = max(1, int(rate * seconds))
+        reached = self.talker.ask(f"send {rate} {count} {size} {self.topics.get(size, 0)}")["rate"]
+        self._settle(count, max(_QUIET, 2 / rate))
+        used = [process.cpu() - then for process, then in zip(self.between, before, strict=True)]
+        report = self.listener.ask("report")
+        sides = (used[0], sum(used[1:])) if used else (0.0, 0.0)
+        p50, p99, p999 = (report[name] / 1e6 for name in ("p50", "p99", "p999"))
+        return Run(size, count, int(report["count"]), reached, p50, p99, p999, sides)
+
+    def _settle(self, count: int, quiet: float) -> None:
+        """Wait until all have come, or none has for some s."""
+        come, grown = self.listener.ask("count")["count"], time.monotonic()
+        while come < count and time.monotonic() - grown < quiet:
+            time.sleep(_LOOK_EVERY)
+            newer = self.listener.ask("count")["count"]
+            if newer > come:
+                grown = time.monotonic()
+            come = newer
+
+    def most(self, _: int) -> float:
+        return float("inf")
+
+    def wire(self, rate: float, seconds: float, size: int) -> Run:
+        """As `send`, with the bytes that the sending bridge handed to its sockets."""
+        before = sent_bytes(self.sockets[0])
+        run = self.send(rate, seconds, size)
+        return Run(
+            size,
+            run.sent,
+            run.received,
+            run.rate,
+            run.p50,
+            run.p99,
+            run.p999,
+            run.sides,
+            sent_bytes(self.sockets[0]) - before,
+        )
+
+    def sides(self, idle: float) -> tuple[Side, Side]:
+        before, began = [process.cpu() for process in self.between], time.monotonic()
+        time.sleep(idle)
+        passed = time.monotonic() - began
+        used = [process.cpu() - then for process, then in zip(self.between, before, strict=True)]
+        sending, receiving = (
+            Side(process.memory(), 100 * cpu / passed if idle else None, first=self.first)
+            for process, cpu in zip(self.between, used, strict=True)
+        )
+        return sending, Side(receiving.memory, receiving.idle, self.listening, self.first)
+
+
+def sent_bytes(socket: Path) -> int:
+    """Bytes that a bridge has handed to the sockets of its links.
+
+    Raises:
+        BenchError: it does not answer.
+    """
+    engine = RemoteEngine(socket, read_only=True)
+    try:
+        engine.start()
+        try:
+            return engine.bench(Order("measure")).result(_ANSWERS_WITHIN).usage.sent_bytes
+        finally:
+            engine.stop()
+    except (ControlError, EngineError, TimeoutError) as error:
+        raise BenchError(f"a bridge on this machine does not answer: {error}") from None
+
+
+@contextlib.contextmanager
+def ends(near: int, far: int, listener: str = "listen", sizes: Sequence[int] = ()) -> Iterator[Bed]:
+    """Talker and listener, in two domains or one, with a topic for each size."""
+    topics = [f"{topic_of(size)}:{depth_of(size)}" for size in sizes] or [TOPIC]
+    with (
+        Process("-m", TRAFFIC, "talk", str(near), *topics) as talker,
+        Process("-m", TRAFFIC, listener, str(far), *topics) as listening,
+    ):
+        yield Bed(talker, listening, topics={size: at for at, size in enumerate(sizes)})
+
+
+def topic_of(size: int) -> str:
+    """The name of the topic for messages of a size. Another benchmark on the same machine has other names."""
+    return f"{TOPIC}_{os.getpid()}_{size}"
+
+
+@contextlib.contextmanager
+def direct(near: int, sizes: Sequence[int] = (), listener: str = "listen") -> Iterator[Bed]:
+    """Nothing between them: one domain."""
+    with ends(near, near, listener, sizes) as bed:
+        yield ready(bed)
+
+
+@contextlib.contextmanager
+def bridged(
+    protocol: str,
+    near: int,
+    far: int,
+    sizes: Sequence[int] = (),
+    *,
+    side: Callable[[Path], Process] | None = None,
+    client: Callable[[Path], Process] | None = None,
+) -> Iterator[Bed]:
+    """Our bridge between them: two processes, encrypted.
+
+    Args:
+        protocol: of all topics.
+        near: the talker's domain, and the client's.
+        far: the listener's, and the server's.
+        sizes: with a topic for each; none: one topic for all.
+        side: starts a side; None: `headless`.
+        client: starts another client; None: `side`.
+    """
+    side = side or headless
+    with tempfile.TemporaryDirectory(prefix="rsb-bench-") as name, ends(near, far, sizes=sizes) as bed:
+        folder = Path(name)
+        names = {topic_of(size): depth_of(size) for size in sizes} or {TOPIC: _DEPTH}
+        entries = [
+            f"  - {{topic: {topic}, direction: transmit, protocol: {protocol}, type: {_TYPE}, qos: {depth}}}"
+            for topic, depth in names.items()
+        ]
+        port = write_sessions(folder, near, far, entries)
+        with contextlib.ExitStack() as between:
+            bed.started = time.monotonic()
+            server = between.enter_context(side(folder / "server.yaml"))
+            bed.listening = listening(server, port) - bed.started
+            sending = between.enter_context((client or side)(folder / "client.yaml"))
+            bed.between += [sending, server]
+            bed.sockets += [folder / "client.sock", folder / "server.sock"]
+            yield ready(bed)
+
+
+def write_sessions(folder: Path, near: int, far: int, entries: Sequence[str]) -> int:
+    """The session files of a server in one domain and a client in the other, with these topics; gives the port."""
+    key = folder / "bench.key"
+    key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
+    key.chmod(0o600)
+    port = free_port()
+    common = f"name: bench\nserver_ip: 127.0.0.1\nserver_port: {port}\nkey_file: bench.key\n"
+    (folder / "server.yaml").write_text(f"role: server\ndomain_id: {far}\n{common}")
+    (folder / "client.yaml").write_text(
+        "\n".join([f"role: client\ndomain_id: {near}\n{common}topics:", *entries]) + "\n"
+    )
+    return port
+
+
+def headless(session: Path, log: Path | None = None) -> Process:
+    """One side of our bridge. Where it is served, kept and listed is the session's folder, not the user's."""
+    folder = session.parent
+    apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
+    control = ["--control", str(session.with_suffix(".sock"))]
+    return Process(
+        "-m",
+        "rsb_console",
+        "run",
+        "--no-ui",
+        *control,
+        str(session),
+        log=log or folder / f"{session.stem}.log",
+        environ=apart,
+    )
+
+
+def listening(server: Process, port: int) -> float:
+    """Wait until a port is listened on; monotonic s then. The kernel is asked: a connection would be the server's."""
+    deadline, wanted = time.monotonic() + _READY_WITHIN, f":{port:04X}"
+    while time.monotonic() < deadline and server.running:
+        rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        if any(row[1].endswith(wanted) and row[3] == "0A" for row in rows):  # TCP_LISTEN
+            return time.monotonic()
+        time.sleep(0.01)
+    raise BenchError("the server of the benchmark does not start")
+
+
+def ready(bed: Bed) -> Bed:
+    """Wait until a message gets through on each topic, then warm up."""
+    deadline = time.monotonic() + _READY_WITHIN
+    for at in range(max(1, len(bed.topics))):
+        bed.listener.ask("reset")
+        while not bed.listener.ask("count")["count"]:
+            if time.monotonic() > deadline:
+                raise BenchError("nothing gets through: is ROS set up, and are both domains free of what filters it?")
+            bed.talker.ask(f"send 100 2 100 {at}")
+            time.sleep(_LOOK_EVERY)
+        if bed.first is None and bed.between:
+            bed.first = time.monotonic() - bed.started
+    bed.send(1000, 0.3, 1000)
+    return bed

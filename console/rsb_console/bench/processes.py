@@ -1,0 +1,153 @@
+"""Child processes that are measured, or that measure: none of them outlives this one."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_TICKS = os.sysconf("SC_CLK_TCK")
+_STOPS_WITHIN = 6.0
+_PR_SET_PDEATHSIG = 1  # prctl(2)
+
+
+class ChildError(Exception):
+    """A process that measures has ended by itself; the message says which, and what it said."""
+
+
+class Process:
+    """A Python process that answers lines of commands with lines of JSON.
+
+    It is in a process group of its own, so that a Ctrl-C reaches only this one, which ends it; and where this one is
+    killed, the kernel ends it.
+    """
+
+    def __init__(
+        self,
+        *command: str,
+        log: Path | None = None,
+        environ: Mapping[str, str] | None = None,
+        folder: Path | None = None,
+    ) -> None:
+        """Start it.
+
+        Args:
+            command: what Python is to run.
+            log: all that it writes goes there, and it cannot be asked; None: it can.
+            environ: what differs from this process's environment.
+            folder: to be in; None: this process's.
+        """
+        environment = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"} | dict(environ or {})
+        self._name = " ".join(command[:3])
+        with contextlib.ExitStack() as files:
+            output = files.enter_context(log.open("wb")) if log else None
+            self._child = subprocess.Popen(  # noqa: S603 -- our own programs
+                [sys.executable, *command],
+                stdin=subprocess.PIPE,
+                stdout=output or subprocess.PIPE,
+                stderr=output or subprocess.DEVNULL,
+                text=True,
+                env=environment,
+                cwd=folder,
+                start_new_session=True,
+                preexec_fn=_die_with_parent,  # noqa: PLW1509 -- it only makes a system call
+            )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def ask(self, line: str) -> dict[str, float]:
+        """The answer to a command.
+
+        Raises:
+            ChildError: it has ended.
+        """
+        self.tell(line)
+        answered = self.line()
+        if not answered:
+            raise ChildError(f"{self._name} has ended by itself")
+        answer: dict[str, float] = json.loads(answered)
+        return answer
+
+    def tell(self, line: str) -> None:
+        """A command that is not waited for.
+
+        Raises:
+            ChildError: it has ended.
+        """
+        assert self._child.stdin is not None
+        try:
+            self._child.stdin.write(line + "\n")
+            self._child.stdin.flush()
+        except BrokenPipeError:
+            raise ChildError(f"{self._name} has ended by itself") from None
+
+    def signal(self, number: int) -> None:
+        self._child.send_signal(number)
+
+    def line(self) -> str:
+        assert self._child.stdout is not None
+        return self._child.stdout.readline()
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def cpu(self) -> float:
+        """Processor time so far, s, all threads."""
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / _TICKS
+
+    def memory(self) -> float:
+        """Resident memory, MB."""
+        status = Path(f"/proc/{self.pid}/status").read_text()
+        return int(status.split("VmRSS:")[1].split()[0]) / 1000
+
+    def descriptors(self) -> int:
+        """Open file descriptors."""
+        return sum(1 for _ in Path(f"/proc/{self.pid}/fd").iterdir())
+
+    @property
+    def running(self) -> bool:
+        return self._child.poll() is None
+
+    def stop(self) -> None:
+        """End it, by force if it takes long."""
+        self._child.terminate()
+        try:
+            self._child.wait(_STOPS_WITHIN)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        finally:
+            for pipe in (self._child.stdin, self._child.stdout):
+                with contextlib.suppress(BrokenPipeError):
+                    if pipe is not None:
+                        pipe.close()
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+def _die_with_parent() -> None:
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def free_port() -> int:
+    """A TCP port of this machine that nobody listens on now."""
+    with socket.socket() as tcp:
+        tcp.bind(("127.0.0.1", 0))
+        return int(tcp.getsockname()[1])

@@ -1,0 +1,207 @@
+"""What a benchmark measures, as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+import msgspec
+
+Limit: TypeAlias = Literal["loss", "sender", "leave", "time"]
+"""Why a search for the highest rate ended: more is lost, the sender or the peer's leave has no more, time is up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of messages of one size.
+
+    Attributes:
+        size: bytes of payload of each.
+        sent: messages.
+        received: messages.
+        rate: Hz that the sender reached.
+        p50: ms, of the latency, likewise those below.
+        p99: ms.
+        p999: ms.
+        sides: s of processor time that the sending and the receiving bridge used.
+        wire: bytes that the sending bridge handed to its sockets, or that is not known.
+    """
+
+    size: int
+    sent: int
+    received: int
+    rate: float
+    p50: float
+    p99: float
+    p999: float = 0.0
+    sides: tuple[float, float] = (0.0, 0.0)
+    wire: int | None = None
+
+    @property
+    def lossless(self) -> bool:
+        return self.received >= self.sent
+
+    @property
+    def cpu(self) -> float:
+        """Processor time (s) of what is between, all of it."""
+        return sum(self.sides)
+
+    @property
+    def cpu_per_message(self) -> float:
+        """µs."""
+        return self.cpu / self.sent * 1e6
+
+    @property
+    def delivered(self) -> float:
+        """Messages a second that came."""
+        return self.rate * self.received / self.sent if self.sent else 0.0
+
+    @property
+    def wire_per_byte(self) -> float | None:
+        """Bytes on the wire for each byte of payload."""
+        return self.wire / (self.size * self.sent) if self.wire and self.sent else None
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """What one transport does with messages of one size, in one direction.
+
+    Attributes:
+        transport: ``tcp``, ``udp`` or ``bluetooth``; of developers' comparisons, any name.
+        direction: as the client sees it.
+        size: bytes of payload.
+        gentle: the run at a low rate, for the latency.
+        base: the latency (p50, p99, p99.9 in ms) without a bridge; None: there is none to compare with.
+        best: the run at the highest rate at which nothing was lost; None: none was found.
+        limit: why no higher rate was found.
+        full: the run at a rate that is too high; None: there was none.
+    """
+
+    transport: str
+    direction: str
+    size: int
+    gentle: Run
+    base: tuple[float, float, float] | None
+    best: Run | None
+    limit: Limit
+    full: Run | None = None
+
+    @property
+    def added(self) -> tuple[float, float, float]:
+        """What the bridge adds to the latency (ms): all of it where there is nothing to compare with."""
+        base = self.base or (0.0, 0.0, 0.0)
+        ours = (self.gentle.p50, self.gentle.p99, self.gentle.p999)
+        return ours[0] - base[0], ours[1] - base[1], ours[2] - base[2]
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One bridge process.
+
+    Attributes:
+        listening: s from its start until it listens; None: not measured.
+        first: s from its start until the first message was through; None: not measured.
+        idle: % of a core while nothing crosses; None: not measured.
+        memory: MB, after everything.
+    """
+
+    memory: float
+    idle: float | None = None
+    listening: float | None = None
+    first: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Many:
+    """Many topics at once, each at 1 Hz.
+
+    Attributes:
+        count: of topics.
+        opened: s from the start of the client's bridge until all of them carry messages.
+        memory: MB of the sending and the receiving bridge.
+        cpu: % of a core, likewise.
+    """
+
+    count: int
+    opened: float
+    memory: tuple[float, float]
+    cpu: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A topic that somebody wants to bridge.
+
+    Attributes:
+        topic: its name.
+        size: bytes of a message.
+        rate: Hz.
+        transport: that carries it; empty: any.
+        direction: as the client sees it; empty: any.
+    """
+
+    topic: str
+    size: float
+    rate: float
+    transport: str = ""
+    direction: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Whether a link carries a topic.
+
+    Attributes:
+        load: the topic.
+        transport: by which it was judged.
+        share: of what the link carries of such messages at most, from 0.
+        verdict: ``carried``, ``barely`` or ``not``.
+    """
+
+    load: Load
+    transport: str
+    share: float
+    verdict: Literal["carried", "barely", "not"]
+
+
+@dataclass(slots=True)
+class Report:
+    """All that was measured. It is filled while the benchmark runs, so that an interrupted one has what there was.
+
+    Attributes:
+        version: of this form.
+        over: what was measured, in words.
+        machine: processor, cores and Python.
+        points: by transport, direction and size.
+        sides: by transport, the sending and the receiving bridge.
+        many: with many topics.
+        judged: the session's topics, or usual ones.
+        verdict: in words.
+        notes: what was not measured, and why.
+        ended: ``complete``, ``interrupted``, ``time`` or ``stopped``: by the peer or its leave.
+    """
+
+    over: str
+    machine: str
+    version: int = 1
+    points: list[Point] = field(default_factory=list)
+    sides: dict[str, tuple[Side, Side]] = field(default_factory=dict)
+    many: list[Many] = field(default_factory=list)
+    judged: list[Judged] = field(default_factory=list)
+    verdict: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    ended: Literal["complete", "interrupted", "time", "stopped"] = "complete"
+
+
+def as_json(report: Report) -> str:
+    """A report as one line of JSON."""
+    return msgspec.json.encode(report).decode()
+
+
+def from_json(text: str) -> Report:
+    """The inverse of `as_json`.
+
+    Raises:
+        msgspec.ValidationError: it is no report.
+    """
+    return msgspec.json.decode(text, type=Report)

@@ -1,0 +1,192 @@
+"""What is measured, in which order, and within which time."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from rsb_console.bench.ends import BenchError, StoppedError
+from rsb_console.bench.results import Point
+from rsb_console.bench.search import highest_lossless
+from rsb_console.look.formats import byte_count
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rsb_console.bench.ends import Ends, Place, Way
+    from rsb_console.bench.results import Report, Run
+
+_FIRST_BYTES = 50e6
+"""Bytes a second with which a search begins."""
+_FIRST_RATE = 5000.0
+_GENTLE_BYTES = 20e6
+_LEAST_MESSAGES = 5
+_TOO_FAST = 1.5
+_SLOWER_BY = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much is measured.
+
+    Attributes:
+        sizes: bytes of a message.
+        run: s of each run.
+        close: how exactly the highest rate is found (`rsb_console.bench.search.CLOSE`).
+        gentle: Hz of the runs for latencies.
+        gentle_run: s of each.
+        idle: s for which is looked what an idle bridge uses; 0: not at all.
+        many: numbers of topics.
+        most: s for everything.
+    """
+
+    sizes: tuple[int, ...]
+    run: float = 1.0
+    close: float = 1.1
+    gentle: float = 100.0
+    gentle_run: float = 3.0
+    idle: float = 3.0
+    many: tuple[int, ...] = (1, 50, 500)
+    most: float = 600.0
+
+
+FULL = Plan((256, 2_500, 10_000, 100_000, 1_000_000, 6_000_000), most=360.0)
+QUICK = Plan((256, 10_000, 1_000_000), run=0.3, close=1.3, gentle_run=1.0, idle=1.0, many=(), most=50.0)
+
+
+class Suite:
+    """Measures in one place.
+
+    Args:
+        place: where.
+        plan: how much.
+        report: filled meanwhile.
+        clock: s, monotonic.
+        say: told what is being done.
+    """
+
+    def __init__(
+        self, place: Place, plan: Plan, report: Report, clock: Callable[[], float], say: Callable[[str], None]
+    ) -> None:
+        self._place = place
+        self._plan = plan
+        self._report = report
+        self._clock = clock
+        self._say = say
+        self._ends_at = clock() + plan.most
+        self._share_ends = self._ends_at
+
+    def run(self) -> None:
+        """Measure everything; what cannot be measured is noted.
+
+        Raises:
+            KeyboardInterrupt: of the operator; what was measured is in the report.
+        """
+        try:
+            base = self._baseline()
+            ways = self._place.ways
+            for at, way in enumerate(ways):
+                self._measure(way, base, [len(ways) - at, len(self._plan.sizes)])
+            self._many()
+        except StoppedError as error:
+            self._report.ended = "stopped"
+            self._report.notes.append(str(error))
+
+    @property
+    def _time_is_up(self) -> bool:
+        if self._clock() < self._ends_at:
+            return False
+        self._report.ended = "time"
+        return True
+
+    def _baseline(self) -> dict[int, tuple[float, float, float]]:
+        made = self._place.baseline(list(self._plan.sizes))
+        if made is None:
+            return {}
+        found = {}
+        self._say("without a bridge")
+        with made as ends:
+            for size in self._plan.sizes:
+                run = ends.send(self._gentle(ends, size), self._plan.gentle_run, size)
+                found[size] = (run.p50, run.p99, run.p999)
+        return found
+
+    def _measure(self, way: Way, base: dict[int, tuple[float, float, float]], left: Sequence[int]) -> None:
+        """One way, with as much of the time that is left as is its share."""
+        if self._time_is_up:
+            return
+        ways_left, sizes = left
+        budget = (self._ends_at - self._clock()) / ways_left
+        way_ends = self._clock() + budget
+        try:
+            with contextlib.ExitStack() as resources:
+                self._say(f"{way.transport} {way.direction}")
+                ends = resources.enter_context(self._place.open(way, list(self._plan.sizes)))
+                first = _FIRST_RATE
+                for at, size in enumerate(self._plan.sizes):
+                    if self._time_is_up:
+                        break
+                    self._share_ends = self._clock() + (way_ends - self._clock()) / (sizes - at)
+                    point = self._point(ends, way, size, base.get(size), first)
+                    self._report.points.append(point)
+                    if point.best is not None and at + 1 < sizes:
+                        first = max(1.0, point.best.rate * min(1.0, 2 * size / self._plan.sizes[at + 1]))
+                self._say(f"{way.transport} {way.direction}, idle")
+                self._report.sides[way.transport] = ends.sides(
+                    0.0 if self._clock() > self._ends_at else self._plan.idle
+                )
+        except BenchError as error:
+            self._report.notes.append(f"{way.transport} {way.direction}: {error}")
+
+    def _point(self, ends: Ends, way: Way, size: int, base: tuple[float, float, float] | None, first: float) -> Point:
+        plan = self._plan
+        what = f"{way.transport} {way.direction}, {byte_count(size)}"
+        self._say(f"{what}, latency")
+        gentle = ends.send(self._gentle(ends, size), plan.gentle_run, size)
+        tried: list[float] = []
+
+        def trial(rate: float) -> Run:
+            self._say(f"{what}, {rate:,.0f} msg/s")
+            tried.append(rate)
+            return ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size)
+
+        found = highest_lossless(
+            trial,
+            first=min(first, _FIRST_BYTES / size),
+            most=ends.most(size),
+            close=plan.close,
+            goes_on=lambda: self._clock() < min(self._share_ends, self._ends_at),
+        )
+        best, full = found.best, None
+        if best is None and found.limit == "time" and gentle.lossless:
+            best = gentle
+        if best is not None and best.wire is None:
+            self._say(f"{what}, wire")
+            best = replace(best, wire=_of(ends.wire(best.rate * _SLOWER_BY, plan.run, size), best.sent))
+        if found.limit == "loss":
+            rate = min(ends.most(size), _TOO_FAST * (best.rate if best else tried[-1]))
+            self._say(f"{what}, {rate:,.0f} msg/s, too fast")
+            full = ends.send(rate, max(plan.run, _LEAST_MESSAGES / rate), size)
+        return Point(way.transport, way.direction, size, gentle, base, best, found.limit, full)
+
+    def _gentle(self, ends: Ends, size: int) -> float:
+        return max(1.0, min(self._plan.gentle, _GENTLE_BYTES / size, ends.most(size)))
+
+    def _many(self) -> None:
+        for count in self._plan.many:
+            if self._time_is_up:
+                return
+            self._say(f"{count} topics")
+            try:
+                many = self._place.many(count)
+            except BenchError as error:
+                self._report.notes.append(f"{count} topics: {error}")
+                continue
+            if many is not None:
+                self._report.many.append(many)
+
+
+def _of(run: Run, sent: int) -> int | None:
+    """The wire bytes of a run, for as many messages as another one has sent."""
+    return round(run.wire * sent / run.sent) if run.wire and run.sent else None

@@ -1,0 +1,212 @@
+"""The command ``bench``: what this machine, or the link of a running bridge, carries."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.model.names import file_stem
+from rsb_bridge.model.snapshot import State
+from rsb_console.bench.drawing import as_svg, in_terminal
+from rsb_console.bench.ends import BenchError
+from rsb_console.bench.judging import USUAL, in_words, judge
+from rsb_console.bench.local import Loopback, machine, ros_problem
+from rsb_console.bench.over_link import OverLink, loads_of, ways_of
+from rsb_console.bench.results import Report, as_json
+from rsb_console.bench.suite import FULL, QUICK, Plan, Suite
+from rsb_console.bench.tables import lines_of
+from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, TERMINATED, USAGE, print_error, print_line
+from rsb_console.command.target import UsageError, attached, check_link, failed, reported
+from rsb_console.terminal.progress import Progress
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.model.snapshot import LinkSnapshot
+    from rsb_console.bench.ends import Place
+    from rsb_console.bench.results import Load
+
+_BOTH = ("transmit", "receive")
+_LINKED_WITHIN = 3.0
+_LOOK_EVERY = 0.1
+
+
+def run(_: str, arguments: Namespace) -> int:
+    """Measure, and print what came of it. Returns the exit code."""
+    if arguments.plot is not None and not arguments.plot.parent.is_dir():
+        return failed(arguments, f"{arguments.plot}: there is no such folder", USAGE)
+    here = arguments.bridge is None and arguments.control is None
+    try:
+        return _on_this_machine(arguments) if here else reported(_over_link, arguments)
+    except BenchError as error:
+        return failed(arguments, str(error), FAILURE)
+
+
+def _on_this_machine(arguments: Namespace) -> int:
+    if problem := ros_problem():
+        raise BenchError(problem)
+    near, far = arguments.domains
+    transports = arguments.transports or ("tcp", "udp")
+    if "bluetooth" in transports:
+        return failed(arguments, "Bluetooth needs two machines: name the session whose link is to be measured", USAGE)
+    if arguments.direction != "transmit":
+        return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
+    loads = _loads_of_running_bridges()
+    report = Report("This machine, two bridges over loopback", machine())
+    code = _measure(Loopback(transports, (near, far)), report, arguments)
+    return _finish(report, loads or USUAL, "this machine", arguments, code, together=bool(loads))
+
+
+def _over_link(arguments: Namespace) -> int:
+    _name_of_file(arguments)
+    with attached(arguments) as engine:
+        link = _linked(engine, arguments.link)
+        loads = loads_of(engine.snapshot(), link.name)
+        directions = _BOTH if arguments.direction == "both" else (arguments.direction,)
+        place = OverLink(engine, link.name, ways_of(link, arguments.transports, directions))
+        report = Report(f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side")
+        try:
+            code = _measure(place, report, arguments)
+        finally:
+            place.close()
+    return _finish(report, loads, "this link", arguments, code, together=True)
+
+
+def _name_of_file(arguments: Namespace) -> None:
+    """Take a session file for the name of its bridge.
+
+    Raises:
+        UsageError: it is no session file.
+    """
+    path = None if arguments.bridge is None else Path(arguments.bridge)
+    if path is None or not (path.suffix in (".yaml", ".yml") and path.is_file()):
+        return
+    try:
+        arguments.bridge = file_stem(load(path).name, 1)
+    except SessionError as error:
+        raise UsageError(str(error)) from None
+
+
+def _linked(engine: RemoteEngine, name: str) -> LinkSnapshot:
+    """The link to measure; one that is about to come up is waited for.
+
+    Raises:
+        UsageError: there are several, or it does not come up.
+    """
+    deadline = time.monotonic() + _LINKED_WITHIN
+    while True:
+        links = engine.snapshot().links
+        if links:
+            check_link(engine, name)
+            link = _chosen_link(links, name)
+            if link.state is State.OK:
+                return link
+        if time.monotonic() > deadline:
+            why = f"{link.name} is not linked: {link.reason}" if links else "the bridge has no link yet"
+            raise UsageError(why)
+        time.sleep(_LOOK_EVERY)
+
+
+def _chosen_link(links: Sequence[LinkSnapshot], name: str) -> LinkSnapshot:
+    """The link to measure.
+
+    Raises:
+        UsageError: there are several.
+    """
+    found = [link for link in links if name in ("", link.name)]
+    if len(found) != 1:
+        raise UsageError(f"with which client? --link {' or --link '.join(link.name for link in links)}")
+    return found[0]
+
+
+def _loads_of_running_bridges() -> list[Load]:
+    """The topics of what runs here anyway, to judge by."""
+    from rsb_bridge.api import EngineError  # noqa: PLC0415 -- with the engine
+    from rsb_bridge.control.client import RemoteEngine  # noqa: PLC0415
+
+    loads: list[Load] = []
+    for bridge in running_bridges():
+        engine = RemoteEngine(bridge.path, read_only=True)
+        with contextlib.suppress(EngineError, OSError):
+            engine.start()
+            try:
+                loads += loads_of(engine.snapshot())
+            finally:
+                engine.stop()
+    return loads
+
+
+def _measure(place: Place, report: Report, arguments: Namespace) -> int:
+    """Fill the report; an operator who interrupts has what was measured so far. Returns the exit code."""
+    with Progress(sys.stderr) as progress:
+        try:
+            Suite(place, _plan(arguments), report, time.monotonic, progress.show).run()
+        except KeyboardInterrupt:
+            report.ended = "interrupted"
+            return INTERRUPTED
+        except SystemExit:  # SIGTERM
+            report.ended = "interrupted"
+            return TERMINATED
+    return OK if report.points else FAILURE
+
+
+def _plan(arguments: Namespace) -> Plan:
+    plan = QUICK if arguments.quick else FULL
+    wanted = {
+        "sizes": tuple(sorted(arguments.sizes)) if arguments.sizes else None,
+        "most": arguments.seconds,
+        "run": min(plan.run, arguments.seconds / 20) if arguments.seconds else None,
+        "gentle_run": min(plan.gentle_run, arguments.seconds / 20) if arguments.seconds else None,
+        "idle": min(plan.idle, arguments.seconds / 20) if arguments.seconds else None,
+        "many": arguments.topics,
+    }
+    return replace(plan, **{name: value for name, value in wanted.items() if value is not None})
+
+
+def _finish(
+    report: Report, loads: Sequence[Load], over: str, arguments: Namespace, code: int, *, together: bool
+) -> int:
+    """Judge, print and draw. Returns the exit code."""
+    if not (report.points or arguments.json or report.ended == "interrupted"):
+        return failed(arguments, "; ".join(report.notes) or "nothing could be measured", code)
+    report.judged = judge(loads, report.points)
+    report.verdict = in_words(report.judged, over, together=together)
+    if arguments.json:
+        print_line(as_json(report))
+    else:
+        for line in lines_of(report):
+            print_line(line)
+        width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 100
+        drawn = in_terminal(report.points, width)
+        for line in ["", *drawn, ""] if drawn else [""]:
+            print_line(line)
+        for line in report.verdict:
+            print_line(fill(line, width, break_long_words=False, break_on_hyphens=False))
+        for line in (*report.notes, *_ending(report)):
+            print_error(line)
+    if arguments.plot is not None:
+        try:
+            arguments.plot.write_text(as_svg(report.points, report.over), encoding="utf-8")
+        except OSError as error:
+            print_error(f"{arguments.plot}: {os.strerror(error.errno or 0)}")
+            return FAILURE
+    return code
+
+
+def _ending(report: Report) -> list[str]:
+    if report.ended == "interrupted":
+        return ["interrupted: these are the figures until then"]
+    if report.ended == "time":
+        return ["the time was up before everything was measured: --seconds gives more"]
+    return []
