@@ -47,6 +47,7 @@ class Route:
     outgoing: bool
     id: int = 1
     duplex: bool = False
+    rank: int = 0
     arrived: list[int] = field(default_factory=list)
     waiting: list[bytes] = field(default_factory=list)
     sender: DatagramSender | None = None

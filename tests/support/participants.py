@@ -51,7 +51,7 @@ class KnownNode(RosNode):
 
     def __init__(self, domain_id: int, name: str) -> None:
         super().__init__(domain_id, name)
-        self._begin_anew = lambda: RosNode.__init__(self, domain_id, name)
+        self._begin_anew: Callable[[], None] = lambda: RosNode.__init__(self, domain_id, name)
 
     def start(self) -> None:
         def enter() -> Any:
