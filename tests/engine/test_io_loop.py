@@ -97,6 +97,15 @@ def test_nobody_visits_while_a_callback_runs(loop: IoLoop) -> None:
     visit(loop, lambda: None)
 
 
+def test_a_visitor_overtakes_no_callback(loop: IoLoop) -> None:
+    order: list[int] = []
+    for number in range(2000):
+        if number % 2 or not loop.do_now(lambda number=number: order.append(number)):
+            loop.call_soon_threadsafe(order.append, number)
+    visit(loop, lambda: order.append(2000))
+    assert order == list(range(2001))
+
+
 def test_a_callback_does_not_visit_its_own_loop_nor_a_visitor_while_it_is_there(loop: IoLoop) -> None:
     nested: list[bool] = []
 
