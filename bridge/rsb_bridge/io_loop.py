@@ -41,14 +41,15 @@ class IoLoop(asyncio.SelectorEventLoop):
         What it raises goes to the loop's exception handler, as from a callback.
 
         Returns:
-            Whether it is done; False: the loop runs callbacks, or is about to, or it does not run at all.
+            Whether it is done; False: the loop runs callbacks, or has some to run, or it does not run at all.
         """
         # asyncio's debug mode refuses call_soon on any thread but the loop's.
         if self._waits.over or self.get_debug() or not self._turn.acquire(blocking=False):
             return False
         before = asyncio._get_running_loop()
         try:
-            if not self.is_running():
+            # A visitor overtakes no callback that was there before: messages stay behind what was told before them.
+            if not self.is_running() or self._ready:  # type: ignore[attr-defined]
                 return False
             # What every event loop does around its callbacks: the work may ask which loop is running.
             asyncio._set_running_loop(self)

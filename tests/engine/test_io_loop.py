@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import socket
 import sys
 import threading
 import time
-from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -55,7 +56,7 @@ def visit(loop: IoLoop, work: Callable[[], object]) -> None:
     eventually(lambda: loop.do_now(work), what="the loop waits")
 
 
-@contextmanager
+@contextlib.contextmanager
 def in_a_callback(loop: IoLoop) -> Iterator[None]:
     """The loop is in a callback for the length of a `with`."""
     begun, ends = threading.Event(), threading.Event()
@@ -72,8 +73,11 @@ def in_a_callback(loop: IoLoop) -> Iterator[None]:
         ends.set()
 
 
-def test_the_names_that_are_for_event_loops_only_are_there() -> None:
+def test_what_is_used_of_asyncios_own_is_there() -> None:
     assert {"_set_running_loop", "_get_running_loop"} <= set(asyncio.events.__all__)
+    assert callable(asyncio.Handle._run)
+    with contextlib.closing(IoLoop()) as loop:
+        assert loop._ready is not None  # type: ignore[attr-defined]
 
 
 def test_a_visitor_works_on_its_own_thread_as_if_on_the_loops(loop: IoLoop) -> None:
@@ -95,6 +99,15 @@ def test_nobody_visits_while_a_callback_runs(loop: IoLoop) -> None:
     with in_a_callback(loop):
         assert not loop.do_now(pytest.fail)
     visit(loop, lambda: None)
+
+
+def test_a_visitor_overtakes_no_callback(loop: IoLoop) -> None:
+    order: list[int] = []
+    for number in range(2000):
+        if number % 2 or not loop.do_now(partial(order.append, number)):
+            loop.call_soon_threadsafe(order.append, number)
+    visit(loop, lambda: order.append(2000))
+    assert order == list(range(2001))
 
 
 def test_a_callback_does_not_visit_its_own_loop_nor_a_visitor_while_it_is_there(loop: IoLoop) -> None:
@@ -218,7 +231,7 @@ def test_a_reader_may_fail_stop_reading_and_stop_the_loop(always_ready: socket.s
 
 
 def test_what_a_visitor_has_closed_is_not_heard_nor_a_new_socket_of_its_number_left_out(loop: IoLoop) -> None:
-    with ExitStack() as sockets:
+    with contextlib.ExitStack() as sockets:
         near, far, other, beyond = (
             sockets.enter_context(each) for pair in (socket.socketpair(), socket.socketpair()) for each in pair
         )
