@@ -132,6 +132,18 @@ def test_incomplete_messages_are_given_up_after_their_time_and_not_kept_again() 
     assert (reader.pending, reader.expired) == (0, 1)
 
 
+def test_a_message_that_goes_on_to_come_is_not_given_up() -> None:
+    """One of many MB on a slow path may take longer; what comes between does not matter."""
+    writer, reader = ends()
+    slow, other = (writer.write(bytes(40), 0, 0, OVERHEAD + 10) for _ in range(2))
+    assert reader.receive(other[0], 0.0) is None
+    for index, fragment in enumerate(slow):
+        reader.expire(index * 0.9)
+        message = reader.receive(fragment, index * 0.9)
+    assert message == (bytes(40), 0, 0)
+    assert (reader.pending, reader.expired) == (0, 1)
+
+
 def test_a_message_given_up_before_an_older_one_is_not_kept_again() -> None:
     writer, reader = ends()
     first, second = (writer.write(bytes(20), 0, 0, OVERHEAD + 10) for _ in range(2))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.sealing import Buffer
 
 _EXPIRE = 1.0
-"""s after which a message whose fragments did not all come is given up."""
+"""s without a fragment of it, after which an incomplete message is given up."""
 _RECEIPTS_PER_BUFFER = 4 * WINDOW
 """The receiver says what has come each time a quarter of the sender's window has."""
 

@@ -165,7 +165,7 @@ class DatagramWriter:
 @dataclass(slots=True)
 class _Incomplete:
     count: int
-    first_seen: float
+    last_seen: float
     fragments: dict[int, bytes] = field(default_factory=dict)
     size: int = 0
     cost: int = 0
@@ -206,7 +206,7 @@ class DatagramReader:
         self._route = route
         self._budget = budget or Budget(UNFINISHED_LIMIT)
         self._max_message = max_message
-        self._incomplete: dict[int, _Incomplete] = {}  # by message number, the oldest first
+        self._incomplete: dict[int, _Incomplete] = {}  # by message number, in the order of the last fragments
         self._given_up = 0  # the highest number that was given up: late fragments up to it are not kept
 
     @property
@@ -244,10 +244,10 @@ class DatagramReader:
         return None if whole is None else (whole, stamp, flags)
 
     def expire(self, now: float, older_than: float = 1.0) -> None:
-        """Give up the messages that have been incomplete for more than `older_than` s."""
+        """Give up the incomplete messages of which nothing has come for more than `older_than` s."""
         while self._incomplete:
             number, oldest = next(iter(self._incomplete.items()))
-            if now - oldest.first_seen <= older_than:
+            if now - oldest.last_seen <= older_than:
                 break
             self._give_up(number)
 
@@ -273,6 +273,9 @@ class DatagramReader:
             return None
         message.fragments[index] = content
         message.size += len(content)
+        message.last_seen = now
+        if next(reversed(self._incomplete)) != number:
+            self._incomplete[number] = self._incomplete.pop(number)
         if len(message.fragments) == count:
             self._forget(number)
             return b"".join([message.fragments[i] for i in range(count)])
