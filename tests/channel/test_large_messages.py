@@ -29,6 +29,28 @@ def test_messages_of_all_sizes_are_exact_and_in_order() -> None:
     play(scene)
 
 
+def test_messages_share_pieces() -> None:
+    """Those that are neither small nor large cost one call together, not one each."""
+    sent = [_payload(size)[:size] for size in (20_000, 0, 20_000, 60_000, 200_000, 131_000, 0, 20_000)]
+
+    async def scene() -> None:
+        async with connected(on_its_own, (1, False)) as (here, there):
+            written: list[int] = []
+            write = here.stream.write
+
+            def count(data: bytes | memoryview) -> None:
+                written.append(len(data))
+                write(data)
+
+            here.stream.write = count  # type: ignore[method-assign]
+            here.routes[1].channel.send([(payload, 0, 0) for payload in sent])
+            await until(lambda: len(there.routes[1].arrived) == len(sent))
+            assert there.routes[1].arrived == sent
+            assert len(written) == 2
+
+    play(scene)
+
+
 def test_what_is_sent_meanwhile_comes_after_it() -> None:
     """Even by who does not ask whether the channel is congested."""
 
