@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.framing import DataWriter, Message
 
-LARGE = 16 * 1024
-"""Bytes from which on it costs less to seal a message in place than to join it with others."""
+LARGE = BATCH_BYTES
+"""Bytes from which on it costs less to seal a message in place than to seal it whole and join it with others."""
 _CHUNK = 128 * 1024
 _A_TURN = 4 * BATCH_BYTES
 """Bytes at one turn of the loop: 0.4 ms."""
