@@ -8,7 +8,7 @@ import random
 import pytest
 from tests.channel.test_duplex import connected, on_its_own, play, until
 
-_SIZES = (0, 1, 16 * 1024 - 1, 16 * 1024, 65_535, 65_536, 65_537, 131_072, 131_073, 1 << 20, 6_000_000, 33 << 20)
+_SIZES = (0, 1, 65_535, 65_536, 65_537, 262_143, 262_144, 262_145, 1 << 20, 6_000_000, 33 << 20)
 
 
 def _payload(size: int) -> bytes:
@@ -25,6 +25,28 @@ def test_messages_of_all_sizes_are_exact_and_in_order() -> None:
             assert there.routes[1].arrived == sent
             assert there.keys.budget.held == 0
             assert not here.routes[1].channel.congested
+
+    play(scene)
+
+
+def test_messages_share_pieces() -> None:
+    """What comes with large ones costs no call of its own."""
+    sent = [_payload(size)[:size] for size in (20_000, 0, 20_000, 60_000, 300_000, 1, 0, 100_000)]
+
+    async def scene() -> None:
+        async with connected(on_its_own, (1, False)) as (here, there):
+            written: list[int] = []
+            write = here.stream.write
+
+            def count(data: bytes | memoryview) -> None:
+                written.append(len(data))
+                write(data)
+
+            here.stream.write = count  # type: ignore[method-assign]
+            here.routes[1].channel.send([(payload, 0, 0) for payload in sent])
+            await until(lambda: len(there.routes[1].arrived) == len(sent))
+            assert there.routes[1].arrived == sent
+            assert len(written) == 3
 
     play(scene)
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.framing import DataWriter, Message
 
-LARGE = 16 * 1024
-"""Bytes from which on it costs less to seal a message in place than to join it with others."""
+LARGE = BATCH_BYTES
+"""Bytes from which on it costs less to seal a message in place than to seal it whole and join it with others."""
 _CHUNK = 128 * 1024
 _A_TURN = 4 * BATCH_BYTES
 """Bytes at one turn of the loop: 0.4 ms."""
@@ -56,6 +56,7 @@ class LargeMessages:
     def __init__(self, stream: Stream, writer: DataWriter, scratch: Scratch, resume: Callable[[], None]) -> None:
         self._stream = stream
         self._writer = writer
+        self._piece_size = writer.piece_size(BATCH_BYTES, _CHUNK)
         self._resume = resume
         self._messages: deque[Message] = deque()
         self._at = 0  # bytes of the oldest that have been sealed
@@ -93,14 +94,19 @@ class LargeMessages:
         self._resume()
 
     def _send_piece(self) -> int:
-        payload, stamp, flags = self._messages[0]
-        needed = self._writer.piece_size(min(len(payload) - self._at, 2 * _CHUNK), _CHUNK)
-        piece = self._scratch.lend(needed)
-        used, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, _CHUNK, piece)
-        self._stream.write(memoryview(piece)[:used])
-        if self._stream.congested:
-            self._scratch.lost()  # the stream's, until it has sent it
-        if self._at >= len(payload):
+        """Send as much of what waits as a piece has room for; how many bytes that was."""
+        piece = memoryview(self._scratch.lend(self._piece_size))
+        used = 0
+        while self._messages:
+            payload, stamp, flags = self._messages[0]
+            room = piece[used:]
+            size, self._at = self._writer.write_piece(memoryview(payload), self._at, stamp, flags, _CHUNK, room)
+            used += size
+            if not size or self._at < len(payload):
+                break
             self._messages.popleft()
             self._at = 0
+        self._stream.write(piece[:used])
+        if self._stream.congested:
+            self._scratch.lost()  # the stream's, until it has sent it
         return used

@@ -162,7 +162,7 @@ class DataWriter:
         return b"".join(parts)
 
     def write_piece(
-        self, payload: memoryview, at: int, stamp: int, flags: int, chunk_size: int, piece: bytearray
+        self, payload: memoryview, at: int, stamp: int, flags: int, chunk_size: int, piece: Buffer
     ) -> tuple[int, int]:
         """The next chunks of one message, sealed in place, so that it is never held a second time.
 
@@ -172,10 +172,11 @@ class DataWriter:
             stamp: ns since the epoch.
             flags: `ZSTD`, `HISTORY`.
             chunk_size: bytes of the message in one frame.
-            piece: gets as many chunks as it has room for, one at least (`piece_size`).
+            piece: writable; gets as many chunks as it has room for (`piece_size`).
 
         Returns:
-            Bytes of the piece that are to be sent, and the byte that comes next; it is the length at the message's end.
+            Bytes of the piece that are to be sent, 0 where not one chunk has room, and the byte that comes next; it is
+            the length at the message's end.
         """
         room, tag, size, used = memoryview(piece), self._sealer.suite.tag_length, len(payload), 0
         while True:
