@@ -161,7 +161,7 @@ def bridged(protocol: str, client: Callable[[Path], Process] | None = None) -> I
     """Our bridge between them: two processes, encrypted; `client` starts another client than the headless one."""
     with tempfile.TemporaryDirectory() as name, _ends(NEAR, FAR) as bed:
         folder = Path(name)
-        (folder / "bench.key").write_bytes(new_key())
+        (folder / "bench.key").write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
         (folder / "bench.key").chmod(0o600)
         port = free_port()
         common = f"name: bench\nserver_ip: 127.0.0.1\nserver_port: {port}\nkey_file: bench.key\n"
@@ -223,11 +223,6 @@ def ready(bed: Bed) -> Bed:
         time.sleep(0.1)
     bed.send(1000, 1.0, 1000)
     return bed
-
-
-def new_key() -> bytes:
-    """What a key file holds."""
-    return base64.urlsafe_b64encode(os.urandom(32))
 
 
 def free_port() -> int:

@@ -10,6 +10,7 @@ the program is installed.
 
 from __future__ import annotations
 
+import base64
 import os
 import re
 import signal
@@ -149,7 +150,7 @@ def _write_sessions(folder: Path, port: int) -> None:
     common = f"name: small\nserver_ip: 127.0.0.1\nserver_port: {port}\nkey_file: small.key\n"
     key = folder / "small.key"
     key.unlink(missing_ok=True)
-    key.write_bytes(bed.new_key())
+    key.write_bytes(base64.urlsafe_b64encode(os.urandom(32)))
     key.chmod(0o600)
     (folder / "server.yaml").write_text(f"role: server\ndomain_id: {bed.FAR}\n{common}")
     topics = "".join(
