@@ -34,6 +34,7 @@ def test_calls_that_are_never_answered_expire_and_leave_nothing(
         nothing_left(*engines)
 
         far.unserve(service)
+        near.waits_for_none(service)  # a call that comes between the two servers reaches neither
         far.serve(service)
         near.waits_for(service)
         assert near.call(service, 5).right

@@ -97,12 +97,13 @@ def test_on_datagrams(server: Engine, rogue: Rogue) -> None:
     rogue.probe()
     link = link_of(server)
     eventually(link.channels.udp.all, what="the server has heard the probe")
-    highest, over = 0, time.monotonic() + 4.0
-    while time.monotonic() < over:
+    highest, began = 0, time.monotonic()
+    while time.monotonic() < began + 4.0 or highest <= MESSAGE_LIMIT // 16:  # a starved server may have read little
+        assert time.monotonic() < began + 60.0
         for writer in writers:
             rogue.udp.send(writer.write(bytes(120_000), 0, 0, 60_000)[0])
         highest = max(highest, link.budget.unfinished.held)
-    assert MESSAGE_LIMIT // 16 < highest <= UNFINISHED_LIMIT
+    assert highest <= UNFINISHED_LIMIT
     eventually(lambda: link.budget.unfinished.held == 0)
 
 
@@ -113,8 +114,7 @@ def test_of_answers_that_are_not_taken(server: Engine, rogue: Rogue, monkeypatch
     with contextlib.suppress(OSError):
         for number in range(1_000_000):
             rogue.say(Propose(route=2 * number + 1, topic="/x", remote_topic="/x", from_client=True))
-    eventually(lambda: happened(server, EventCode.LINK_LOST))
-    assert not linked(server)
+    eventually(lambda: happened(server, EventCode.LINK_LOST) and not linked(server))
 
 
 def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Domain) -> None:

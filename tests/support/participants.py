@@ -37,7 +37,9 @@ def join(domain_id: int, enter: Callable[[], Any], leave: Callable[[], None]) ->
     """
     for _ in range(_ATTEMPTS):
         node = enter()
-        others = [each for each, domain in list(_present.items()) if domain == domain_id]
+        for each in [each for each in _present if _gone(each)]:
+            del _present[each]
+        others = [each for each, domain in _present.items() if domain == domain_id]
         if _know_each_other(node, others):
             _present[node] = domain_id
             return
