@@ -11,7 +11,8 @@ from rsb_bridge.model.limits import CHANNEL, PORT, TOPIC_PORT, Range
 from rsb_bridge.model.session import is_mac
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.session import Compression, Protocol
+    from rsb_bridge.model.profiles import Compression
+    from rsb_bridge.model.session import Protocol
 
 
 class TransportTraits:

@@ -35,7 +35,6 @@ class SendingRoute(Peekable, Protocol):
     Attributes:
         transport: what carries them.
         proposal: what the two sides have agreed on.
-        peer: the other side.
         channel: the way to the peer; None: there is none now.
         qos: of the topic; None: not known yet.
         notices: what an operator is told.
@@ -45,12 +44,16 @@ class SendingRoute(Peekable, Protocol):
 
     transport: Transport
     proposal: Propose
-    peer: Peer
     channel: SendingChannel | None
     qos: Qos | None
     notices: Notices
     peek_slot: PeekSlot
     yielding: Yielding
+
+    @property
+    def peer(self) -> Peer:
+        """The other side."""
+        ...
 
     @property
     def paused(self) -> bool:
