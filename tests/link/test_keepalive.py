@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from rsb_bridge.link.keepalive import Keepalive
+from rsb_bridge.wire.messages import Pong
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -83,3 +84,26 @@ def test_a_tick_that_comes_late_makes_no_rate_high(
         keepalive.tick()
     assert keepalive.rx_rate == pytest.approx(1000, rel=0.01)
     assert keepalive.tx_rate == pytest.approx(500, rel=0.01)
+
+
+def test_a_profile_s_patience(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    silent: list[float] = []
+    keepalive = Keepalive(make_context(), list, patience=15.0)
+    began = loop.time()
+    keepalive.watch(lambda: silent.append(loop.time()))
+    wait(loop, 60.0)
+    assert silent == [pytest.approx(began + 15.0)]
+
+
+def test_how_long_a_ping_takes(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    """The last answer's time, or how long the oldest ping has waited for one."""
+    keepalive = Keepalive(make_context(), list)
+    assert keepalive.round_trip is None
+    ping = keepalive.tick()
+    wait(loop, 0.3)
+    keepalive.answered(Pong(n=ping.n, sent=ping.sent, received=ping.sent, answered=ping.sent))
+    assert keepalive.round_trip == pytest.approx(0.3, abs=0.01)
+    for _ in range(3):
+        keepalive.tick()
+        wait(loop, 1.0)
+    assert keepalive.round_trip == pytest.approx(3.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from tests.console.scripted import LINK, NOW, route
@@ -17,7 +18,7 @@ _SCAN = "sensor_msgs/msg/LaserScan"
 _IMAGE = "sensor_msgs/msg/Image"
 
 
-def sent(topic: str, priority: str, rate: float, size: float, **changes: object) -> RouteSnapshot:
+def sent(topic: str, priority: str, rate: float, size: float, **changes: Any) -> RouteSnapshot:
     """A topic that this client sends."""
     spec = Topic(topic, "transmit", priority="high" if priority == "high" else "low" if priority == "low" else "normal")
     return route(topic, outgoing=True, spec=spec, rate=rate, bytes_per_second=rate * size, **changes)

@@ -32,6 +32,8 @@ _BUSY = 0.5
 """s for which a channel has not been idle."""
 _HELD_UP = 0.2
 """s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
+_MORE = 1.1
+"""Times what arrives."""
 _MARGIN, _DRAINS = 0.9, 0.6
 """Parts of what crosses that are divided; the second one while a queue on the way drains."""
 _PROBES_AFTER, _GROWS = 15, 1.05
@@ -72,7 +74,7 @@ class Contention:
         self._carriers = carriers
         self._divided: float | None = None
         self._enough_for = 0
-        self._carried = 0.0
+        self._carried = self._crossed = 0.0
         self._held = False
         self._received = 0
         self._counts: dict[OutgoingRoute, _Counts] = {}
@@ -95,9 +97,11 @@ class Contention:
             if isinstance(route, OutgoingRoute) and route.connected
         ]
         arrived, full = self._looked(asking)
-        held_up = self._held_up(keepalive)
+        asked = sum(each.traffic.bytes_per_second for each in asking)
+        # Where all that is asked for arrives, pings are held up by somebody else's traffic.
+        held_up = self._held_up(keepalive) and (self._divided is not None or asked > _MORE * self._crossed)
         full = full or held_up
-        crossed = self.sending.look(arrived, now, at, full=full)
+        crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received

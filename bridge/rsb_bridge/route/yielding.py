@@ -84,6 +84,9 @@ class Traffic(NamedTuple):
     busy: float
 
 
+_IDLE = Traffic(0.0, 0.0, 0.0)
+
+
 class Yielding:
     """One sending half's.
 
@@ -118,6 +121,8 @@ class Yielding:
             qos: of the topic.
             now: s.
         """
+        if share is None and self.share is None:
+            return
         self.share = share
         if share is None:
             self._rate = 0.0
@@ -133,6 +138,8 @@ class Yielding:
 
     def look(self, now: float) -> Traffic:
         """Once a second: what it wants."""
+        if not self._offered and self._wanted.idle(now) and self._crossed.idle(now):
+            return _IDLE
         if self._messages:
             self._size = PER_MESSAGE + self._bytes / self._messages
         self._wanted.add(self._offered, now)

@@ -38,6 +38,13 @@ class Smoothed:
         self.rate = 0.0
         self._at = now
 
+    def idle(self, now: float) -> bool:
+        """Whether the rate is 0; then nothing has come since the last call either, at `now` (s)."""
+        if self.rate:
+            return False
+        self._at = now
+        return True
+
     def add(self, amount: float, now: float) -> None:
         """Take what has come since the last call, at `now` (s)."""
         elapsed = now - self._at

@@ -1,0 +1,50 @@
+"""How priorities are proposed and changed, also with a side that knows nothing of them."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from rsb_bridge.link.proposals import amended, amended_topic, amendment, proposal_of, same_route, topic_of
+from rsb_bridge.link.roles import FEATURES
+from rsb_bridge.model.priority import FEATURE, RANKS, priority_of, weight_of
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.limits import limits_changed
+from rsb_bridge.transport.registry import default_transports
+from rsb_bridge.wire.amending import Amend
+from rsb_bridge.wire.messages import Propose
+
+
+def proposal(topic: Topic) -> Propose:
+    return proposal_of(topic, default_transports()["tcp"], client_name="robot1", use_name=False)
+
+
+@pytest.mark.parametrize("priority", RANKS)
+def test_there_and_back(priority: str) -> None:
+    topic = msgspec.convert({"topic": "/scan", "direction": "transmit", "priority": priority}, Topic)
+    assert topic_of(proposal(topic)).priority == priority
+
+
+def test_an_older_side_proposes_none() -> None:
+    fields = msgspec.to_builtins(proposal(Topic("/scan", "transmit", priority="high")))
+    del fields["priority"]
+    assert topic_of(msgspec.convert(fields, Propose)).priority == "normal"
+
+
+def test_an_older_side_s_amend_keeps_it() -> None:
+    high = proposal(Topic("/scan", "transmit", priority="high"))
+    assert amended(high, Amend(route=1, max_rate=5.0)).priority == high.priority
+    assert amended(high, amendment(proposal(Topic("/scan", "transmit")), 1)).priority == 0
+
+
+def test_it_changes_while_the_route_is_open() -> None:
+    normal, low = (proposal(Topic("/scan", "transmit", priority=each)) for each in ("normal", "low"))  # type: ignore[arg-type]
+    assert same_route(normal, low)
+    assert "priority" in limits_changed(normal, low)
+    assert amended_topic(Topic("/scan", "transmit"), low).priority == "low"
+
+
+def test_ranks_of_a_newer_side() -> None:
+    assert [priority_of(rank) for rank in (-100, -1, 0, 1, 100)] == ["low", "low", "normal", "high", "high"]
+    assert weight_of(-100) < weight_of(0) < weight_of(100)
+    assert FEATURE in FEATURES

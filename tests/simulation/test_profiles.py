@@ -1,0 +1,41 @@
+"""A gap between two cells of a phone network costs no connection, where the profile says that it is one."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.simulation.climate import STILL
+from tests.simulation.world import World
+
+from rsb_bridge.model.codes import EventCode
+
+if TYPE_CHECKING:
+    from tests.simulation.conftest import Play
+
+    from rsb_bridge.model.profiles import ProfileName
+
+_GAP = 9.0
+
+
+@pytest.mark.parametrize(("profile", "connections"), [(None, 2), ("lte", 1)])
+def test_a_gap(profile: ProfileName | None, connections: int, play: Play) -> None:
+    world = World(1, STILL)
+    (robot,) = world.robots
+    for station in (robot.station, world.server):
+        station.session = msgspec.structs.replace(station.session, profile=profile)
+    linked: list[int] = []
+
+    async def live() -> None:
+        await asyncio.sleep(20.0)
+        with world.trouble("gap", robot):
+            world.network.cut(robot.station.machine, world.server.machine)
+            await asyncio.sleep(_GAP)
+            world.network.heal(robot.station.machine, world.server.machine)
+            await asyncio.sleep(20.0)
+        linked.append(world.chronicle.events[EventCode.LINK_UP])
+
+    play(world, 60.0, live())
+    assert linked == [2 * connections]
