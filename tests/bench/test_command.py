@@ -165,9 +165,8 @@ def test_without_the_peer_s_leave_nothing_is_measured(socket: Callable[..., str]
 def test_ctrl_c_prints_what_was_measured_and_leaves_no_process() -> None:
     near = two_domains()
     command = [sys.executable, "-m", "rsb_console", "bench", "--json", "--domains", f"{near},{near + 1}"]
-    with _killed_at_last(
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    ) as running:
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    with _killed_at_last(subprocess.Popen(command, **pipes)) as running:
         children = _children_of(running)
         os.kill(running.pid, 2)
         output, _ = running.communicate(timeout=WITHIN)
