@@ -33,7 +33,7 @@ def test_which_names_measure(name: str, measures: bool) -> None:
 
 def test_nobody_may_measure_without_leave_whatever_else_is_allowed() -> None:
     for kind in ("topic", "service"):
-        use = Use(TOPIC, "publish", "tcp", kind)  # type: ignore[arg-type]
+        use = Use(TOPIC, "publish", "tcp", kind)
         assert rights_of_client(Client("robot1"), "pc").refusal(use) is not None
         assert rights_of_client(Client("robot1", allow=("*",)), "pc").refusal(use) is not None
 

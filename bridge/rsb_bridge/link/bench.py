@@ -108,7 +108,7 @@ class LinkBench:
             drain.reset()
             self._seen.pop(route.key, None)
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
-        usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, 0, (0.0, 0.0, 0.0))
+        usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
         leave = self._link.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
@@ -116,7 +116,7 @@ class LinkBench:
             sanitize_text(problem),
             0 if source is None else source.sent,
             0.0 if source is None or busy else source.rate,
-            arrived.count,
+            arrived.messages,
             *arrived.latencies,
             usage.cpu,
             usage.memory,
