@@ -12,6 +12,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.engine import Engine
+from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, Leave, Order
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from rsb_bridge.bridge import Bridge
     from rsb_bridge.model.benchmark import Outcome
+    from rsb_bridge.wire.benchmark import BenchAnswer
 
 LEAVE = Leave(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
 WITHIN = 30.0
@@ -174,6 +177,19 @@ def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> 
     source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit"]  # type: ignore[union-attr]
     source.start(100, 1000.0, 5000)
     eventually(lambda: not both.server.snapshot().routes, WITHIN)
+
+
+def test_the_peer_orders_no_runs_on_a_topic_that_is_not_its_own(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=LEAVE)
+    both.run(both.client)
+
+    async def ask(bridge: Bridge) -> BenchAnswer:
+        (link,) = bridge.links()
+        (route,) = link.routes.values()
+        return await link.bench._ask(route, size=100, rate=10.0, count=5)
+
+    with pytest.raises(LinkError):
+        both.server._command(ask).result(WITHIN)
 
 
 @pytest.mark.parametrize(

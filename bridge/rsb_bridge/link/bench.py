@@ -127,17 +127,16 @@ class LinkBench:
 
     def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
         """Begin to send for the peer; why that is not done, or empty."""
-        if source is None:
+        if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "this side does not send on that topic"
         if source.busy:
             return "this side still sends what was asked for before"
         seconds = ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if not route.proposed_here:
-            if refused := self._budget.refusal(self._link.rights.bench, seconds, ask.size * ask.count, ask.rate):
-                return refused
-            self._budget.spend(seconds, ask.size * ask.count)
+        if refused := self._budget.refusal(self._link.rights.bench, seconds, ask.size * ask.count, ask.rate):
+            return refused
+        self._budget.spend(seconds, ask.size * ask.count)
         source.start(max(ask.size, LEAST_SIZE), ask.rate, ask.count)
         return ""
 
