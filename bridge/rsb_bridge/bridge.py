@@ -225,6 +225,7 @@ class Bridge:
         """Stop bridging a topic."""
         with self._command():
             link, route = self._find(key)
+            link.bench.removed(route)
             link.table.remove(route, "removed by an operator")
             self._did(EventCode.OPERATOR_REMOVED, "removed", route, old=described(route.spec))
 

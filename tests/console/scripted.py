@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.benchmark import Order, Outcome
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.history import HistoryReport, Outage, Track
 from rsb_bridge.model.lanes import LANES
@@ -328,6 +329,9 @@ class ScriptedEngine:
         future: Future[str] = Future()
         future.set_exception(EngineError("std_srvs is not installed here: apt install ros-jazzy-std-srvs"))
         return future
+
+    def bench(self, order: Order) -> Future[Outcome]:
+        raise NotImplementedError
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
         self.commands.append(("call", key, request, lane))

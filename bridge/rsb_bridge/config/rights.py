@@ -124,8 +124,6 @@ class Rights:
 
     def max_rate(self, use: Use) -> float:
         """The most messages or calls a second that may cross, whoever asked for them; 0: there is no limit."""
-        if is_bench_topic(use.topic):
-            return self.bench.max_rate if self.bench is not None else 0.0
         return min((grant.max_rate for grant in self._about(self.allow, use) if grant.max_rate), default=0.0)
 
     def shows(self, topic: str, kind: Kind = "topic") -> bool:

@@ -17,6 +17,8 @@ from rsb_bridge.model.benchmark import (
     LEAST_SIZE,
     MOST_SECONDS,
     MOST_SIZE,
+    REFUSED,
+    STOPPED,
     TYPE,
     Outcome,
     Usage,
@@ -42,9 +44,13 @@ _ANSWERED_WITHIN = 5.0
 _OPENED_WITHIN = 10.0
 _IDLE_FOR = 5.0
 """s after which the topics of a benchmark that orders nothing more are removed."""
+_STOPPED_FOR = 60.0
+"""s for which the peer may not begin again after this side's operator has stopped it."""
 _QUIET = 0.7
 """s without a message after which no more is waited for."""
 _LOOK_EVERY = 0.05
+_MORE, _MORE_AT_ONCE = 1.25, 10
+"""By how much more than the peer may send has to come from one tick to the next until that is too much."""
 _ENDED = "the benchmark is over"
 
 
@@ -63,6 +69,7 @@ class LinkBench:
         self._request = 0
         self._questions: Questions[BenchAnswer] = Questions(link.send, link.spawn, _ANSWERED_WITHIN)
         self._used_at = 0.0
+        self._stopped_until = float("-inf")
         self._busy = False
         self._seen: dict[str, tuple[int, int]] = {}
         """Of the peer's topics: messages and bytes that had come at the last tick."""
@@ -73,7 +80,16 @@ class LinkBench:
         """Why the peer may not propose a topic that measures; empty: it may, or it is an ordinary one."""
         if not is_bench_topic(topic):
             return ""
-        return self._budget.refusal(leave) if self._synthetic is not None else "nothing can be measured here"
+        if self._synthetic is None:
+            return "nothing can be measured here"
+        if self._now() < self._stopped_until:
+            return "an operator of this side has stopped the benchmark"
+        return self._budget.refusal(leave)
+
+    def removed(self, route: Route) -> None:
+        """An operator of this side removes a topic: one that the peer measures with does not come back at once."""
+        if is_bench_topic(route.local_topic) and not route.proposed_here:
+            self._stopped_until = self._now() + _STOPPED_FOR
 
     def handle(self, message: BenchAsk | BenchAnswer) -> None:
         """Answer the peer's question, or take its answer."""
@@ -92,7 +108,7 @@ class LinkBench:
             drain.reset()
             self._seen.pop(route.key, None)
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
-        usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, 0, (0.0, 0.0, 0.0))
+        usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
         leave = self._link.rights.bench
         busy = source is not None and source.busy
         return BenchAnswer(
@@ -100,7 +116,7 @@ class LinkBench:
             sanitize_text(problem),
             0 if source is None else source.sent,
             0.0 if source is None or busy else source.rate,
-            arrived.count,
+            arrived.messages,
             *arrived.latencies,
             usage.cpu,
             usage.memory,
@@ -111,17 +127,16 @@ class LinkBench:
 
     def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
         """Begin to send for the peer; why that is not done, or empty."""
-        if source is None:
+        if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "this side does not send on that topic"
         if source.busy:
             return "this side still sends what was asked for before"
         seconds = ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if not route.proposed_here:
-            if refused := self._budget.refusal(self._link.rights.bench, seconds, ask.size * ask.count, ask.rate):
-                return refused
-            self._budget.spend(seconds, ask.size * ask.count)
+        if refused := self._budget.refusal(self._link.rights.bench, seconds, ask.size * ask.count, ask.rate):
+            return refused
+        self._budget.spend(seconds, ask.size * ask.count)
         source.start(max(ask.size, LEAST_SIZE), ask.rate, ask.count)
         return ""
 
@@ -138,7 +153,8 @@ class LinkBench:
             if count > before:
                 self._budget.spend(1.0, size - bytes_before)
             self._seen[route.key] = count, size
-            if refused := self._budget.refusal(self._link.rights.bench):
+            rate = max(0.0, count - before - _MORE_AT_ONCE) / _MORE
+            if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
                 self._link.table.deny(route, refused)
 
     # --- for this side's operator
@@ -197,6 +213,8 @@ class LinkBench:
         route = await self._opened(order)
         sends = route.outgoing
         theirs = await self._ask(route, reset=True)
+        if 0 < theirs.max_rate < order.rate:
+            raise LinkError(f"{REFUSED}: it allows {theirs.max_rate:g} messages a second to a benchmark")
         ours = self.usage()
         if sends:
             source, _ = self._ends(route)
@@ -267,7 +285,7 @@ class LinkBench:
         self._request += 1
         answer = await self._questions.ask(self._request, BenchAsk(self._request, route.id, **wanted))
         if answer.problem:
-            raise LinkError(f"refused by the other side: {answer.problem}")
+            raise LinkError(f"{REFUSED}: {answer.problem}")
         return answer
 
     async def _until_idle(self, busy: Callable[[], bool], order: Order) -> None:
@@ -310,7 +328,7 @@ def _why_not(route: Route) -> str:
     """Why nothing crosses on a route that measures."""
     if route.refusal:
         return route.refusal
-    return "stopped: the other side has removed or paused the topic" if not route.flowing else route.trouble()
+    return f"{STOPPED}: it has removed or paused the topic" if not route.flowing else route.trouble()
 
 
 def _usage_in(answer: BenchAnswer) -> Usage:

@@ -54,6 +54,9 @@ LEAST_SIZE = 16
 MOST_SIZE = 16 << 20
 MOST_SECONDS = 30.0
 """s of one run."""
+REFUSED, STOPPED = "refused by the other side", "stopped by the other side"
+ENDED_BY_PEER = (REFUSED, STOPPED)
+"""What the message begins with where the peer, or the leave that it gives, ends a benchmark."""
 
 
 class Usage(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -34,13 +34,11 @@ class Arrived(NamedTuple):
     """What has arrived on a topic since it was last reset.
 
     Attributes:
-        count: messages.
-        bytes: of payload.
+        messages: how many.
         latencies: s on the two wall clocks: the 50th, 99th and 99.9th percentile.
     """
 
-    count: int
-    bytes: int
+    messages: int
     latencies: tuple[float, float, float]
 
 
@@ -136,7 +134,7 @@ class Drain:
     def arrived(self) -> Arrived:
         """What has come since the last reset."""
         p50, p99, p999 = (each / 1e9 for each in percentiles(self._latencies))
-        return Arrived(self.count, self.bytes, (p50, p99, p999))
+        return Arrived(self.count, (p50, p99, p999))
 
     def close(self) -> None:
         """Take no more."""

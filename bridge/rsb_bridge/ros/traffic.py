@@ -104,7 +104,12 @@ def _talk(node: Node, topics: Sequence[str]) -> None:
 def _publish_many(node: Node, prefix: str, count: int) -> None:
     publishers = [node.create_publisher(String, f"{prefix}{number:03d}", 10) for number in range(count)]
     ends = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ends.set()), daemon=True).start()
+
+    def until_told() -> None:
+        sys.stdin.read()
+        ends.set()
+
+    threading.Thread(target=until_told, daemon=True).start()
     while not ends.is_set():
         for publisher in publishers:
             publisher.publish(message(_OF_MANY))

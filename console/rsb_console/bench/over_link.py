@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 import time
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.benchmark import MOST_SECONDS, Order, Outcome
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, Order, Outcome
 from rsb_console.bench.ends import BenchError, StoppedError, Way
 from rsb_console.bench.results import Load, Run, Side
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
 _ANSWERED_WITHIN = 60.0
 _ENDED_WITHIN = 5.0
-_STOPPED = re.compile(r"refused by the other side|^stopped: |does not let|gives no leave|used up|allows .* benchmark")
 
 
 class OverLink:
@@ -103,7 +101,7 @@ def _result(engine: EngineApi, order: Order) -> Outcome:
     try:
         return engine.bench(order).result(_ANSWERED_WITHIN)
     except EngineError as error:
-        if _STOPPED.search(str(error)):
+        if str(error).startswith(ENDED_BY_PEER):
             raise StoppedError(str(error)) from None
         raise BenchError(str(error)) from None
     except TimeoutError:

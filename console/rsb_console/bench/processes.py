@@ -10,13 +10,14 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_TICKS = os.sysconf("SC_CLK_TCK")
+_CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _STOPS_WITHIN = 6.0
 _PR_SET_PDEATHSIG = 1  # prctl(2)
 
@@ -108,8 +109,7 @@ class Process:
 
     def cpu(self) -> float:
         """Processor time so far, s, all threads."""
-        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / _TICKS
+        return time.clock_gettime((~self.pid << 3) | _CPUCLOCK_SCHED)
 
     def memory(self) -> float:
         """Resident memory, MB."""

@@ -39,7 +39,9 @@ def lines_of(report: Report) -> Iterator[str]:
 def _rates(points: Sequence[Point]) -> Iterator[str]:
     yield "Highest rate without a loss; CPU of the two bridges in µs a message; wire bytes for each byte of payload;"
     yield "and what arrives when more is sent than is carried"
-    rows = [("", "size", "msg/s", "bytes/s", "CPU sends", "receives", "wire", "too fast", "arrives", "")]
+    rows: list[tuple[str, ...]] = [
+        ("", "size", "msg/s", "bytes/s", "CPU sends", "receives", "wire", "too fast", "arrives", "")
+    ]
     for each in points:
         best, full = each.best, each.full
         rows.append(
@@ -65,7 +67,9 @@ def _latencies(points: Sequence[Point]) -> Iterator[str]:
     added = any(each.base for each in points)
     what = "what the bridge adds to it, next to no bridge" if added else "from this end of the link to the other"
     yield f"Latency at a low rate, ms; {what}"
-    rows = [("", "size", "p50", "p99", "p99.9", *(("added p50", "p99", "p99.9") if added else ()))]
+    rows: list[tuple[str, ...]] = [
+        ("", "size", "p50", "p99", "p99.9", *(("added p50", "p99", "p99.9") if added else ()))
+    ]
     for each in points:
         run = each.gentle
         figures = (run.p50, run.p99, run.p999, *(each.added if added else ()))
@@ -93,7 +97,7 @@ def _sides(report: Report) -> Iterator[str]:
 
 def _many(report: Report) -> Iterator[str]:
     yield "Topics at 1 Hz each: s until all carry messages; memory (MB) and CPU (% of a core), sends / receives"
-    rows = [("topics", "all carry", "memory", "CPU")]
+    rows: list[tuple[str, ...]] = [("topics", "all carry", "memory", "CPU")]
     for each in report.many:
         memory, cpu = each.memory, each.cpu
         rows.append((str(each.count), f"{each.opened:.1f}", *(f"{a:.0f} / {b:.0f}" for a, b in (memory, cpu))))

@@ -65,10 +65,21 @@ def rights(session: Session) -> Iterator[str]:
         if listing.acts:
             acts = join_first(listing.acts, _NAMED)
             yield f"  nothing forbids {listing.peer} to call what may move or change a robot: {acts}"
+    yield from _leaves(session)
     if session.role == "client":
         yield "  nothing forbids the server to shut this bridge down"
     if session.shutdown_topic is not None:
         yield f"  any ROS node of this domain may shut the bridge down, on {session.shutdown_topic}"
+
+
+def _leaves(session: Session) -> Iterator[str]:
+    """Who may measure the link."""
+    clients = session.accepted_clients if session.role == "server" else ()
+    holders = [(client.name, client.bench) for client in clients] or [("the server", session.bench)]
+    for name, leave in holders:
+        if leave is not None:
+            most = f"{leave.seconds:g} s, {leave.max_rate:g} messages/s, {leave.megabytes:g} MB"
+            yield f"  {name} may measure the link (rsb-console bench): {most} in an hour"
 
 
 def _domain(session: Session) -> str:

@@ -1,0 +1,109 @@
+"""What a session lets a peer cause by measuring the link."""
+
+from __future__ import annotations
+
+import pytest
+
+from rsb_bridge.config.clients import with_client
+from rsb_bridge.config.rights import Use, rights_of_client, rights_of_server
+from rsb_bridge.config.validation import build, validate
+from rsb_bridge.link.bench_budget import HOUR, BenchBudget
+from rsb_bridge.model.benchmark import Leave, bench_topic, is_bench_topic
+from rsb_bridge.model.session import Client, Session
+
+TOPIC = bench_topic("tcp", "transmit")
+SERVER = {"name": "pc", "role": "server", "server_ip": "127.0.0.1", "server_port": 7060, "key_file": "k"}
+
+
+@pytest.mark.parametrize(
+    ("name", "measures"),
+    [
+        (TOPIC, True),
+        (f"/robot1{TOPIC}", True),
+        ("/rsb_bench", False),
+        ("/rsb_bench/x", False),
+        ("/a/b/rsb_bench/tcp/transmit", False),
+        ("/rsb_benches/tcp/transmit", False),
+        ("", False),
+    ],
+)
+def test_which_names_measure(name: str, measures: bool) -> None:
+    assert is_bench_topic(name) is measures
+
+
+def test_nobody_may_measure_without_leave_whatever_else_is_allowed() -> None:
+    for kind in ("topic", "service"):
+        use = Use(TOPIC, "publish", "tcp", kind)
+        assert rights_of_client(Client("robot1"), "pc").refusal(use) is not None
+        assert rights_of_client(Client("robot1", allow=("*",)), "pc").refusal(use) is not None
+
+
+def test_with_leave_a_peer_measures_whatever_else_is_denied() -> None:
+    client = Client("robot1", allow=("/scan",), deny=("*",), bench=Leave(max_rate=50.0))
+    rights = rights_of_client(client, "pc")
+    assert rights.refusal(Use(TOPIC, "publish", "tcp")) is None
+    assert not rights.max_rate(Use(TOPIC, "publish", "tcp")), "the benchmark is held to it, and no single message"
+    assert rights.refusal(Use(TOPIC, "publish", "tcp", "service")) is not None
+    assert rights.refusal(Use("/odom", "publish", "tcp")) is not None, "leave to measure is no leave for anything else"
+
+
+def test_a_client_s_session_gives_leave_to_the_server() -> None:
+    session = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, key_file="k")
+    use = Use(TOPIC, "publish", "udp")
+    assert rights_of_server(session).refusal(use) is not None
+    given = Session(name="robot1", role="client", server_ip="10.0.0.1", server_port=7060, bench=Leave())
+    assert rights_of_server(given).refusal(use) is None
+
+
+def test_it_is_read_from_the_file_and_its_mistakes_are_found() -> None:
+    session, problems = build({**SERVER, "clients": [{"name": "robot1", "key_file": "k", "bench": {"seconds": 10}}]})
+    assert not problems
+    assert session.clients[0].bench == Leave(seconds=10)
+    assert validate(session) == []
+    for wrong in ({"seconds": 0}, {"megabytes": -1}, {"max_rate": 0}, {"bytes": 5}, "yes"):
+        _, problems = build({**SERVER, "bench": wrong})
+        assert problems, wrong
+
+
+def test_a_server_s_own_leave_is_for_its_only_client() -> None:
+    session, problems = build({**SERVER, "bench": {}})
+    assert not problems
+    assert session.accepted_clients[0].bench == Leave()
+    both = with_client(session, Client("robot2", key_file="l"))
+    assert [client.bench for client in both.clients] == [Leave(), None]
+    assert validate(both) == []
+    assert build({**SERVER, "bench": {}, "clients": [{"name": "robot1", "key_file": "k"}]})[1]
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+
+def test_the_budget_is_of_time_rate_and_bytes_and_begins_anew_after_an_hour() -> None:
+    clock, leave = Clock(), Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)
+    budget = BenchBudget(lambda: clock.now)
+    assert budget.refusal(None)
+    assert not budget.refusal(leave)
+    assert budget.refusal(leave, rate=101.0)
+    assert budget.refusal(leave, seconds=10.5)
+    assert budget.refusal(leave, size=1.1e6)
+    budget.spend(4.0, 0.5e6)
+    assert not budget.refusal(leave, seconds=6.0, size=0.5e6, rate=100.0)
+    assert budget.refusal(leave, seconds=6.1)
+    assert budget.refusal(leave, size=0.6e6)
+    budget.spend(1.0, 0.5e6)
+    assert budget.refusal(leave), "the bytes are used up"
+    clock.now += HOUR
+    assert not budget.refusal(leave, seconds=10.0, size=1e6)
+
+
+def test_the_hour_begins_with_the_first_use() -> None:
+    clock, leave = Clock(), Leave(seconds=10.0)
+    budget = BenchBudget(lambda: clock.now)
+    clock.now += 0.9 * HOUR
+    budget.spend(10.0, 0.0)
+    clock.now += 0.2 * HOUR
+    assert budget.refusal(leave)
+    clock.now += 0.8 * HOUR
+    assert not budget.refusal(leave)

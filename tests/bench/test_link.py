@@ -1,0 +1,201 @@
+"""Measuring the link of two engines, neither of which has a ROS domain: what crosses is synthetic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.offline import NoRos
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.engine import Engine
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, Leave, Order
+from rsb_bridge.model.session import Client, Session
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.ros.synthetic import synthetic_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from rsb_bridge.bridge import Bridge
+    from rsb_bridge.model.benchmark import Outcome
+    from rsb_bridge.wire.benchmark import BenchAnswer
+
+LEAVE = Leave(seconds=60.0, max_rate=5_000.0, megabytes=50.0)
+WITHIN = 30.0
+
+
+class Endpoint:
+    gid = b"0123456789abcdef"
+    lost = subscriber_count = 0
+    acknowledged = True
+
+    def publish(self, payload: bytes) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class QuietRos(NoRos):
+    """Takes the bridge's own announcements, and nothing comes of them."""
+
+    def subscribe(self, topic: str, *_: object, **__: object) -> Any:
+        assert "rsb_bench" not in topic, "DDS hears of a synthetic topic"
+        return Endpoint()
+
+    advertise = subscribe
+
+
+class Pair:
+    """A server and its client."""
+
+    def __init__(self, server: Engine, client: Engine) -> None:
+        self.server = server
+        self.client = client
+
+    def run(self, engine: Engine, **order: Any) -> Outcome:
+        wanted = {"transport": "tcp", "size": 2500, "rate": 200.0, "count": 40, **order}
+        return engine.bench(Order(**wanted)).result(WITHIN)
+
+    def refused(self, engine: Engine, **order: Any) -> str:
+        with pytest.raises(EngineError) as refused:
+            self.run(engine, **order)
+        return str(refused.value)
+
+    def topics(self) -> list[str]:
+        return [route.topic for engine in (self.server, self.client) for route in engine.snapshot().routes]
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Iterator[Callable[..., Pair]]:
+    """Makes a linked pair; what each gives the other leave for."""
+    started: list[Engine] = []
+
+    def make(to_client: Leave | None = None, to_server: Leave | None = None) -> Pair:
+        write_key(tmp_path / "k.key")
+        common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": free_port(), "shutdown_topic": None}
+        server = Session(
+            name="pc", role="server", use_name=True, clients=(Client("robot1", "k.key", bench=to_client),), **common
+        )
+        client = Session(name="robot1", role="client", key_file="k.key", bench=to_server, **common)
+        engines = [Engine(session, base=tmp_path, ros=QuietRos()) for session in (server, client)]
+        for engine in engines:
+            started.append(engine)
+            engine.start()
+        eventually(lambda: all(link.state is State.OK for each in engines for link in each.snapshot().links), WITHIN)
+        return Pair(*engines)
+
+    yield make
+    for engine in started:
+        engine.stop()
+
+
+@pytest.mark.parametrize("transport", ["tcp", "udp"])
+@pytest.mark.parametrize("direction", ["transmit", "receive"])
+def test_messages_cross_both_ways_and_are_counted(pair: Callable[..., Pair], transport: str, direction: str) -> None:
+    both = pair(to_client=LEAVE)
+    found = both.run(both.client, transport=transport, direction=direction)
+    assert (found.sent, found.received) == (40, 40)
+    assert 0.0 < found.p50 + (found.uncertainty or 0.0) <= found.p99 + (found.uncertainty or 0.0)
+    assert found.p50 <= found.p99 <= found.p999
+    assert found.sending.sent_bytes > 40 * 2500
+    assert found.most_rate == LEAVE.max_rate
+    assert found.usage.memory > 0
+
+
+def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> None:
+    both = pair(to_server=LEAVE)
+    assert both.run(both.server, link="robot1").received == 40
+    assert "/robot1/rsb_bench/tcp/transmit" in both.topics()
+
+
+def test_without_leave_it_is_refused_in_a_plain_sentence(pair: Callable[..., Pair]) -> None:
+    both = pair()
+    for engine in (both.client, both.server):
+        assert "measure this link: add bench: {}" in both.refused(engine)
+
+
+def test_a_session_does_not_keep_the_topics(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=LEAVE)
+    before = both.client.session
+    both.run(both.client)
+    assert both.client.session == before
+    both.client.bench(Order("end")).result(WITHIN)
+    eventually(lambda: not both.topics(), WITHIN)
+
+
+def test_the_topics_of_one_that_has_gone_are_removed(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=LEAVE)
+    both.run(both.client)
+    assert both.topics()
+    eventually(lambda: not both.topics(), WITHIN)
+
+
+def test_the_peer_s_operator_can_stop_it(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=LEAVE)
+    both.run(both.client)
+    running = both.client.bench(Order("run", "", "tcp", "transmit", 2500, 50.0, 1000))
+    key = next(route.key for route in both.server.snapshot().routes)
+    both.server.remove_topic(key).result(WITHIN)
+    with pytest.raises(EngineError) as stopped:
+        running.result(WITHIN)
+    assert str(stopped.value).startswith(ENDED_BY_PEER)
+    assert both.refused(both.client).startswith(ENDED_BY_PEER), "it does not just begin again"
+    assert not both.server.snapshot().routes
+
+
+@pytest.mark.parametrize("direction", ["transmit", "receive"])
+def test_more_bytes_than_the_leave_has_are_refused(pair: Callable[..., Pair], direction: str) -> None:
+    both = pair(to_client=Leave(megabytes=1.0))
+    both.run(both.client, direction=direction)
+    reason = ""
+    for _ in range(3):  # what arrives is looked at once a second
+        try:
+            both.run(both.client, direction=direction, size=50_000, rate=50.0, count=60)
+        except EngineError as error:
+            reason = str(error)
+            break
+    assert "bench.megabytes" in reason
+    assert "bench.megabytes" in both.refused(both.client, direction=direction, transport="udp", size=50_000)
+
+
+def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=Leave(max_rate=50.0))
+    for direction in ("transmit", "receive"):
+        assert "50 messages a second" in both.refused(both.client, direction=direction, rate=60.0)
+
+
+def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=Leave(max_rate=100.0))
+    both.run(both.client, rate=50.0, count=5)
+    source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit"]  # type: ignore[union-attr]
+    source.start(100, 1000.0, 5000)
+    eventually(lambda: not both.server.snapshot().routes, WITHIN)
+
+
+def test_the_peer_orders_no_runs_on_a_topic_that_is_not_its_own(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=LEAVE)
+    both.run(both.client)
+
+    async def ask(bridge: Bridge) -> BenchAnswer:
+        (link,) = bridge.links()
+        (route,) = link.routes.values()
+        return await link.bench._ask(route, size=100, rate=10.0, count=5)
+
+    with pytest.raises(LinkError):
+        both.server._command(ask).result(WITHIN)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"size": 1}, {"size": 1 << 30}, {"count": 0}, {"rate": 0.0}, {"rate": 1.0, "count": 1000}, {"link": "x"}]
+)
+def test_what_cannot_be_ordered(pair: Callable[..., Pair], wrong: dict[str, Any]) -> None:
+    both = pair(to_client=LEAVE)
+    assert both.refused(both.client, **wrong)
+    assert not both.topics()
