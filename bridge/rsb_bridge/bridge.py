@@ -26,6 +26,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
+from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
@@ -337,13 +338,12 @@ class Bridge:
 
     def _steps_to(self, session: Session, keys: Keys) -> list[Step]:
         old = self.context.session
-        steps = []
-        if stale := changes(old, session, only=("stale_after", "stale_warnings")):
-            steps.append(Step(", ".join(stale), self._set_stale_after))
-        if shutdown := changes(old, session, only=("shutdown_topic",)):
-            steps.append(Step(shutdown[0], self._change_shutdown_topic))
-        if diagnosed := changes(old, session, only=("diagnostics_topic",)):
-            steps.append(Step(diagnosed[0], self._diagnostics.open))
+        in_place = (
+            (("stale_after", "stale_warnings"), self._set_stale_after),
+            (("shutdown_topic",), self._change_shutdown_topic),
+            (("diagnostics_topic",), self._diagnostics.open),
+        )
+        steps = [Step(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))]
         return steps + self._role.steps_to(session, keys)
 
     def _set_stale_after(self) -> None:
@@ -378,10 +378,7 @@ class Bridge:
         with self._command():
             if link is None:
                 return await asyncio.to_thread(graph_of, self.context.ros, CALLED)
-            for candidate in self.links():
-                if candidate.name == link:
-                    return await candidate.remote_topics()
-            raise LinkError(f"there is no link {link!r}")
+            return await topics_of_peer(self.links(), link)
 
     @contextlib.contextmanager
     def _command(self) -> Iterator[None]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.channel.shared_stream import SharedStreamOwner
+    from rsb_bridge.link.control_channel import ControlChannel
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
@@ -80,7 +81,9 @@ class DataChannels:
             handler.received(beginning)
         route.advance()
 
-    def carriers(self, routes: Iterable[Route]) -> set[Carrier]:
-        """All that carries bytes."""
+    def carriers(self, routes: Iterable[Route], control: ControlChannel | None) -> set[Carrier]:
+        """All that carries bytes, what carries the control connection among it."""
         carriers: set[Carrier] = {route.channel.carrier for route in routes if route.channel is not None}
+        if control is not None:
+            carriers.add(control.stream)
         return carriers.union(self.udp.all())

@@ -11,7 +11,6 @@ from rsb_bridge.link.bench import LinkBench
 from rsb_bridge.link.contention import Contention
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
-from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.proposed_topics import ProposedTopics
@@ -23,7 +22,7 @@ from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.link.type_questions import TypeQuestions
 from rsb_bridge.model import profiles
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.snapshot import Level, LinkSnapshot, TopicInfo
+from rsb_bridge.model.snapshot import Level, LinkSnapshot
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.route.pause import Revisions
 from rsb_bridge.route.peer_budget import PeerBudget
@@ -65,7 +64,7 @@ class Link(ABC):
         status: whether it is up, since when, and why not.
         table: the routes.
         proposed: the topics that this side proposes.
-        type_questions: what the two sides ask each other about types.
+        topic_lists, type_questions: what the two sides ask each other about graphs and types.
         control: the authenticated connection; None: not linked.
         keys: what the present connection's handshake left; None: not linked.
         connections: how many connections there have been.
@@ -100,7 +99,7 @@ class Link(ABC):
         self.table = RouteTable(context, self)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
         self.proposed = ProposedTopics(context, self.table, self.transport, name, self._prefixed, lambda: self.profile)
-        self._topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
+        self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.bench = LinkBench(self)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
 
@@ -245,14 +244,11 @@ class Link(ABC):
         """The control connection is over."""
         self.keepalive.stop()
         self.control = self.keys = None
-        self.neighbourhood.disconnected()
         self.status.down(_CAUSES.get(code, LinkCause.CLOSED), reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
-        self.channels.disconnected()
-        self._topic_lists.disconnected()
-        self.type_questions.disconnected()
-        self.bench.disconnected()
+        for part in (self.neighbourhood, self.channels, self.topic_lists, self.type_questions, self.bench):
+            part.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
         self.log(level, code, f"link with {self.peer_at} {how}: {reason}", link_status=True)
@@ -300,7 +296,7 @@ class Link(ABC):
             case Pong():
                 self.keepalive.answered(message)
             case ListTopics() | TopicList():
-                self._topic_lists.handle(message)
+                self.topic_lists.handle(message)
             case Neighbours():
                 self.neighbourhood.heard(message)
             case AskType() | TypeText():
@@ -313,19 +309,6 @@ class Link(ABC):
                 self.on_shutdown(message)
             case _:
                 self.table.handle(message)
-
-    async def remote_topics(self) -> list[TopicInfo]:
-        """The topics of the peer's graph.
-
-        Raises:
-            LinkError: there is no peer now, or it does not answer.
-        """
-        if not self.linked:
-            raise LinkError(f"{self.name} is not linked: {self.status.reason}")
-        try:
-            return await self._topic_lists.ask()
-        except LinkError as error:
-            raise LinkError(f"{self.name}: {error}") from None
 
     # --- routes
 
@@ -384,8 +367,7 @@ class Link(ABC):
 
     def carriers(self) -> set[Carrier]:
         """All that carries bytes of the present connection."""
-        own: set[Carrier] = set() if self.control is None else {self.control.stream}
-        return self.channels.carriers(self.routes.values()) | own
+        return self.channels.carriers(self.routes.values(), self.control)
 
     def snapshot(self) -> LinkSnapshot:
         """The link as it is now."""

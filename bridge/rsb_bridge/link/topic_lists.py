@@ -7,10 +7,11 @@ from collections import Counter
 from functools import partial
 from itertools import groupby, islice
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
+from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import Questions
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
@@ -21,7 +22,7 @@ from rsb_bridge.wire.questions import ListTopics, TopicList
 from rsb_bridge.wire.records import TopicEntry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Iterator, Sequence
+    from collections.abc import Callable, Coroutine, Iterable, Iterator, Sequence
 
     from rsb_bridge.model.session import Kind
     from rsb_bridge.ros.api import RosInterface
@@ -105,6 +106,40 @@ class TopicLists:
             for e in entries
             if (kind := _KINDS.get(e.kind)) is not None
         ]
+
+
+class Asked(Protocol):
+    """A link, as far as its peer's graph is asked for."""
+
+    name: str
+    topic_lists: TopicLists
+
+    @property
+    def linked(self) -> bool:
+        """Whether the peer is connected and authenticated."""
+        ...
+
+    @property
+    def down_reason(self) -> str:
+        """Why it isn't linked."""
+        ...
+
+
+async def topics_of_peer(links: Iterable[Asked], name: str) -> list[TopicInfo]:
+    """What can be bridged on the other side of the link of that name.
+
+    Raises:
+        LinkError: there is no such link, or no peer now, or it does not answer.
+    """
+    link = next((each for each in links if each.name == name), None)
+    if link is None:
+        raise LinkError(f"there is no link {name!r}")
+    if not link.linked:
+        raise LinkError(f"{link.name} is not linked: {link.down_reason}")
+    try:
+        return await link.topic_lists.ask()
+    except LinkError as error:
+        raise LinkError(f"{link.name}: {error}") from None
 
 
 def _shared_out(entries: list[TopicInfo], room: int) -> Iterator[TopicInfo]:
