@@ -116,7 +116,7 @@ async def _send(port: int, rate: int, size: int) -> tuple[float, int]:
 async def _receive(buffer: int) -> None:
     """Receive until a line is read, and say what came."""
     if buffer:
-        udp.RECEIVE_BUFFER = buffer  # type: ignore[misc]  # it asks the kernel for no more
+        vars(udp)["RECEIVE_BUFFER"] = buffer  # it asks the kernel for no more
     loop, keys, route, over = asyncio.get_running_loop(), _keys("server"), Route(outgoing=False), asyncio.Event()
     probe = PathProbe(keys)
 
