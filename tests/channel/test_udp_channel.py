@@ -122,7 +122,7 @@ async def until(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.005)
 
 
-async def ready(channel: ClientUdpChannel) -> None:
+async def ready(channel: ClientUdpChannel | ServerUdpChannel) -> None:
     await until(lambda: channel.ready)
 
 
@@ -180,6 +180,7 @@ def test_datagrams_go_to_the_routes_of_the_connection_that_they_name() -> None:
                 up, down = Route(1, outgoing=False), Route(2, outgoing=False)
                 arrived[link_id] = (up, down)
                 there = server.channels[link_id]
+                await ready(there)
                 datagram_channel(there, up, server.keys[link_id])
                 datagram_channel(client, down, keys)
                 for channel, number, codec in ((client, 1, keys), (there, 2, server.keys[link_id])):

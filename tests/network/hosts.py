@@ -116,6 +116,11 @@ class Cable:
         for host, device in self.ends:
             host.run("ip", "link", "set", device, "mtu", str(size))
 
+    def single(self) -> None:
+        """Carry single packets, as a real wire does, and not many in one frame that its end would divide."""
+        for host, device in self.ends:
+            host.run("ip", "link", "set", device, "gso_max_segs", "1")
+
     def slow(self, rate: str, queue: str) -> None:
         """Carry no more than a rate (``1mbit``) either way, behind a queue (``100ms``) (tc-tbf(8))."""
         for host, device in self.ends:

@@ -19,8 +19,8 @@ _LOSS, _DOUBLED, _DELAY, _JITTER = "0.05", "0.05", "0.01", "0.05"
 def test_every_message_is_accounted_for(network: Network, robot: Host, pc: Host) -> None:
     """5 % lost, 5 % doubled, 10 to 60 ms late; what comes is whole, and comes once (`Bridge.settled` sees to it)."""
     wire = network.host("wire")
-    Cable(robot, wire)
-    Cable(wire, pc)
+    for cable in (Cable(robot, wire), Cable(wire, pc)):
+        cable.single()
     robot.address("eth0", "10.99.1.2/24")
     pc.address("eth0", "10.99.1.1/24")
     between = wire.start(sys.executable, "-m", "tests.network.wire", "eth0", "eth1", _LOSS, _DOUBLED, _DELAY, _JITTER)
