@@ -38,7 +38,7 @@ def test_an_older_side_s_amend_keeps_it() -> None:
 
 
 def test_it_changes_while_the_route_is_open() -> None:
-    normal, low = (proposal(Topic("/scan", "transmit", priority=each)) for each in ("normal", "low"))  # type: ignore[arg-type]
+    normal, low = (proposal(Topic("/scan", "transmit", priority=each)) for each in ("normal", "low"))
     assert same_route(normal, low)
     assert "priority" in limits_changed(normal, low)
     assert amended_topic(Topic("/scan", "transmit"), low).priority == "low"
