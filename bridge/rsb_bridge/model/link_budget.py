@@ -231,7 +231,7 @@ def as_report(cost: Cost) -> dict[str, object]:
 def told(cost: Cost, now: float) -> tuple[str, ...]:
     """One or two lines for an operator, at `now` (s since the epoch)."""
     if cost.load.source is LoadSource.UNKNOWN:
-        return ("cost on the link: not known: nothing of its type is bridged yet (expected_rate and a size say it)",)
+        return ("cost on the link: not known: nothing of its type is bridged here (--rate and --size give it)",)
     load, capacity = cost.load, cost.capacity
     what = f"about {amount(load.bytes_per_second)} ({load.rate:.3g} Hz × {_size(load.size)}, {_how(load)})"
     if capacity is None:
