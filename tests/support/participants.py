@@ -53,7 +53,7 @@ class KnownNode(RosNode):
 
     def __init__(self, domain_id: int, name: str) -> None:
         super().__init__(domain_id, name)
-        self._begin_anew = lambda: RosNode.__init__(self, domain_id, name)
+        self._session_name = name
 
     def start(self) -> None:
         def enter() -> Any:
@@ -63,7 +63,7 @@ class KnownNode(RosNode):
 
         def leave() -> None:
             self.stop()
-            self._begin_anew()
+            RosNode.__init__(self, self._domain_id, self._session_name)  # a node is started once
 
         join(self._domain_id, enter, leave)
 
