@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import gc
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.locks import two_domains
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator, Iterator
     from pathlib import Path
 
     from tests.support.bridge import Bridge
@@ -42,6 +42,16 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Where no test uses Hypothesis, its plugin would import it at the end, only to have nothing to say."""
     if "hypothesis" not in sys.modules:
         session.config.pluginmanager.unregister(name="hypothesispytest")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, Any, Any]:
+    """Say with a failure what the ROS participants of this process do not agree about."""
+    report = yield
+    participants = sys.modules.get("tests.support.participants")
+    if report.failed and participants is not None:
+        report.sections.append(("What participants do not agree about", participants.differences()))
+    return report
 
 
 @pytest.fixture(scope="session", autouse=True)

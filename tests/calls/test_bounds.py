@@ -167,6 +167,7 @@ def _is_as_before(near: CallNode, far: CallNode, service: str) -> None:
     """Calls are answered, one by one, at once and with the delays of a server that does answer."""
     near.give_up(service)
     far.unserve(service)
+    near.waits_for_none(service)  # a call that comes between the two servers reaches neither
     far.serve(service)
     near.waits_for(service)
     eventually(lambda: near.call(service, quiet=0.5).right)

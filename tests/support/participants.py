@@ -1,9 +1,9 @@
 """The ROS participants of this process: whoever joins a domain gets to know those that are there, and they it.
 
-Fast DDS may leave one participant of a process unknown to another of the same process for good, where they join on a
-machine that starves them: then nothing of one reaches the other, whatever a test does. No robot has two of a domain in
-one process. So whoever joins one here waits until all know each other, and where they do not, it joins anew: nothing
-has been asked of it by then.
+On a machine that starves them it takes two participants of one process three seconds to know each other, until they are
+announced again, and it is thought that Fast DDS may leave them unknown for good: then nothing of one reaches the other,
+whatever a test does. No robot has two of a domain in one process. So whoever joins one here waits until all know each
+other, and where they do not, it joins anew: nothing has been asked of it by then.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
+
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 
 from rsb_bridge.ros.node import RosNode
 
@@ -48,12 +50,41 @@ def join(domain_id: int, enter: Callable[[], Any], leave: Callable[[], None]) ->
     raise AssertionError(f"not all know each other: {seen}")
 
 
+def differences() -> str:
+    """What the participants of a domain do not agree about: nodes that one does not know, endpoints that one counts."""
+    try:
+        return "\n".join(_differences()) or "nothing"
+    except RuntimeError as error:
+        return f"one has left meanwhile: {error}"
+
+
+def _differences() -> list[str]:
+    lines = []
+    for domain in sorted({*_present.values()}):
+        nodes = {_name(each): each for each, where in _present.items() if where == domain and not _gone(each)}
+        for name, node in nodes.items():
+            lines += [f"{domain} {name} does not know {each}" for each in sorted(nodes.keys() - _seen_by(node))]
+        counted = {name: _endpoints_of(node) for name, node in nodes.items()}
+        for topic in sorted({topic for each in counted.values() for topic in each}):
+            said = {name: each.get(topic, (0, 0)) for name, each in counted.items()}
+            if len({*said.values()}) > 1:
+                lines.append(f"{domain} {topic}: publishers and subscriptions {said}")
+    return lines
+
+
+def _endpoints_of(node: Any) -> dict[str, tuple[int, int]]:
+    handle = getattr(node, "handle", node)
+    with handle:
+        topics = [name for name, _ in _rclpy.rclpy_get_topic_names_and_types(handle, False)]
+        return {each: (handle.get_count_publishers(each), handle.get_count_subscribers(each)) for each in topics}
+
+
 class KnownNode(RosNode):
     """A bridge's node that is known to the others of this process before the bridge does anything."""
 
     def __init__(self, domain_id: int, name: str) -> None:
         super().__init__(domain_id, name)
-        self._begin_anew: Callable[[], None] = lambda: RosNode.__init__(self, domain_id, name)
+        self._session_name = name
 
     def start(self) -> None:
         def enter() -> Any:
@@ -63,7 +94,7 @@ class KnownNode(RosNode):
 
         def leave() -> None:
             self.stop()
-            self._begin_anew()
+            RosNode.__init__(self, self._domain_id, self._session_name)  # a node is started once
 
         join(self._domain_id, enter, leave)
 

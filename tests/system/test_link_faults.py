@@ -74,9 +74,9 @@ class Program:
         links: dict[str, dict[str, Any]] = found[-1] if found else {}
         return links.get("robot1", {"state": "", "cause": "", "reason": "", "peer": ""})
 
-    def events(self, code: EventCode) -> list[dict[str, Any]]:
-        """Those of a kind, once there are any: a status may be written before the event that it comes of."""
-        return eventually(lambda: [line for line in self._lines if line.get("code") == code], what=code)
+    def events(self, *codes: EventCode) -> list[dict[str, Any]]:
+        """Those of some kinds, once there are any: a status may be written before the event that it comes of."""
+        return eventually(lambda: [line for line in self._lines if line.get("code") in codes], what=f"{codes}")
 
     def screen(self, *words: str) -> str:
         """Wait until the console shows these words, each of which may be drawn by itself; all that it shows then."""
@@ -207,11 +207,12 @@ def test_a_restart_takes_the_place_of_one_that_is_silent(sides: Sides) -> None:
     old.freeze()
     new = sides.client()
     eventually(lambda: new.link()["state"] == "ok")
-    (event,) = eventually(lambda: server.events(EventCode.LINK_REPLACED))
+    # A machine on which the new one takes five seconds to start has noticed the silence by itself.
+    (event,) = server.events(EventCode.LINK_REPLACED, EventCode.LINK_LOST)
     assert event["level"] == "WARNING"
     eventually(lambda: server.link()["peer"] != before, what="its status")
-    assert event["text"].startswith(f"link with the client at {before} closed: replaced")
-    server.screen(f"WARN  link   robot1: link with the client at {before} closed", "● LINKED")
+    assert event["text"].startswith(f"link with the client at {before} ")
+    server.screen(f"WARN  link   robot1: link with the client at {before} ", "● LINKED")
     new.screen("● LINKED")
 
 
@@ -233,6 +234,6 @@ def test_a_robot_that_should_be_there_and_is_not(sides: Sides) -> None:
     server.stop()
     shown = has_cause(again, "unreachable")
     assert (shown["state"], shown["peer"]) == ("down", server_at)
-    refusals = eventually(lambda: again.events(EventCode.LINK_UNREACHABLE))
+    refusals = again.events(EventCode.LINK_UNREACHABLE)
     assert [event["level"] for event in refusals] == ["WARNING"], "the server said goodbye before"
     again.screen(f"✗ robot1: {server_at}: ")
