@@ -195,8 +195,9 @@ def _children_of(parent: subprocess.Popen[str]) -> list[int]:
 
 
 def _lives(pid: int) -> bool:
+    """Whether a process runs; one that only nobody has waited for yet does not."""
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
         return False
-    return True
+    return state not in "ZX"

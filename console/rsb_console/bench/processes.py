@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -14,15 +12,17 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from rsb_console.bench.ends import BenchError
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _STOPS_WITHIN = 6.0
-_PR_SET_PDEATHSIG = 1  # prctl(2)
+_CHILD = "rsb_console.bench.child"
 
 
-class ChildError(Exception):
+class ChildError(BenchError):
     """A process that measures has ended by itself; the message says which, and what it said."""
 
 
@@ -43,7 +43,7 @@ class Process:
         """Start it.
 
         Args:
-            command: what Python is to run.
+            command: what Python is to run: ``-m``, a module and its arguments.
             log: all that it writes goes there, and it cannot be asked; None: it can.
             environ: what differs from this process's environment.
             folder: to be in; None: this process's.
@@ -53,7 +53,7 @@ class Process:
         with contextlib.ExitStack() as files:
             output = files.enter_context(log.open("wb")) if log else None
             self._child = subprocess.Popen(  # noqa: S603 -- our own programs
-                [sys.executable, *command],
+                [sys.executable, "-m", _CHILD, str(os.getpid()), *command[1:]],
                 stdin=subprocess.PIPE,
                 stdout=output or subprocess.PIPE,
                 stderr=output or subprocess.DEVNULL,
@@ -61,7 +61,6 @@ class Process:
                 env=environment,
                 cwd=folder,
                 start_new_session=True,
-                preexec_fn=_die_with_parent,  # noqa: PLW1509 -- it only makes a system call
             )
 
     def __enter__(self) -> Self:
@@ -137,13 +136,6 @@ class Process:
                 with contextlib.suppress(BrokenPipeError):
                     if pipe is not None:
                         pipe.close()
-
-
-_libc = ctypes.CDLL(None, use_errno=True)
-
-
-def _die_with_parent() -> None:
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def free_port() -> int:
