@@ -37,7 +37,7 @@ class Diagnostics:
         ros = self._context.ros
         type_hash = ros.installed_hash(_TYPE)
         if type_hash is None:
-            self._failed(f"{_TYPE} is not installed here")
+            self._failed(f"{_TYPE} is not installed here", Level.INFO)
             return
         try:
             self._publisher = ros.advertise(topic, _TYPE, type_hash, _QOS, self)
@@ -56,9 +56,9 @@ class Diagnostics:
         except (RosError, FieldError) as error:
             self._failed(str(error))
 
-    def _failed(self, why: str) -> None:
+    def _failed(self, why: str, level: Level = Level.WARNING) -> None:
         text = f"nothing is published on {self._context.session.diagnostics_topic}: {why}"
-        self._context.log(Level.WARNING, EventCode.ENGINE_DIAGNOSTICS, text)
+        self._context.log(level, EventCode.ENGINE_DIAGNOSTICS, text)
         self.close()
 
     def close(self) -> None:
