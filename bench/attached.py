@@ -15,9 +15,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import attached_rates, bed
 from bench.console import OVER_SSH, Watched
 
+from bench import attached_rates, bed
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Session, Topic

@@ -14,8 +14,9 @@ import tempfile
 import threading
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed
 from bench.console import OVER_SSH, Watched
+
+from bench import bed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -20,9 +20,10 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bench import bed
 from tests.support.calls import TYPE, CallNode, Outcome
 from tests.support.locks import two_domains
+
+from bench import bed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -9,8 +9,9 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING
 
-from bench import bed
 from tests.console.terminal import Terminal
+
+from bench import bed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

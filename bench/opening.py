@@ -17,9 +17,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bench import bed
 from tests.bluetooth.guest.stand_in import StandIn
 
+from bench import bed
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos

@@ -12,7 +12,6 @@ import unicodedata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bench import bed
 from bench.attacks.callers import ASKED, ASKED_HZ, CALLED, OFFERS
 from bench.attacks.peers import HOARD
 from bench.attacks.service import CLIENTS, Clients, Service
@@ -22,6 +21,7 @@ from tests.support.calls import CallNode
 from tests.support.locks import two_domains
 from tests.support.ports import free_port
 
+from bench import bed
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Client, Session, Topic

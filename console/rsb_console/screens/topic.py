@@ -97,7 +97,8 @@ class TopicScreen(FormScreen[Draft]):
     def check(self) -> None:
         """Say what is wrong, and what a topic that is right would cost on the link."""
         super().check()
-        self.form.fields["priority"].note.set_text("\n".join(self._cost()))
+        if (priority := self.form.fields.get("priority")) is not None:  # a topic, not a service
+            priority.note.set_text("\n".join(self._cost()))
 
     def _cost(self) -> tuple[str, ...]:
         values = self.form.values
