@@ -48,13 +48,18 @@ class Diagnostics:
 
     def tick(self, snapshot: Snapshot) -> None:
         """Publish how everything is, if anybody listens; to be called once a second."""
-        if self._publisher is None or not self._publisher.subscriber_count:
+        if self._publisher is None or not (self._publisher.subscriber_count or self._bridged(snapshot)):
             return
         try:
             ros, now = self._context.ros, self._context.wall_ns()
             self._publisher.publish(ros.serialize(_TYPE, diagnostics(snapshot), now))
         except (RosError, FieldError) as error:
             self._failed(str(error))
+
+    def _bridged(self, snapshot: Snapshot) -> bool:
+        """Whether this bridge itself takes the topic to another domain."""
+        topic = self._context.session.diagnostics_topic
+        return any(route.outgoing and route.topic == topic for route in snapshot.routes)
 
     def _failed(self, why: str, level: Level = Level.WARNING) -> None:
         text = f"nothing is published on {self._context.session.diagnostics_topic}: {why}"

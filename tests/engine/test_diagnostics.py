@@ -57,6 +57,18 @@ def test_each_side_tells_the_instruments_of_its_domain(bridge: Bridge, robot: Do
     assert found.message == link(server).reason
 
 
+def test_a_robots_diagnostics_cross_as_any_topic(bridge: Bridge, pc: Domain) -> None:
+    """Those of its own bridge are among them, though that is the one that bridges them."""
+    there = pc.listener("/diagnostics", DiagnosticArray)
+    bridge.both(Topic("/diagnostics", "transmit"))
+
+    def told() -> bool:
+        arrays = (deserialize_message(payload, DiagnosticArray) for payload in there.payloads)
+        return any(status.name == "rsb robot1: /diagnostics to robot1" for array in arrays for status in array.status)
+
+    eventually(told)
+
+
 def test_on_another_topic_and_on_none(bridge: Bridge, pc: Domain, tmp_path: Path) -> None:
     health = pc.listener("/health", DiagnosticArray)
     server = bridge.server(diagnostics_topic="/health")

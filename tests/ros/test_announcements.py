@@ -211,6 +211,18 @@ def test_strangers_fill_no_memory_and_do_not_drown_a_bridge(domain: Domain) -> N
     assert len(domain.warnings) < 5
 
 
+def test_what_crossed_no_bridge_is_known_here_and_not_announced(domain: Domain) -> None:
+    """A via without a hop is invalid: others would ignore the whole announcement."""
+    announcements = domain.announcements
+    announcements.announce("/diagnostics", "own", endpoint("rsb_robot1", b"ours"), Origin(()))
+    announcements.announce(CHAT, "robot1", endpoint("rsb_robot1", b"theirs"), Origin(("rsb_there/chat",)))
+    domain.wait(1.0)
+    said = json.loads(domain.ros.publisher.published[-1][1])
+    assert [each["gid"] for each in said["publishers"]] == [b"theirs".hex()]
+    assert announcements.origin_of(endpoint("rsb_robot1", b"ours")) == Origin(())
+    assert [each.gid for each in announcements.own_publishers("/diagnostics", besides="robot1")] == [b"ours"]
+
+
 def test_one_link_cannot_use_up_what_a_bridge_can_announce(domain: Domain) -> None:
     """A peer names 16 hops of 340 characters for each topic; the other links' topics can be announced all the same."""
     via = tuple(f"{number:02}".ljust(340, "x") for number in range(16))

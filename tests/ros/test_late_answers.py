@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_srvs.srv import SetBool
@@ -164,18 +165,18 @@ def test_a_caller_that_dds_will_never_match_holds_up_nobody(
 
 
 def test_a_server_that_goes_takes_its_late_answers_with_it(
-    open_node: Callable[..., RosNode], stock: Node, eventually: Callable[..., Any]
+    open_node: Callable[..., RosNode], rclpy_node: Node, eventually: Callable[..., Any]
 ) -> None:
     ours = open_node()
     failures: list[str] = []
     ours.watch(lambda: None, failures.append)
     requests: list[Any] = []
     server = ours.serve("/set", SET, "", requests.extend)
-    client = stock.create_client(SetBool, "/set")
+    client = rclpy_node.create_client(SetBool, "/set")
     assert client.wait_for_service(60)
     client.call_async(SetBool.Request())
     eventually(lambda: requests)
-    stock.destroy_client(client)
+    rclpy_node.destroy_client(client)
     eventually(lambda: not ours.callers("/set"))
     server.answer(requests[0].caller, ANSWER)  # is kept
     server.close()
@@ -189,10 +190,13 @@ def test_a_server_that_goes_takes_its_late_answers_with_it(
 
     eventually(freed)
     again = ours.serve("/set", SET, "", requests.extend)
-    client = stock.create_client(SetBool, "/set")
+    client = rclpy_node.create_client(SetBool, "/set")
     assert client.wait_for_service(60)
     future = client.call_async(SetBool.Request())
     eventually(lambda: len(requests) == 2)
     again.answer(requests[1].caller, ANSWER)
-    eventually(future.done)
+    executor = SingleThreadedExecutor(context=rclpy_node.context)
+    executor.add_node(rclpy_node)
+    executor.spin_until_future_complete(future, 60)
+    assert future.done()
     assert not failures

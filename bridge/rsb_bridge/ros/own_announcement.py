@@ -89,10 +89,12 @@ class OwnAnnouncement:
     def put_publisher(self, topic: str, link: Hashable, endpoint: Endpoint, origin: Origin) -> bool:
         """A publisher of ours is there, or its messages come from elsewhere now; whether that is news.
 
+        One whose messages are our own is known here only: what is not announced belongs to no bridge (PROTOCOL.md, 5).
+
         Raises:
             RosError: there are too many.
         """
-        entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), origin.via, origin.live))
+        entry = _encode(PublisherEntry(topic, endpoint.gid.hex(), origin.via, origin.live)) if origin.via else b""
         return self._put(self._publishers, _Own(topic, link, endpoint, origin, entry))
 
     def put_service(self, service: str, link: Hashable, endpoint: Endpoint, via: Via) -> bool:
@@ -151,7 +153,7 @@ class _Table:
         self._by_name: defaultdict[str, dict[bytes, _Own]] = defaultdict(dict)
 
     def entries(self) -> list[bytes]:
-        return [own.entry for own in self.by_gid.values()]
+        return [own.entry for own in self.by_gid.values() if own.entry]
 
     def put(self, own: _Own) -> None:
         self.by_gid[own.endpoint.gid] = self._by_name[own.name][own.endpoint.gid] = own
