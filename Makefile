@@ -15,7 +15,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
 
-# The tests by folder, the longest first. Four folders at a time, since many wait for most of their time, and beside them
+# The tests by folder, the longest first. Five folders at a time, since many wait for most of their time, and beside them
 # those that only compute, one after another. The largest folders are run by halves. Folders share no ROS domain, port or
 # file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's Bluetooth
 # (docs/bluetooth.md).
@@ -25,7 +25,7 @@ FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
 PARTS := $(addprefix test-,$(LONGEST) $(filter-out $(COMPUTING) $(basename $(LONGEST)),$(FOLDERS)))
 
 test: $(STAMP) system
-	$(MAKE) --no-print-directory --keep-going --jobs=5 --output-sync=target computing $(PARTS)
+	$(MAKE) --no-print-directory --keep-going --jobs=6 --output-sync=target computing $(PARTS)
 
 # What only computes gives way to what talks by DDS: where that starves, one participant of a process may discover another
 # without being discovered by it, for good (seen once in 700 starts on a core shared by eight).

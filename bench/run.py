@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from rsb_console.bench.results import Run
 
 SIZES = (2_500, 5_000, 10_000)
-CPU_RATES = (100, 1_000, 10_000, 30_000)
-LARGE = ((100_000, 1_000), (1_000_000, 100), (6_000_000, 30))
+CPU_RATES = (100, 1_000, 5_000, 10_000, 20_000, 30_000)
+LARGE = ((100_000, 1_000), (100_000, 3_000), (1_000_000, 100), (1_000_000, 250), (6_000_000, 30))
 """Bytes, and Hz at which their CPU is measured."""
 FIRST_RATE = 5_000
 SECONDS, LATENCY_SECONDS, IDLE_SECONDS = 2.0, 10.0, 5.0
@@ -63,6 +63,7 @@ def main() -> None:
         ("relay", "thesis"),
         0,
     )
+    _print(figures, "Of these, what came, %", [f"{each} came" for each in at], (), 1)
     _print(figures, "Latency at 100 Hz, 2,500 B, ms", ["p50", "p99", "p99.9"], ("drained", "relay"), 2)
     _print(figures, "Memory, MB a side; idle, % of a core a side", ["memory", "idle"], (), 2)
     opening.report(opening.TOPICS)
@@ -90,6 +91,7 @@ def _measure(kind: str, between: bed.Bed, figures: _Figures) -> None:
         run = between.send(rate, SECONDS, size)
         kept = run.received >= _FEW * run.sent and run.rate > 0.95 * rate
         figures[kind, name].append(run.cpu_per_message if kept else math.nan)
+        figures[kind, f"{name} came"].append(100 * run.received / run.sent)
 
 
 def _idle(between: bed.Bed) -> float:
