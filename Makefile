@@ -20,7 +20,7 @@ demo: $(STAMP)
 # file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's Bluetooth
 # (docs/bluetooth.md).
 COMPUTING := bluetooth simulation lint wire
-LONGEST := console.1 console.2 engine.1 engine.2 calls.1 calls.2 network link system command
+LONGEST := engine.1 engine.2 console.1 console.2 link calls.1 calls.2 system network command
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
 PARTS := $(addprefix test-,$(LONGEST) $(filter-out $(COMPUTING) $(basename $(LONGEST)),$(FOLDERS)))
 
