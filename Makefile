@@ -7,6 +7,9 @@ comma := ,
 # A sourced ROS brings its own rclpy on PYTHONPATH; elsewhere ROS 2 Jazzy comes as wheels.
 EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)ros-test$(comma)dev,dev))
 
+# Children by the hundred start sooner with bytecode.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
