@@ -172,7 +172,7 @@ def test_attaching_in_a_terminal(
 ) -> None:
     eventually(lambda: bridges.running_bridges(machine.environ))
     with pair.server(), talker(CHATTER), Tmux(tmp_path, "sh") as tmux:
-        tmux("send-keys", f"{COMMAND} attach", "Enter")
+        tmux("send-keys", f"{COMMAND} attach robot1", "Enter")  # the server's bridge may run by now, too
         tmux.wait_for("attached  ")
         tmux.wait_for("● LINKED")
         tmux.wait_for("◇ UNHEARD")
