@@ -222,16 +222,22 @@ def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
 
     server, client = bridge.both(called("/set"))
     ready(client, "/set")
-    for find in (typesupport.installed_class, typesupport.installed_service):
-        find.cache_clear()
-    monkeypatch.setattr(typesupport, "_is_interface_package", lambda package: package != "std_srvs")
-    try:
-        for engine in (server, client):
-            with pytest.raises(EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-jazzy-std-srvs"):
-                by_hand(engine, "/set", "data: true").result(60)
-    finally:
+
+    def forget() -> None:
         for find in (typesupport.installed_class, typesupport.installed_service):
             find.cache_clear()
+
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(typesupport, "_is_interface_package", lambda package: package != "std_srvs")
+            forget()  # only now: the engines' threads look types up, too
+            for engine in (server, client):
+                with pytest.raises(
+                    EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-jazzy-std-srvs"
+                ):
+                    by_hand(engine, "/set", "data: true").result(60)
+    finally:
+        forget()
     assert lamp.was == []
 
 
