@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.calls import CallsSnapshot
 
 _LIMITS = "rsb_bridge.route.calls.budget."
+_SILENT = "rsb_bridge.link.keepalive.DEAD_AFTER"
+"""s; a link that stalls is the same link afterwards, however busy the machine."""
 
 
 def test_calls_beyond_those_under_way_are_refused(
@@ -62,6 +64,7 @@ def test_calls_beyond_the_bytes_of_responses_are_refused(
     bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Responses wait where the network stalls; the kernel takes some megabytes of them."""
+    monkeypatch.setattr(_SILENT, 60.0)
     monkeypatch.setattr(_LIMITS + "BYTES_UNDER_WAY", 1_000_000)
     far.serve(service, gather=90)
     engines = server, client = bridge.both(called(service, timeout=30.0))
@@ -119,9 +122,9 @@ def test_a_paused_service_is_not_offered_and_a_resumed_one_is(
         near.waits_for(service)
         assert near.call(service, 5).right
         key = route(client, service).key
-        client.pause(key, True).result(10)
+        client.pause(key, True).result(60)
         near.waits_for_none(service, AT_ONCE)
-        client.pause(key, False).result(10)
+        client.pause(key, False).result(60)
         near.waits_for(service)
         assert near.call(service, 5).right
         settled(client, service, **Counts(asked=10, answered=10)._asdict())
@@ -129,24 +132,25 @@ def test_a_paused_service_is_not_offered_and_a_resumed_one_is(
 
 
 def test_a_service_is_not_offered_again_before_the_other_side_has_resumed_it(
-    bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str
+    bridge: Bridge, relay: Relay, near: CallNode, far: CallNode, service: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What it said before the pause is no longer true: a call would be refused there."""
+    monkeypatch.setattr(_SILENT, 60.0)
     far.serve(service)
     engines = server, client = bridge.both(called(service))
     with balanced(*engines):
         near.waits_for(service)
         key = route(client, service).key
         relay.stall()
-        client.pause(key, True).result(10)
+        client.pause(key, True).result(60)
         near.waits_for_none(service)
-        client.pause(key, False).result(10)
+        client.pause(key, False).result(60)
         holds(lambda: not near.ready(service), 1.0)
         relay.stall(False)
         near.waits_for(service)
         assert near.call(service, 5).right
         settled(server, service, **Counts(asked=5, answered=5)._asdict())
-        client.pause(key, False).result(10)  # which changes nothing
+        client.pause(key, False).result(60)  # which changes nothing
         holds(lambda: near.ready(service), 0.5)
         assert near.call(service, 5).right
     nothing_left(*engines)

@@ -137,7 +137,7 @@ def test_a_component_is_put_into_simulated_time_and_calls_expire_by_the_bridges_
     server, client = bridge.both(
         Topic("/component", "receive", kind="parameters"),
         Topic("/clock", "receive"),
-        Topic("/slow", "receive", kind="service", timeout=3.0),
+        Topic("/slow", "receive", kind="service", timeout=5.0),
     )
     simulator = start(pc, "simulator")
     far = AsyncParameterClient(simulator.node, "/component")
