@@ -67,7 +67,7 @@ def run(
 
     def said(*words: str) -> Said:
         done = Said(capsys, words)
-        request.node.add_report_section("call", f"of {' '.join(words)}", repr(done))
+        request.node.add_report_section("call", f"output of {' '.join(words)}", repr(done))
         return done
 
     return said
