@@ -82,7 +82,7 @@ class Program:
     @property
     def output(self) -> str:
         """All that it has written so far."""
-        return self._log.read_text() if self._log.exists() else ""
+        return self._log.read_text(errors="replace") if self._log.exists() else ""  # it may be in the middle of a sign
 
     @property
     def running(self) -> bool:
@@ -108,7 +108,7 @@ class Program:
 
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
-        if self.running:
+        with contextlib.suppress(ProcessLookupError):  # it may be ending
             self.signal(signal.SIGKILL)
         eventually(lambda: not self.running)
 
