@@ -30,6 +30,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--half", type=int, choices=(1, 2), help="run every other file, from the first or second on")
 
 
+def pytest_pycollect_makemodule(module_path: Path) -> None:
+    """Let Hypothesis's examples take their time: by itself it fails a test of which one takes 0.2 s.
+
+    To be said before a test is made of them, and only where there are any: to import it takes 0.1 s.
+    """
+    if b"hypothesis" in module_path.read_bytes():
+        from hypothesis import HealthCheck, settings
+
+        settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+        settings.load_profile("patient")
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of half of the files, where that is asked for."""
     if half := config.getoption("half"):

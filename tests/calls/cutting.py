@@ -160,9 +160,9 @@ def link_cut(scene: Scene, seconds: float) -> Came:
     assert scene.over.result() == ("succeeded", fibonacci(3))
     result = time.monotonic() - ended
     later.handle()
-    assert sorted(scene.server.log[-2:]) == [f"cancel {id_of(scene.unwanted.handle())}", "goal 1"]
     eventually(asked[0].done)
     cancel = time.monotonic() - ended
+    assert sorted(scene.server.log[-2:]) == [f"cancel {id_of(scene.unwanted.handle())}", "goal 1"]
     scene.hears_again()
     feedback = time.monotonic() - ended
     came = Came(lasted, result, cancel, feedback, scene.finishes())

@@ -61,15 +61,16 @@ def test_parameters_and_actions_cross(bridge: Bridge, start: Callable[..., Spun]
     goals = [client.send(5), client.send(6)]
     assert all(goal.handle().accepted for goal in goals)
     eventually(lambda: server.is_heard and feedback_listeners(engine))
-    for number, goal in enumerate(goals):
+    first, second = (server.number_of(goal) for goal in goals)  # it takes them on several threads
+    for number, goal in zip((first, second), goals, strict=True):
         goal.ask()
         server.feedback(number, number=number)
         eventually(lambda goal=goal: goal.feedbacks)
     cancelled = goals[1].cancel()
     eventually(cancelled.done)
     assert len(cancelled.result().goals_canceling) == 1
-    server.finish(1, state="canceled", number=1)
-    server.finish(0, 1, 1)
+    server.finish(1, state="canceled", number=second)
+    server.finish(0, 1, 1, number=first)
     assert [goal.result() for goal in goals] == [("succeeded", [0, 1, 1]), ("canceled", [1])]
     server.close()
     client.close()

@@ -108,7 +108,7 @@ def test_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:
 
 def test_both_sides_record_what_became_of_a_call(bridge: Bridge, lamp: Lamp) -> None:
     """Answered on either side, expired, and given up by its operator."""
-    server, client = bridge.both(called("/set", timeout=2.0))
+    server, client = bridge.both(called("/set", timeout=4.0))
     ready(client, "/set")
 
     def ended(count: int) -> list[str]:
@@ -222,26 +222,32 @@ def test_a_call_of_a_type_that_is_not_installed_is_refused_in_words(
 
     server, client = bridge.both(called("/set"))
     ready(client, "/set")
-    for find in (typesupport.installed_class, typesupport.installed_service):
-        find.cache_clear()
-    monkeypatch.setattr(typesupport, "_is_interface_package", lambda package: package != "std_srvs")
-    try:
-        for engine in (server, client):
-            with pytest.raises(EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-jazzy-std-srvs"):
-                by_hand(engine, "/set", "data: true").result(60)
-    finally:
+
+    def forget() -> None:
         for find in (typesupport.installed_class, typesupport.installed_service):
             find.cache_clear()
+
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(typesupport, "_is_interface_package", lambda package: package != "std_srvs")
+            forget()  # only now: the engines' threads look types up, too
+            for engine in (server, client):
+                with pytest.raises(
+                    EngineError, match=r"std_srvs/srv/SetBool is not installed here.*ros-jazzy-std-srvs"
+                ):
+                    by_hand(engine, "/set", "data: true").result(60)
+    finally:
+        forget()
     assert lamp.was == []
 
 
 @pytest.mark.filterwarnings("ignore:failed to send response")  # what rclpy says to a client that has gone
 def test_a_call_that_gets_no_answer_expires_on_either_side(bridge: Bridge, lamp: Lamp) -> None:
-    server, client = bridge.both(called("/set", timeout=2.0))
+    server, client = bridge.both(called("/set", timeout=3.0))
     ready(client, "/set")
     lamp.goes_on.clear()
     for engine in (client, server):
-        with pytest.raises(EngineError, match=r"no answer within 2 s"):
+        with pytest.raises(EngineError, match=r"no answer within 3 s"):
             by_hand(engine, "/set", "data: true").result(60)
     lamp.goes_on.set()
     eventually(lambda: counts(client, "/set").expired == 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from tests.calls.test_by_hand import ready
 from tests.support.bridge import happened
 from tests.support.waiting import eventually
 
+from rsb_bridge.control import bridges
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Grant, Topic
 from rsb_console.command.arguments import parser_and_commands
@@ -48,12 +50,27 @@ class Said:
         self.code = parsed.command(parsed)
         self.out, self.err = capsys.readouterr()
 
+    def __repr__(self) -> str:
+        return f"Said(code={self.code}, err={self.err!r}, out={self.out!r})"
+
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, machine: Machine) -> Callable[..., Said]:
-    """Run a command against what `machine` serves."""
+def run(
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    machine: Machine,
+) -> Callable[..., Said]:
+    """Run a command against what `machine` serves; a test that fails shows what all of them said."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
-    return lambda *words: Said(capsys, words)
+    monkeypatch.setattr(bridges, "_ASKED_FOR", 60.0)  # s: how soon a busy machine answers is not what is tested
+
+    def said(*words: str) -> Said:
+        done = Said(capsys, words)
+        request.node.add_report_section("call", f"output of {' '.join(words)}", repr(done))
+        return done
+
+    return said
 
 
 @pytest.fixture
@@ -153,8 +170,9 @@ def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
     """Longer than the route's timeout; whoever has no time is told that the goal goes on."""
     fibonacci: Any = pytest.importorskip("tests.support.fibonacci")
     served = fibonacci.FibonacciServer(pc.id)
+    printed: Any = sys.stderr  # as `capsys` has it until somebody reads it
     try:
-        server, client = bridge.both(Topic("/fibonacci", "transmit", kind="action", timeout=1.0))
+        server, client = bridge.both(Topic("/fibonacci", "transmit", kind="action", timeout=2.5))
         ready(client, "/fibonacci")
         for number, engine in enumerate((client, server)):
             socket = machine.serve(engine)
@@ -162,7 +180,7 @@ def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
             answer = json.loads(sent.out)
             assert answer["response"]["accepted"], sent
             goal = f"{{goal_id: {answer['goal_id']}}}"
-            hurried = run("call", "/fibonacci", goal, "--lane", "get_result", "--timeout", "2.5")
+            hurried = run("call", "/fibonacci", goal, "--lane", "get_result", "--timeout", "3")
             assert hurried.code == 1
             assert "the goal goes on" in hurried.err
             results: list[Said] = []
@@ -172,8 +190,9 @@ def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
 
             waiting = threading.Thread(target=wait)
             waiting.start()
-            waiting.join(3)  # three times the route's timeout: nothing tells of a call that is not given up
+            waiting.join(4)  # longer than the route's timeout: nothing tells of a call that is not given up
             assert waiting.is_alive()
+            eventually(lambda: "executing" in printed.getvalue(), what="it tells what the goal does")
             cancel = f"goal_info: {{goal_id: {answer['goal_id']}}}"
             engine.call(engine.snapshot().routes[0].key, cancel, "cancel_goal").result(60)
             eventually(lambda number=number: len(served.cancels) > number, what="the cancel")
@@ -182,9 +201,9 @@ def test_a_goal_is_sent_its_result_waited_for_and_cancelled_by_commands(
             (said,) = results
             assert said.code == 0
             assert json.loads(said.out)["response"]["status"] == 5  # canceled
-            assert "executing" in said.err
             ended = eventually(lambda engine=engine: happened(engine, EventCode.OPERATOR_CALL_ENDED, "get_result"))
             assert "answered" in ended.new
             socket.close()
+            eventually(lambda: not bridges.running_bridges(machine.environ), what="only the next is served")
     finally:
         served.close()

@@ -127,8 +127,9 @@ def test_a_component_is_put_into_simulated_time_and_calls_expire_by_the_bridges_
     begun: list[object] = []
 
     def after_five_seconds(_: Any, response: Trigger.Response) -> Trigger.Response:
-        begun.append(clock.now())
-        clock.sleep_for(Duration(seconds=5), component.node.context)
+        until = clock.now() + Duration(seconds=5)
+        begun.append(until)  # time may go on from here
+        clock.sleep_until(until, component.node.context)
         response.message = f"{clock.now().nanoseconds // 10**9}"
         return response
 
@@ -136,7 +137,7 @@ def test_a_component_is_put_into_simulated_time_and_calls_expire_by_the_bridges_
     server, client = bridge.both(
         Topic("/component", "receive", kind="parameters"),
         Topic("/clock", "receive"),
-        Topic("/slow", "receive", kind="service", timeout=3.0),
+        Topic("/slow", "receive", kind="service", timeout=5.0),
     )
     simulator = start(pc, "simulator")
     far = AsyncParameterClient(simulator.node, "/component")

@@ -31,10 +31,10 @@ def test_calls_on_a_shared_stream_that_were_paused_from_the_start_cross_when_the
         eventually(lambda engine=engine: route(engine, service).state == "paused")
     assert not near.ready(service)
     for _ in range(3):
-        engines[who].pause(route(engines[who], service).key, False).result(30)
+        engines[who].pause(route(engines[who], service).key, False).result(60)
         near.waits_for(service)
         assert near.call(service, 50, at_once=10).right
-        engines[who].pause(route(engines[who], service).key, True).result(30)
+        engines[who].pause(route(engines[who], service).key, True).result(60)
         near.waits_for_none(service)
     for engine in engines:
         assert link(engine).state == "ok"

@@ -22,7 +22,7 @@ def test_calls_that_are_never_answered_expire_and_leave_nothing(
 ) -> None:
     """Both sides count them and say so; the next server's calls are answered."""
     far.serve(service, delay=None)
-    engines = server, client = bridge.both(called(service, timeout=2.0))
+    engines = server, client = bridge.both(called(service, timeout=4.0))
     with balanced(*engines):
         near.waits_for(service)
         near.begin(service, 20, at_once=20)
@@ -70,7 +70,7 @@ def test_a_server_that_was_killed_mid_call_is_replaced_at_once(
     """
     mortal = another(bridge.pc.id)
     mortal.serve(service, delay=None)
-    engines = _, client = bridge.both(called(service, timeout=2.0))
+    engines = _, client = bridge.both(called(service, timeout=3.0))
     with balanced(*engines):
         near.waits_for(service)
         for _ in range(2):

@@ -96,14 +96,14 @@ def test_free_memory_goes_back_to_the_kernel(monkeypatch: pytest.MonkeyPatch, ev
         most = _resident()
         blocks.clear()
         eventually(lambda: _resident() < most - (32 << 20))
-    assert threading.active_count() == threads
+    assert threading.active_count() <= threads  # one that a test before left may have ended
 
 
 def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rsb_bridge.ros.heap.ctypes.CDLL", lambda _: object())
     before = threading.active_count()
     with heap.large_blocks_kept():
-        assert threading.active_count() == before
+        assert threading.active_count() <= before
 
 
 def _resident() -> int:

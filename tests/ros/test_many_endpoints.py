@@ -78,7 +78,8 @@ def test_five_hundred_services_and_clients_leave_nothing(
     before, mapped_before, made = rounds(1)
     after, mapped_after, made_after = rounds(ROUNDS)
     assert not failures
-    assert (after.threads, after.descriptors) == (before.threads, before.descriptors)
+    assert after.threads <= before.threads
+    assert after.descriptors <= before.descriptors
     assert after.resident - before.resident < 4 << 20
     assert len(mapped_after - mapped_before) < ROUND  # other programs in the domain have theirs
     assert made_after <= made + 1
@@ -105,5 +106,6 @@ def test_services_that_cannot_be_leave_nothing(open_node: Callable[..., RosNode]
         refused()
     after = resources()
     assert service_types.named_services.used == used
-    assert (after.threads, after.descriptors) == (before.threads, before.descriptors)
+    assert after.threads <= before.threads
+    assert after.descriptors <= before.descriptors
     assert after.resident - before.resident < 4 << 20

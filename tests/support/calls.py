@@ -173,7 +173,7 @@ class CallNode:
         """Forget its client, with all calls that have no answer yet. Returns what became of them."""
         return Outcome(*self._ask(do="give up", service=service))
 
-    def settled(self, service: str, quiet: float = 10.0) -> Outcome:
+    def settled(self, service: str, quiet: float = 60.0) -> Outcome:
         """Wait until all calls are answered, or none has been for so long (s)."""
         last, since = self.outcome(service), time.monotonic()
         while last.answered + len(last.wrong) < last.wanted and time.monotonic() - since < quiet:
@@ -184,7 +184,7 @@ class CallNode:
             select.select([], [], [], 0.01)
         return last
 
-    def call(self, service: str, count: int = 1, *, quiet: float = 10.0, **how: Any) -> Outcome:
+    def call(self, service: str, count: int = 1, *, quiet: float = 60.0, **how: Any) -> Outcome:
         """Make calls, and wait for them (`begin`, `settled`)."""
         self.begin(service, count, **how)
         return self.settled(service, quiet)

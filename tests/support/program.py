@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,9 @@ from rsb_bridge.config.session_file import save
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
+
+
+_LOCKED_WITHIN = 5.0  # s
 
 
 class Programs:
@@ -82,7 +86,7 @@ class Program:
     @property
     def output(self) -> str:
         """All that it has written so far."""
-        return self._log.read_text() if self._log.exists() else ""
+        return self._log.read_text(errors="replace") if self._log.exists() else ""  # it may be in the middle of a sign
 
     @property
     def running(self) -> bool:
@@ -108,7 +112,7 @@ class Program:
 
     def kill(self) -> None:
         """kill -9, and wait until it is gone."""
-        if self.running:
+        with contextlib.suppress(ProcessLookupError):  # it may be ending
             self.signal(signal.SIGKILL)
         eventually(lambda: not self.running)
 
@@ -119,12 +123,15 @@ class Program:
 def free_shared_memory() -> None:
     """Remove what DDS participants that were killed left: half a megabyte each, which nothing else ever frees.
 
-    Fast DDS holds a lock on a file beside each segment as long as its process lives.
+    Fast DDS holds a lock on a file beside each segment as long as its process lives. It makes the file first, so a new
+    one may be that of another run which is about to lock it.
     """
     for path in Path("/dev/shm").glob("fastrtps_*_el"):
         if "port" in path.name:
             continue  # shared by those who send there
         with contextlib.suppress(FileNotFoundError), path.open() as lock, contextlib.suppress(BlockingIOError):
+            if time.time() - path.stat().st_ctime < _LOCKED_WITHIN:
+                continue
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
             path.unlink()
