@@ -12,6 +12,7 @@ import pytest
 from tests.bluetooth.guest.conftest import wait_until
 from tests.bluetooth.guest.stand_in import StandIn
 from tests.support.ports import free_port
+from tests.support.waiting import eventually
 
 from rsb_bridge.bluetooth.scan import held_channels
 from rsb_bridge.config.keys import write_key
@@ -123,8 +124,24 @@ class Pair(NamedTuple):
             assert [one.payload for one in sink.arrived[topic]] == sent
 
     def route(self, topic: str) -> RouteSnapshot:
-        """A topic as the client has it."""
-        return next(route for route in self.client.snapshot().routes if route.topic == topic)
+        """A topic as the client has it, once its snapshot does: the server's topics come by themselves."""
+
+        def found() -> RouteSnapshot | None:
+            return next((route for route in self.client.snapshot().routes if route.topic == topic), None)
+
+        return eventually(found, what=f"{topic} is shown")
+
+    def accepted(self, topic: str) -> bool:
+        """Whether both sides have agreed about one of the client's topics."""
+        assert self.client._bridge is not None
+        (link,) = self.client._bridge.links()
+        return any(route.accepted for route in tuple(link.routes.values()) if route.local_topic == topic)
+
+    def opened(self, topic: str) -> int:
+        """How often the side that sends a topic has subscribed to it."""
+        source = self.client if topic in self.here.offered else self.server
+        events = (event for event in source.events() if event.code == EventCode.ROUTE_CONNECTED)
+        return sum(event.topic == topic for event in events)
 
     @property
     def waiting(self) -> Collection[object]:
@@ -262,6 +279,8 @@ def test_all_are_begun_anew_when_the_connection_dies(side: str, tmp_path: Path) 
         pair.carries("/map", "/joy", "/cmd", "/odom")
         getattr(pair.radio, side)[0].cut()
         wait_until(lambda: len(pair.radio.called) == 2, "it is opened again")
+        for topic in ("/map", "/joy", "/cmd"):  # a side that has not heard of it yet still has its subscription
+            wait_until(lambda topic=topic: pair.opened(topic) == 2, f"{topic} is opened again")
         pair.carries("/map", "/joy", "/cmd", "/odom")
         pair.settled("/map", "/joy", "/odom")
         assert len(pair.radio.called) == 2
@@ -308,7 +327,7 @@ def test_what_has_no_place_on_it_ends_it_in_words(side: str, data: bytes, words:
     """Routes 1 and 3 are on it; 5 is the TCP topic's, 7 is paused and not on it yet, and 9 was never opened."""
     topics = (on_channel("/map"), on_channel("/joy"), Topic("/odom", "transmit"), on_channel("/late", paused=True))
     with paired(tmp_path, *topics) as pair:
-        wait_until(lambda: pair.here.subscribed("/map", "/joy", "/odom"), "all are open")
+        wait_until(lambda: pair.here.subscribed("/map", "/joy", "/odom") and pair.accepted("/late"), "all are open")
         getattr(pair.radio, side)[0].say(data)
         wait_until(lambda: any(words in fault.text for fault in pair.faults()), "the operators are told")
         wait_until(

@@ -6,10 +6,12 @@ import json
 import os
 import pty
 import pwd
+import queue
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,26 +52,39 @@ def path(tmp_path: Path) -> Path:
 
 
 class Systemd:
-    """The socket that systemd listens on."""
+    """The socket that systemd listens on, read all the time: the kernel keeps no more than ten messages for it."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "notify"
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.socket.bind(str(self.path))
-        self.socket.settimeout(ENDS_WITHIN)
+        self._heard: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(self.path))
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
 
     def hear(self, beginning: str) -> str:
         """The next message that begins so."""
-        while not (heard := self.socket.recv(4096).decode()).startswith(beginning):
+        while not (heard := self._heard.get(timeout=ENDS_WITHIN)).startswith(beginning):
             pass
         return heard
+
+    def _listen(self) -> None:
+        with self._socket:
+            while heard := self._socket.recv(4096):
+                self._heard.put(heard.decode())
+
+    def close(self) -> None:
+        """Read no more."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as last:
+            last.sendto(b"", str(self.path))
+        self._thread.join()
 
 
 @pytest.fixture
 def systemd(tmp_path: Path) -> Iterator[Systemd]:
     made = Systemd(tmp_path)
-    with made.socket:
-        yield made
+    yield made
+    made.close()
 
 
 TAKE_TERMINAL = (

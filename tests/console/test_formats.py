@@ -1,7 +1,7 @@
 """Figures stay within their columns."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rsb_console.look import formats
@@ -36,16 +36,19 @@ def test_words(made: str, expected: str) -> None:
     assert made == expected
 
 
+@settings(deadline=None)
 @given(ANY)
 def test_ages_fit_their_column(seconds: float) -> None:
     assert len(formats.age(seconds)) <= 5
 
 
+@settings(deadline=None)
 @given(st.floats(0, 99_999))
 def test_rates_fit_their_column(rate: float) -> None:
     assert len(formats.hertz(rate)) <= 5
 
 
+@settings(deadline=None)
 @given(st.floats(0, 999e6))
 def test_byte_rates_fit_the_status_bar(rate: float) -> None:
     assert len(formats.byte_rate(rate)) <= 8

@@ -1,7 +1,7 @@
 """Signs and charts, and their ASCII stand-ins."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.segment import Segment
@@ -21,6 +21,7 @@ def test_states_stay_apart_in_ascii() -> None:
     assert len({to_ascii(sign) for sign in STATE_SIGN.values()}) == len(State)
 
 
+@settings(deadline=None)
 @given(st.text(max_size=30))
 def test_ascii_keeps_every_width(given_text: str) -> None:
     assert to_ascii(given_text).isascii()
@@ -65,6 +66,7 @@ def test_a_step_is_drawn_as_an_edge_and_new_values_stand_right() -> None:
     assert second[2] != "⠀"
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.floats(0, 1e6), max_size=50),
     st.integers(1, 30),

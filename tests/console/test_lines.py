@@ -1,6 +1,6 @@
 """A live pane redraws no more than it must, and never less."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 from tests.console.driving import drive, scripted_app, shown, until
@@ -18,6 +18,7 @@ def cells(line: Line) -> list[tuple[str, str]]:
     return [(char, look) for text, look in line for char in text for _ in range(cell_len(char))]
 
 
+@settings(deadline=None)
 @given(LINES, LINES)
 def test_all_beyond_the_changed_width_is_the_same(old: Line, new: Line) -> None:
     width = 60
@@ -30,6 +31,7 @@ def test_a_change_at_the_start_costs_only_the_start() -> None:
     assert changed_width((("ab", ""), ("c" * 50, "")), (("xy", ""), ("c" * 50, "")), 80) == 2
 
 
+@settings(deadline=None)
 @given(LINES, st.integers(2, 20))
 def test_a_fitted_line_fits(line: Line, width: int) -> None:
     fitted = fit(line, width)

@@ -33,7 +33,8 @@ def test_it_sees_what_the_engine_sees(machine: Machine) -> None:
     remote = machine.attach()
     assert remote.session == engine.session
     assert replace(remote.snapshot(), last_event=0) == replace(engine.now, last_event=0)
-    assert eventually(remote.events) == list(EVENTS)
+    eventually(lambda: len(remote.events()) == len(EVENTS))
+    assert remote.events() == list(EVENTS)
     engine.now = replace(engine.now, routes=(route("/new"), *engine.now.routes[3:]))
     eventually(lambda: remote.snapshot().routes == engine.now.routes)
     engine.session = msgspec.structs.replace(engine.session, topics=(Topic("/new", "receive"),))
@@ -67,19 +68,19 @@ def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine)
     machine.serve(engine)
     remote = machine.attach()
     topic = Topic("/scan", "transmit", qos={"depth": 3}, max_rate=2.5)
-    assert remote.add_topic(topic, "robot1").result(10) == "/scan"
-    assert remote.edit_topic("k", topic).result(10) == "k"
-    remote.remove_topic("k").result(10)
-    remote.pause("k", True).result(10)
+    assert remote.add_topic(topic, "robot1").result(60) == "/scan"
+    assert remote.edit_topic("k", topic).result(60) == "k"
+    remote.remove_topic("k").result(60)
+    remote.pause("k", True).result(60)
     robot2 = Client("robot2", "robot2.key", deny=("/a",), topics=(topic,))
-    remote.add_client(robot2).result(10)
-    remote.change_client(robot2).result(10)
-    remote.remove_client("robot2").result(10)
-    remote.retry("robot1").result(10)
-    remote.shut_down().result(10)
+    remote.add_client(robot2).result(60)
+    remote.change_client(robot2).result(60)
+    remote.remove_client("robot2").result(60)
+    remote.retry("robot1").result(60)
+    remote.shut_down().result(60)
     steps: list[str] = []
-    remote.restart(steps.append).result(10)
-    assert remote.topics(None).result(10) == engine.topics().result()
+    remote.restart(steps.append).result(60)
+    assert remote.topics(None).result(60) == engine.topics().result()
     assert steps == ["telling the peer", "sockets closed", "linked again"]
     assert engine.commands[:-1] == [
         ("add", topic, "robot1"),
@@ -94,7 +95,7 @@ def test_commands_go_to_the_engine_and_their_results_come_back(machine: Machine)
         ("restart",),
         ("topics", None),
     ]
-    remote.stop_bridge().result(10)
+    remote.stop_bridge().result(60)
     assert machine.stopped == 1
 
 
@@ -110,7 +111,7 @@ class Refusing(ScriptedEngine):
 def test_a_refusal_comes_back_in_words(machine: Machine) -> None:
     machine.serve(Refusing())
     with pytest.raises(EngineError, match="no such topic: /x"):
-        machine.attach().add_topic(Topic("/x", "transmit")).result(10)
+        machine.attach().add_topic(Topic("/x", "transmit")).result(60)
 
 
 def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
@@ -133,8 +134,8 @@ def test_read_only_is_enforced_by_the_bridge(machine: Machine) -> None:
     ]
     for change in changes:
         with pytest.raises(EngineError, match="read-only"):
-            change.result(10)
-    assert remote.topics().result(10)
+            change.result(60)
+    assert remote.topics().result(60)
     assert engine.commands == [("topics", None)]
     assert machine.stopped == 0
 
@@ -157,12 +158,12 @@ def test_requests_that_wait_are_limited(machine: Machine) -> None:
     remote = machine.attach()
     requests = [remote.retry() for _ in range(protocol.REQUESTS_WAITING + 1)]
     with pytest.raises(EngineError, match="wait for an answer already"):
-        requests[-1].result(10)
+        requests[-1].result(60)
     eventually(lambda: len(engine.waiting) == protocol.REQUESTS_WAITING)
     for each in engine.waiting:
         each.set_result(None)
     for request in requests[:-1]:
-        request.result(10)
+        request.result(60)
 
 
 def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine) -> None:
@@ -173,7 +174,7 @@ def test_the_engine_finishes_what_a_console_that_has_gone_began(machine: Machine
     eventually(lambda: engine.waiting)
     remote.stop()
     with pytest.raises(EngineError, match="detached"):
-        request.result(10)
+        request.result(60)
     eventually(lambda: consoles(machine) == 0)
     assert not engine.waiting[0].cancelled()
 
@@ -197,7 +198,7 @@ def test_it_says_that_the_bridge_has_ended_and_attaches_to_the_next(machine: Mac
     (since,) = {each.since for each in now.routes} | {each.since for each in now.links}
     assert abs(since - lost.time) < 10.0
     with pytest.raises(EngineError, match="not attached"):
-        remote.retry().result(10)
+        remote.retry().result(60)
     again = ScriptedEngine(routes=(route("/again"),))
     machine.serve(again)
     eventually(lambda: not remote.unreachable)
@@ -230,9 +231,9 @@ def test_a_bridge_that_hangs_is_not_called_ok(machine: Machine, monkeypatch: pyt
     eventually(lambda: not remote.snapshot().running)
     assert "has not answered for" in remote.unreachable
     first = remote.snapshot()
-    later = eventually(lambda: remote.snapshot() if remote.snapshot().time > first.time + 0.2 else None)
+    later = eventually(lambda: now if (now := remote.snapshot()).time > first.time + 2.0 else None)
     assert {each.state for each in later.routes} == {State.DOWN}
-    assert first.links[0].since == pytest.approx(later.links[0].since, abs=0.05), "since it answered last"
+    assert first.links[0].since == pytest.approx(later.links[0].since, abs=1.0), "since it answered last"
     engine.goes_on.set()
     monkeypatch.undo()
     eventually(lambda: remote.snapshot().running and not remote.unreachable)
@@ -252,7 +253,7 @@ def test_many_attach_and_one_too_many_is_told_so(machine: Machine) -> None:
 def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     machine.serve()
     sent = protocol.Hello(protocol.VERSION + 1, "9.0.0")
-    with folders.connect(machine.folder / "robot1.sock", 5.0) as connection:
+    with folders.connect(machine.folder / "robot1.sock", 60.0) as connection:
         connection.sendall(protocol.encode(sent))
         (answer,) = protocol.frames_to_console().feed(connection.recv(1000))
     assert isinstance(answer, protocol.Refused)
@@ -267,7 +268,7 @@ def test_another_version_is_told_who_is_older(machine: Machine, monkeypatch: pyt
 def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
     machine.serve()
     with (
-        folders.connect(machine.folder / "robot1.sock", 5.0) as connection,
+        folders.connect(machine.folder / "robot1.sock", 60.0) as connection,
         contextlib.suppress(ConnectionError),  # it is cut off before it has said all
     ):
         connection.sendall(sent)
@@ -336,8 +337,8 @@ def test_nothing_is_left_behind(machine: Machine) -> None:
     for remote in remotes:
         remote.stop()
     served.close()
-    assert list(machine.folder.iterdir()) == []
-    assert [each.name for each in threading.enumerate() if each.name.startswith("rsb-")] == []
+    eventually(lambda: list(machine.folder.iterdir()) == [], what="no socket")
+    eventually(lambda: all(not each.name.startswith("rsb-") for each in threading.enumerate()), what="no thread")
 
 
 def test_a_connection_that_comes_while_the_server_closes_is_closed(machine: Machine) -> None:
@@ -401,7 +402,7 @@ def test_a_stop_ends_a_start_that_waits_for_a_bridge_that_hangs(machine: Machine
         starting.start()
         with hangs.accept()[0]:
             remote.stop()
-            starting.join(10)
+            starting.join(60)
         assert failed == ["detached from the bridge"]
 
 
@@ -422,4 +423,4 @@ def test_who_leaves_while_looking_at_a_message_looks_no_more(machine: Machine) -
     remote.stop()
     eventually(engine.asked[0].cancelled)
     with pytest.raises(EngineError, match="no answer"):
-        shown.result(10)
+        shown.result(60)

@@ -39,6 +39,7 @@ def test_every_message_is_accounted_for(network: Network, robot: Host, pc: Host)
     bridge.robot.talk("/odom", rate=20, count=said["/odom"])
     eventually(lambda: bridge.robot.said() == said, what="all said")
 
+    eventually(lambda: {topic: bridge.client.ledger(topic).offered for topic in said} == said, what="all offered")
     ledgers = bridge.settled(*said)
     assert {topic: ledger.offered for topic, ledger in ledgers.items()} == said
     scan, cloud, odom = (ledgers[topic] for topic in said)

@@ -35,6 +35,8 @@ def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
     bridge.pc.hears("/camera")
     bridge.robot.talk("/cmd", rate=20)
     bridge.robot.talk("/scan", rate=10, size=1_000)
+    for topic in ("/cmd", "/scan"):
+        bridge.pc.hears(topic)
     eventually(lambda: bridge.client.ledger("/camera").offered == _FRAMES, what="all frames taken")
 
     camera = bridge.settled("/camera")["/camera"]
@@ -49,6 +51,7 @@ def test_bulk_that_does_not_fit_is_dropped_and_holds_up_nothing(
     bridge.server.happens(EventCode.ROUTE_INCOMPLETE, "/cloud")
     bridge.pc.hears("/cmd")
     said = bridge.robot.hush()
+    eventually(lambda: bridge.client.ledger("/cmd").offered == said["/cmd"], what="all of /cmd taken")
     ledgers = bridge.settled("/cmd", "/scan", "/cloud")
     assert ledgers["/cmd"].delivered == ledgers["/cmd"].offered == said["/cmd"]
     assert not bridge.client.happened(EventCode.LINK_LOST)

@@ -38,6 +38,14 @@ def client(name: str, path: Path, *arguments: str) -> Any:
     return json.loads(done.stdout)
 
 
+def used(path: Path) -> str:
+    """The mark of the key with which robot1 is linked, as the server's status says it."""
+    command = [COMMAND, "status", "--control", f"{path}.sock", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    link: dict[str, str] = json.loads(done.stdout).get("links", {}).get("robot1", {"state": ""})
+    return link["fingerprint"] if link["state"] == "ok" else ""
+
+
 def test_a_robot_joins_and_leaves_a_fleet_that_runs(
     bridge: Bridge, programs: Programs, robot: Domain, pc: Domain
 ) -> None:
@@ -88,6 +96,7 @@ def test_a_key_is_replaced_in_the_documented_steps(bridge: Bridge, programs: Pro
     old = link(robot).fingerprint
     since = link(robot).since
 
+    eventually(lambda: client("list", path)["clients"][0]["state"] == "ok", what="the server says so, too")
     begun = client("rekey", path, "--keep-old", "robot1")
     assert "the link stays" in begun["running"]
     (row,) = client("list", path)["clients"]
@@ -100,6 +109,7 @@ def test_a_key_is_replaced_in_the_documented_steps(bridge: Bridge, programs: Pro
     robot.reload().result(60)
     eventually(lambda: linked(robot) and link(robot).fingerprint == begun["fingerprint"])
     since = link(robot).since
+    eventually(lambda: used(path) == begun["fingerprint"], what="the server says so, too")
     finished = client("rekey", path, "--finish", "robot1")
     assert "the link stays" in finished["running"]
     assert finished["fingerprint"] == begun["fingerprint"]

@@ -101,7 +101,7 @@ def test_both_sides_of_a_bridge(services: tuple[Service, Service], robot: Domain
     eventually(lambda: EventCode.OPERATOR_RELOADED.value in client.program.output, what=client.program.output)
     for each in (server, client):
         each.program.signal(signal.SIGTERM)
-        assert each.process.wait(30) == 0, each.program.output
+        assert each.process.wait(60) == 0, each.program.output
         assert "Traceback" not in each.program.output
         kept = list(each.state.iterdir())
         assert kept

@@ -102,7 +102,7 @@ class Program:
             self._screen = None
         self._process.terminate()
         self._process.send_signal(signal.SIGCONT)
-        assert self._process.wait(30) == 0, self._log.read_text()
+        assert self._process.wait(60) == 0, self._log.read_text()
         check_lines(line for line in self._lines if "code" in line)
 
 

@@ -74,8 +74,11 @@ def test_a_disk_that_is_full_for_a_while(bridge: Bridge, session: Path) -> None:
         os.close(output)
         try:
             eventually(lambda: b'"status"' in path.read_bytes())
+            program.send_signal(signal.SIGSTOP)  # it writes no line between the look and the limit
+            os.waitpid(program.pid, os.WUNTRACED)
             full = path.stat().st_size + 10  # in the middle of a line
             resource.prlimit(program.pid, resource.RLIMIT_FSIZE, (full, resource.RLIM_INFINITY))
+            program.send_signal(signal.SIGCONT)
             eventually(lambda: path.stat().st_size == full)
             server = bridge.server()
             eventually(lambda: linked(server), what="the bridge goes on")

@@ -357,15 +357,18 @@ class RemoteEngine(EngineApi):
             self._started.set_result(None)
 
     def _lose(self, reason: str) -> None:
+        """Show that it is lost, and say so last: whoever hears of it looks."""
         self._asked_at = None
-        self._requests.fail(reason)
-        if not self._lost:
-            text = f"not attached to {self.bridge.name} any more: {reason}; trying again"
-            self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
+        is_new = not self._lost
+        if is_new:
             self._lost_at = self._clock.time_ns() / 1e9
         if reason != self._lost:
-            self._lost = reason
             self._shown = out_of_reach(self._shown, reason, since=self._lost_at, now=self._clock.time_ns() / 1e9)
+            self._lost = reason
+        self._requests.fail(reason)
+        if is_new:
+            text = f"not attached to {self.bridge.name} any more: {reason}; trying again"
+            self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
 
     def _send(self, message: ToBridge) -> None:
         if self._writer is not None and not self._writer.is_closing():

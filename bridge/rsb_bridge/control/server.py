@@ -43,6 +43,9 @@ _ANSWERED_WITHIN = 2.0
 _TURNS_TO_ACCEPT = 10
 """Turns of the loop: what was accepted last has become a console then, which can be told of the end."""
 _SAID_WITHIN = 0.25
+_CLOSED_WITHIN = 2.0
+"""s that `ControlServer.close` waits for its thread, which ends by itself as soon as it has said so: for a machine that
+starves it, where the socket would be left behind."""
 _READ_SIZE = 64 << 10
 
 
@@ -76,7 +79,7 @@ class ControlServer:
         ready.wait()
 
     def close(self, reason: str = "the bridge has ended") -> None:
-        """Tell the consoles why, and stop serving; takes at most a second.
+        """Tell the consoles why, and stop serving; takes half a second where they do not listen.
 
         Args:
             reason: in words.
@@ -88,7 +91,7 @@ class ControlServer:
         assert self._loop is not None
         with contextlib.suppress(RuntimeError):  # it has ended by itself
             self._loop.call_soon_threadsafe(self._ends.set)
-        self._thread.join(3 * _SAID_WITHIN)
+        self._thread.join(_CLOSED_WITHIN)
 
     def stop_process(self) -> None:
         """Do what `rsb_bridge.control.commands.Stop` asks for."""

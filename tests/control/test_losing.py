@@ -1,0 +1,29 @@
+"""A bridge that is lost is shown as lost by the time it is said."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.codes import EventCode
+
+if TYPE_CHECKING:
+    import pytest
+    from tests.support.control import Machine
+
+
+def test_whoever_hears_of_the_loss_sees_it(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    server = machine.serve()
+    remote = machine.attach()
+    seen: list[tuple[str, bool]] = []
+    add = remote._log.add
+
+    def look_and_add(level: Any, code: EventCode, text: str) -> None:
+        seen.append((remote.unreachable, remote.snapshot().running))
+        add(level, code, text)
+
+    monkeypatch.setattr(remote._log, "add", look_and_add)
+    server.close("the bridge was stopped")
+    eventually(lambda: any(event.code == EventCode.ATTACH_LOST for event in remote.events()))
+    assert seen == [("the bridge was stopped", False)]
