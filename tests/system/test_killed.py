@@ -71,7 +71,10 @@ def test_fifty_times(bridge: Bridge, programs: Programs, robot: Domain, pc: Doma
     before = resources()
     for number in range(10, CYCLES):
         cycle(number)
-    eventually(lambda: resources()[:2] <= before[:2], what=f"threads and descriptors {resources()} as {before}")
+    eventually(
+        lambda: all(now <= then for now, then in zip(resources()[:2], before[:2], strict=True)),
+        what=f"threads and descriptors as {before}",
+    )
     gc.collect()
     assert resources().resident - before.resident < 20 << 20
 
