@@ -13,6 +13,16 @@ if TYPE_CHECKING:
     from tests.support.fibonacci import FibonacciClient, FibonacciServer
 
 
+@pytest.fixture(autouse=True)
+def _answers_take_their_time() -> Iterator[None]:
+    """A slow machine may need more than the 5 s that an operator waits: no test here is about that deadline."""
+    with pytest.MonkeyPatch.context() as patch:
+        for deadline in ("link.roles._RESTART_WITHIN", "link.topic_lists._ANSWERED_WITHIN"):
+            patch.setattr(f"rsb_bridge.{deadline}", 60.0)
+        patch.setattr("rsb_bridge.route.arming.ANSWERED_WITHIN", 25.0)
+        yield
+
+
 @pytest.fixture
 def server(robot: Domain) -> Iterator[FibonacciServer]:
     """The robot's."""

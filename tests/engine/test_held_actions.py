@@ -55,6 +55,7 @@ def test_goals_are_cancelled_and_end_while_no_new_one_may_begin(
     for engine in engines:
         eventually(lambda engine=engine: [goal.state for goal in route(engine, ACTION).goals] == ["executing"] * 2)
     eventually(lambda: not client.ready, what="no goal can be sent")
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))  # what is disarmed is opened anew
     server.feedback(7, number=other)
     eventually(lambda: second.feedbacks == [[7]])
     answer = first.cancel()

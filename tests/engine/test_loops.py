@@ -34,6 +34,13 @@ DEEP = 1000  # messages kept: none is lost in a burst
 _names = (f"robot{number}" for number in itertools.count(1))
 
 
+@pytest.fixture(autouse=True)
+def patience(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bridges have as long as a slow machine takes to say where messages come from; strangers never say it."""
+    if request.function is not test_a_stranger_may_announce_what_it_likes:
+        monkeypatch.setattr("rsb_bridge.route.sources.EXPLAINED_WITHIN", 30.0)
+
+
 @pytest.fixture
 def robot(_domains: int) -> Iterator[Domain]:
     """Its node is new: here and there one that has seen many engines come and go is not discovered by the next."""

@@ -22,6 +22,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.route.incoming import IncomingRoute
 from rsb_bridge.route.latched import PUBLISHER_COST
 from rsb_bridge.wire.framing import MESSAGE_LIMIT, UNFINISHED_LIMIT
 from rsb_bridge.wire.messages import Close, Propose, Ready, Refuse
@@ -56,7 +57,9 @@ def server(bridge: Bridge) -> Engine:
 
 
 @pytest.fixture
-def rogue(bridge: Bridge, server: Engine) -> Iterator[Rogue]:
+def rogue(bridge: Bridge, server: Engine, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rogue]:
+    """It sends no pings: the server does not give it up for that, however long a slow machine takes."""
+    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 60.0)
     made = Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret)
     yield made
     made.close()
@@ -65,6 +68,12 @@ def rogue(bridge: Bridge, server: Engine) -> Iterator[Rogue]:
 def link_of(server: Engine) -> Link:
     assert server._bridge is not None
     return next(iter(server._bridge.links()))
+
+
+def received(server: Engine, topic: str) -> int:
+    """How many messages of a topic have come, published or not."""
+    routes = tuple(link_of(server).routes.values())
+    return sum(each._received for each in routes if isinstance(each, IncomingRoute) and each.topic == topic)
 
 
 @pytest.mark.parametrize("how", ["frames", "chunks"])
@@ -134,6 +143,7 @@ def test_for_late_joiners(bridge: Bridge, server: Engine, robot: Domain, pc: Dom
         for out in outs:
             out.publish(text("x" * 1_500_000))
         heard(theres[0], count)
+        eventually(lambda count=count: received(server, "/hoards") == count)
     assert settled(client, "/fits", 8).delivered == 8
     ledger = settled(client, "/hoards", 8)
     assert (ledger.delivered, ledger.dropped) == (4, {"latched full": 4})

@@ -138,18 +138,28 @@ def test_lookers_share_a_message_every_half_second(bridge: Bridge, robot: Domain
     pc.listener("/chat")
     server, client = bridge.both(Topic("/chat", "transmit"))
     carries([publisher], server, ["/chat"])
+    running = client._bridge
+    assert running is not None
     ends = threading.Event()
 
     def talk() -> None:
         while not ends.wait(0.005):
             publisher.publish(text("again"))
 
+    both: list[Future[PeekedMessage | None]] = []
+
+    def ask() -> None:
+        """In one turn of the loop, so that no message comes between the two."""
+        both.extend([client.peek(route_key), client.peek(route_key)])
+
     talking = threading.Thread(target=talk)
     talking.start()
     try:
         route_key, times = key(client, "/chat"), []
         for _ in range(4):
-            both = [client.peek(route_key), client.peek(route_key)]
+            both.clear()
+            running.context.call(ask)
+            eventually(lambda: len(both) == 2)
             messages = [seen(future) for future in both]
             assert messages[0] is messages[1]
             times.append(messages[0].time)

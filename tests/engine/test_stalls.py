@@ -22,8 +22,12 @@ STALL = 3.0  # s
 
 
 @pytest.mark.parametrize("size", [2_000, 50_000])
-def test_an_auto_topic_loses_nothing(size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain) -> None:
+def test_an_auto_topic_loses_nothing(
+    size: int, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What a reliable topic brings in the meantime waits, and arrives when the link goes on."""
+    monkeypatch.setattr("rsb_bridge.link.keepalive.DEAD_AFTER", 30.0)  # on a slow machine the stall is longer
+    monkeypatch.setattr("rsb_bridge.transport.tcp._GIVEN_UP_AFTER_MS", 30_000)
     out, there = robot.publisher("/count"), pc.listener("/count")
     server, client = bridge.both(Topic("/count", "transmit"))
     carries([out], server, ["/count"])

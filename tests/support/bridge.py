@@ -149,6 +149,12 @@ def linked(engine: Engine, name: str = "robot1") -> bool:
     return any(link.linked for link in engine._bridge.links() if link.name == name)
 
 
+def connections(engine: Engine, name: str = "robot1") -> int:
+    """How many connections that link has had: one that drops may be back before anybody sees that it is down."""
+    assert engine._bridge is not None
+    return next(link.connections for link in engine._bridge.links() if link.name == name)
+
+
 def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
     """What sends a topic, whose counts are newer than the snapshot."""
     assert engine._bridge is not None
