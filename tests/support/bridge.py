@@ -157,10 +157,8 @@ def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
 
 
 def route(engine: EngineApi, topic: str) -> RouteSnapshot:
-    """An engine's route by the topic's name on its side."""
-    found = find(engine, topic)
-    assert found is not None, f"no route of {topic}: {[each.key for each in now(engine).routes]}"
-    return found
+    """An engine's route by the topic's name on its side, once it is there: the other side proposes it after linking."""
+    return eventually(lambda: find(engine, topic), what=f"a route of {topic}")
 
 
 def find(engine: EngineApi, topic: str) -> RouteSnapshot | None:
