@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,10 @@ from rsb_bridge.config.session_file import save
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Session
+
+
+_JOINS_WITHIN = 10.0
+"""s, from a segment's file to its lock."""
 
 
 class Programs:
@@ -119,12 +124,15 @@ class Program:
 def free_shared_memory() -> None:
     """Remove what DDS participants that were killed left: half a megabyte each, which nothing else ever frees.
 
-    Fast DDS holds a lock on a file beside each segment as long as its process lives.
+    Fast DDS holds a lock on a file beside each segment as long as its process lives. It makes the file first, and fails
+    where another has locked it by then, so files that are new may be those of a participant that is just joining.
     """
     for path in Path("/dev/shm").glob("fastrtps_*_el"):
         if "port" in path.name:
             continue  # shared by those who send there
         with contextlib.suppress(FileNotFoundError), path.open() as lock, contextlib.suppress(BlockingIOError):
+            if time.time() - path.stat().st_mtime < _JOINS_WITHIN:
+                continue
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
             path.unlink()
