@@ -285,8 +285,7 @@ def test_silence_is_named_with_its_port() -> None:
     async def main() -> None:
         async with serving() as server:
             client, _ = server.connect(b"link one")
-            await until(lambda: client.ready)
-            there = server.channels[b"link one"]
+            there = await settled(server, client)
             for end in (client, there):
                 server.time += 6.0
                 end.tick()

@@ -405,6 +405,7 @@ while True:
 def test_killed_and_started_again(tmp_path: Path) -> None:
     root = Path(__file__).parents[2]
     environ = os.environ | {"PYTHONPATH": os.pathsep.join(str(root / name) for name in ("", "bridge", "console"))}
+    kept = tmp_path / "robot1.history", tmp_path / "robot1.jsonl"
     for number in range(3):
         with subprocess.Popen(
             [sys.executable, "-c", RUNS, str(tmp_path), str(1e4 * number)],
@@ -414,11 +415,13 @@ def test_killed_and_started_again(tmp_path: Path) -> None:
         ) as process:
             assert process.stdout
             assert process.stdout.readline() == b"runs\n"
-            eventually(lambda: (tmp_path / "robot1.history").exists() and (tmp_path / "robot1.jsonl").exists())
+            eventually(lambda: all(path.exists() and path.stat().st_size for path in kept), what="something is written")
             process.send_signal(signal.SIGKILL)
     files = Files(tmp_path, "robot1")
     saved = history_file.read(files.history)
-    report = offline.report(files, saved.time + 100, 86400.0)
+    # Its clock goes 0.1 s with each event, so that it may be a long time from what was saved to the last of them.
+    died = max(saved.time, *(event.time for event in event_file.read(files.events, 0.0)))
+    report = offline.report(files, died + 100, 86400.0)
     assert not report.running
     assert report.outages
     assert "anna" in {each.who for each in report.actions}

@@ -35,7 +35,7 @@ def test_an_attached_console_asks_the_engine(machine: Machine) -> None:
     engine = ScriptedEngine()
     machine.serve(engine)
     for read_only in (False, True):
-        report = machine.attach(read_only=read_only).history(1800.0).result(10)
+        report = machine.attach(read_only=read_only).history(1800.0).result(60)
         assert report == replace(REMEMBERED, span=1800.0)
     assert engine.commands == [("history", 1800.0)] * 2
 
@@ -54,14 +54,14 @@ def test_an_outage_of_a_real_link_is_remembered_and_kept(
         eventually(lambda: linked(client) and linked(server))
         heard, talker = pc.listener("/tcp"), robot.publisher("/tcp")
         carries([talker], server, ["/tcp"])
-        eventually(lambda: remote.history(60.0).result(10).tracks)
-        eventually(lambda: any(each.up > 1 for each in remote.history(60.0).result(10).tracks), what="up")
+        eventually(lambda: remote.history(60.0).result(60).tracks)
+        eventually(lambda: any(each.up > 1 for each in remote.history(60.0).result(60).tracks), what="up")
         server.stop()
-        eventually(lambda: (found := out(remote.history(60.0).result(10))) and found.ongoing, what="the link is out")
+        eventually(lambda: (found := out(remote.history(60.0).result(60))) and found.ongoing, what="the link is out")
         bridge.server()
         eventually(lambda: linked(client))
         ended = eventually(
-            lambda: found if (found := out(client.history(60.0).result(10))) and not found.ongoing else None
+            lambda: found if (found := out(client.history(60.0).result(60))) and not found.ongoing else None
         )
         assert ended.cause
         assert ended.link == "robot1"
@@ -76,7 +76,7 @@ def test_an_outage_of_a_real_link_is_remembered_and_kept(
     again = Engine(session, base=bridge.folder, state=state)
     again.start()
     try:
-        kept = eventually(lambda: out(again.history(3600.0).result(10)))
+        kept = eventually(lambda: out(again.history(3600.0).result(60)))
         assert (kept.start, kept.cause) == (ended.start, ended.cause)
     finally:
         again.stop()

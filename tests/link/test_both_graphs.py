@@ -47,6 +47,11 @@ def test_a_client_sees_what_the_server_s_nodes_provide(
     server, client = bridge.both()
     wanted = {("topic", "/status"), ("service", "/reset"), ("service", "/awaited"), ("parameters", "/arm/controller")}
     there = eventually(lambda: found if (found := entries(client, "robot1")).keys() >= wanted else None)
+    # Server and callers of one service are discovered one after the other, on either side.
+    whole = ("service", "/reset")
+    there = eventually(
+        lambda: found if (found := entries(client, "robot1"))[whole].publishers and found[whole].subscriptions else None
+    )
     assert wanted <= entries(server).keys()
     eventually(lambda: ("service", "/dock") in entries(client))
     assert not [name for _, name in there if name.endswith(("parameters", "_parameter_types", "get_type_description"))]
@@ -67,7 +72,11 @@ def test_an_action_is_one_entry(bridge: Bridge, pc: Domain) -> None:
     _, client = bridge.both()
     key = ("action", "/fibonacci")
     there = eventually(
-        lambda: found if key in (found := entries(client, "robot1")) and found[key].subscriptions else None
+        lambda: (
+            found
+            if key in (found := entries(client, "robot1")) and found[key].publishers and found[key].subscriptions
+            else None
+        )
     )
     assert there[key].type_name == "test_msgs/action/Fibonacci"
     assert (there[key].publishers, there[key].subscriptions) == (1, 1)

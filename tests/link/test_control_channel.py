@@ -24,6 +24,7 @@ class _Stream:
     handler: Any = None
     congested = False
     paused = False
+    received_at = 0.0
 
     def pause_reading(self) -> None:
         self.paused = True
@@ -57,3 +58,23 @@ def test_long_messages_are_taken_in_slowly(loop: VirtualLoop) -> None:
     assert first <= (_SECONDS + 8) << 20
     assert (_SECONDS - 2) << 20 <= then <= (_SECONDS + 2) << 20
     assert len(handled) == (first + then) // _READ
+
+
+def test_a_peer_whose_messages_wait_here_is_not_silent(loop: VirtualLoop) -> None:
+    """More of them came at once than are handled in the time after which a silent peer is given up."""
+    stream: Any = _Stream()
+    connection: Any = SimpleNamespace(receive_data=lambda _: [Received(Ping(1, 0))] * 8000)
+    handled: list[object] = []
+    handler: Any = SimpleNamespace(message=handled.append, lost=lambda *_: None)
+
+    async def run() -> None:
+        channel = ControlChannel(stream, connection, handler)
+        channel.received(b"all of them")
+        while len(handled) < 8000:
+            assert stream.paused
+            loop.jump(0.1)
+            channel._go_on()
+            assert stream.received_at == loop.time()
+        assert not stream.paused
+
+    loop.run_until_complete(run())

@@ -7,10 +7,12 @@ import socket
 import threading
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.support.bridge import happened, link, linked, now
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.config.keys import fingerprint, read_key
+from rsb_bridge.link import server_link
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client
 from rsb_bridge.model.snapshot import Level, State
@@ -25,6 +27,12 @@ if TYPE_CHECKING:
     from tests.support.bridge import Bridge
 
     from rsb_bridge.engine import Engine
+
+
+@pytest.fixture
+def heard_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine, too, the first client counts as one that is there."""
+    monkeypatch.setattr(server_link, "_SILENT", 60.0)
 
 
 def as_json(engine: Engine, name: str = "robot1") -> tuple[str, str, str]:
@@ -60,6 +68,7 @@ def test_a_robot_that_is_missing_was_last_seen_somewhere(bridge: Bridge) -> None
     assert (link(server).peer, link(server).cause) == (address, LinkCause.CLOSED)
 
 
+@pytest.mark.usefixtures("heard_of")
 def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> None:
     """Here both run on one machine, as with a second terminal; it is the same with two machines."""
     server, first = bridge.both()
@@ -72,11 +81,12 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
     assert f"UTC, at {link(server).peer} (host {host}): stop one of the two" in link(second).reason
     assert as_json(second) == ("down", "name_taken", link(second).reason)
     for engine in (server, first):
-        eventually(lambda engine=engine: link(engine).warning)
-        assert link(engine).cause == LinkCause.NAME_TAKEN
-        assert f"a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too" in link(engine).warning
-        assert as_json(engine)[:2] == ("ok", "name_taken")
-        assert as_json(engine)[2].startswith("a second client at 127.0.0.1")
+        # Each on its own: where the second client is late with its next attempt, the warning ends for a moment.
+        words = f"a second client at 127.0.0.1 (host {host}) calls itself 'robot1' too"
+        eventually(lambda engine=engine, words=words: words in link(engine).warning)
+        eventually(lambda engine=engine: link(engine).cause == LinkCause.NAME_TAKEN)
+        eventually(lambda engine=engine: as_json(engine)[:2] == ("ok", "name_taken"))
+        eventually(lambda engine=engine: as_json(engine)[2].startswith("a second client at 127.0.0.1"))
         event = happened(engine, EventCode.LINK_NAME_TAKEN)
         assert event is not None
         assert (event.link, event.level) == ("robot1", Level.WARNING)
@@ -88,6 +98,7 @@ def test_of_two_clients_of_one_name_the_first_keeps_the_link(bridge: Bridge) -> 
     eventually(lambda: linked(second) and linked(server) and link(server).warning == "")
 
 
+@pytest.mark.usefixtures("heard_of")
 def test_the_warning_of_a_second_client_ends_soon_after_it(bridge: Bridge) -> None:
     server, first = bridge.both()
     second = bridge.client()
@@ -115,6 +126,7 @@ def try_as(bridge: Bridge, host: str) -> None:
         assert not stream.recv(1 << 16), "the server has read the confirmation, and closes"
 
 
+@pytest.mark.usefixtures("heard_of")
 def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
     """Robots that were copied from one image."""
     server, first = bridge.both()
@@ -131,6 +143,7 @@ def test_several_second_clients_are_one_warning(bridge: Bridge) -> None:
     assert "(host spare1) calls itself 'robot1' too, and is refused" in event.text
 
 
+@pytest.mark.usefixtures("heard_of")
 def test_a_replay_is_no_second_client(bridge: Bridge) -> None:
     """Somebody without the key has recorded a client's first message, and sends it again."""
     server, first = bridge.both()
@@ -150,7 +163,7 @@ def test_a_client_takes_the_name_of_one_that_is_silent(bridge: Bridge) -> None:
     server, first = bridge.both()
     assert first._bridge is not None
     over = threading.Event()
-    first._bridge.context.loop.call_soon_threadsafe(over.wait, 30.0)
+    first._bridge.context.loop.call_soon_threadsafe(over.wait, 90.0)
     try:
         second = bridge.client()
         eventually(lambda: linked(second), what="linked")

@@ -153,11 +153,12 @@ def hear_all(pair: Pair) -> None:
 
 
 OPERATIONS = ("add", "remove", "pause", "resume", "limit", "unlimit", "lose", "hear")
+_ANY_MACHINE = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 steps = st.lists(st.tuples(st.booleans(), st.sampled_from(OPERATIONS)), max_size=25)
 
 
 @given(steps, st.sampled_from(["client", "server", "nobody"]), st.booleans())
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, deadline=None, suppress_health_check=_ANY_MACHINE)
 def test_both_sides_end_up_with_the_same_routes_in_the_same_state(
     make_pair: Callable[[], Pair],
     loop: VirtualLoop,

@@ -7,7 +7,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.soak import worlds
+from tests.soak import processes, worlds
 from tests.soak.faults import Fault
 from tests.soak.ledgers import Book
 from tests.soak.measures import Life, Sample
@@ -78,7 +78,8 @@ def test_a_ledger_that_does_not_balance() -> None:
     assert "negative: in_flight" in book.wrong[1]
 
 
-def test_one_kill_and_one_cut(tmp_path: Path, robot: Domain, pc: Domain) -> None:
+def test_one_kill_and_one_cut(tmp_path: Path, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "STOPS_WITHIN", _RECOVERY)
     stage = Stage(tmp_path, (pc.id, robot.id))
     told: list[str] = []
     try:

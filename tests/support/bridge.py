@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
+from weakref import WeakSet
 
-from tests.support.participants import KnownNode
+from tests.support.participants import KnownNode, agree
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -45,6 +46,9 @@ class Bridge:
         port: of the server.
         key_file: of both sides.
     """
+
+    started: ClassVar[WeakSet[Engine]] = WeakSet()
+    """All engines of this process."""
 
     def __init__(self, folder: Path, robot: Domain, pc: Domain) -> None:
         self.folder = folder
@@ -111,6 +115,7 @@ class Bridge:
         known = KnownNode(session.domain_id or 0, session.name)
         engine = Engine(session, base=self.folder, ros=ros or known)
         self._engines.append(engine)
+        self.started.add(engine)
         engine.start()
         return engine
 
@@ -191,16 +196,48 @@ def carries(publishers: Iterable[Publisher], receiver: Engine, topics: Iterable[
         receiver: the receiving engine.
         topics: their names on its side; somebody listens to each.
     """
-    publishers, topics = tuple(publishers), set(topics)
-    eventually(lambda: all(each.get_subscription_count() for each in publishers), what="subscribed")
-    eventually(lambda: listened_to(receiver) >= topics, what="heard by the listeners")
     from tests.support.domain import Domain
 
+    publishers, topics = tuple(publishers), set(topics)
+    eventually(lambda: opened(receiver) >= topics, what="open on both sides")
     domain_id = now(receiver).domain_id
+    near = {(each.id, one.topic_name) for each in Domain.joined for one in publishers if one in {*each.node.publishers}}
+    for known in near | {(domain_id, topic) for topic in topics}:
+        eventually(lambda known=known: agree(*known), what=f"all know the endpoints of {known}")
+    eventually(lambda: all(each.get_subscription_count() for each in publishers), what="subscribed")
+    eventually(lambda: listened_to(receiver) >= topics, what="heard by the listeners")
     listeners = [each for domain in Domain.joined if domain.id == domain_id for each in domain.listeners]
     for topic in topics & {each.topic for each in listeners}:
         there = [each for each in listeners if each.topic == topic]
         eventually(lambda there=there: any(each.matched for each in there), what="a listener knows who publishes")
+
+
+def opened(receiver: Engine) -> set[str]:
+    """The topics that an engine publishes, and that the other side sends it in the same opening of their route.
+
+    A side that has lost a route's channel closes it a moment before the other one hears of that.
+    """
+    assert receiver._bridge is not None
+    found = set()
+    for link in receiver._bridge.links():
+        for route in tuple(link.routes.values()):
+            if isinstance(route, IncomingRoute) and route.connected:
+                senders = _senders(receiver, link.name, route)
+                if not senders or any(each.id == route.id and each._subscribed for each in senders):
+                    found.add(route.remote_topic)
+    return found
+
+
+def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[OutgoingRoute]:
+    """A route's other half; there is none where that is in another process."""
+    bridges = [each._bridge for each in Bridge.started if each is not receiver and each._bridge is not None]
+    links = [link for bridge in bridges for link in bridge.links() if link.name == name]
+    return [
+        each
+        for link in links
+        for each in tuple(link.routes.values())
+        if isinstance(each, OutgoingRoute) and (each.topic, each.remote_topic) == (route.topic, route.remote_topic)
+    ]
 
 
 def listened_to(engine: Engine) -> set[str]:

@@ -309,12 +309,37 @@ class Goal:
         return self.handle().cancel_goal_async()
 
 
+class _ActionClient(ActionClient):  # type: ignore[misc]  # rclpy has no types
+    """rclpy notes what it asks for only after it has asked: no answer may be looked at in between, or it is ignored."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._asking = threading.Lock()
+        super().__init__(*args, **kwargs)
+
+    def send_goal_async(self, *args: Any, **kwargs: Any) -> Future:
+        with self._asking:
+            return super().send_goal_async(*args, **kwargs)
+
+    def _cancel_goal_async(self, goal_handle: ClientGoalHandle) -> Future:
+        with self._asking:
+            return super()._cancel_goal_async(goal_handle)
+
+    def _get_result_async(self, goal_handle: ClientGoalHandle) -> Future:
+        with self._asking:
+            return super()._get_result_async(goal_handle)
+
+    async def execute(self, taken_data: Any) -> None:
+        with self._asking:
+            pass  # whoever has asked has noted it
+        await super().execute(taken_data)
+
+
 class FibonacciClient(_Spun):
     """Sends goals."""
 
     def __init__(self, domain_id: int) -> None:
         super().__init__(domain_id, "fibonacci_client")
-        self.client = ActionClient(self.node, Fibonacci, ACTION, callback_group=ReentrantCallbackGroup())
+        self.client = _ActionClient(self.node, Fibonacci, ACTION, callback_group=ReentrantCallbackGroup())
 
     def _destroy(self) -> None:
         self.client.destroy()

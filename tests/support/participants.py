@@ -79,6 +79,31 @@ def _endpoints_of(node: Any) -> dict[str, tuple[int, int]]:
         return {each: (handle.get_count_publishers(each), handle.get_count_subscribers(each)) for each in topics}
 
 
+def agree(domain_id: int, topic: str) -> bool:
+    """Whether the participants of a domain know of the same endpoints of a topic, as far as their nodes have them.
+
+    One that has just been destroyed counts for those that have not heard of it yet, and one that is new does not.
+    """
+    nodes = [each for each, where in _present.items() if where == domain_id and not _gone(each)]
+    try:
+        names = {_name(each) for each in nodes}
+        return len({_known_of(each, topic, names) for each in nodes}) <= 1
+    except RuntimeError:  # one has left meanwhile
+        return False
+
+
+def _known_of(node: Any, topic: str, names: set[str]) -> frozenset[bytes]:
+    handle = getattr(node, "handle", node)
+    asks = _rclpy.rclpy_get_publishers_info_by_topic, _rclpy.rclpy_get_subscriptions_info_by_topic
+    with handle:
+        found = [each for ask in asks for each in ask(handle, topic, False)]
+    return frozenset(
+        bytes(each["endpoint_gid"])
+        for each in found
+        if f"{each['node_namespace'].rstrip('/')}/{each['node_name']}" in names
+    )
+
+
 class KnownNode(RosNode):
     """A bridge's node that is known to the others of this process before the bridge does anything."""
 

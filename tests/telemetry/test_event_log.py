@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.support.bridge import linked
+from tests.support.bridge import happened, linked
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
 
@@ -56,12 +56,13 @@ def test_a_peer_forges_no_line(field: str, bridge: Bridge, tmp_path: Path, monke
     with Rogue(bridge.port, read_key(bridge.folder / bridge.key_file).secret) as rogue:
         eventually(lambda: linked(server))
         rogue.say_raw(msgspec.msgpack.encode(message))
-        eventually(lambda: not linked(server))
+        eventually(lambda: happened(server, EventCode.LINK_LOST))
     (lost,) = [event for event in server.events() if event.code == EventCode.LINK_LOST]
     monkeypatch.chdir(tmp_path)
     lines = [text_event(lost), text_status(server.snapshot()), json_status(server.snapshot())]
-    exported = export_log(server.events()).read_text(encoding="utf-8").splitlines()
-    assert len(exported) == len(server.events())
+    events = server.events()
+    exported = export_log(events).read_text(encoding="utf-8").splitlines()
+    assert len(exported) == len(events)
     for line in [*lines, *exported]:
         assert line.isprintable()
         assert len(line) < 3000

@@ -139,6 +139,7 @@ class ControlChannel(StreamHandler):
 
     def _go_on(self) -> None:
         if not self.over:
+            self.stream.received_at = self._loop.time()  # who is not read for now is not silent
             self._act()
             self._resume()
 
