@@ -91,9 +91,10 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
         await answered(pilot, None)
         await shown(pilot, "waiting for a message")
         await shown(pilot, 'child_frame_id: "other"')  # the last one stays
+        await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
         await pilot.press("escape")
         await gone(pilot, "child_frame_id")
-        await until(pilot, lambda: engine.looking.cancelled(), "nobody looks any more")
+        await until(pilot, engine.looking.cancelled, "nobody looks any more")
 
     drive(app, steps)
 
