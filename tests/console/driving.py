@@ -1,7 +1,6 @@
 """Driving the app in a test: keys in, the screen's text out, conditions with deadlines."""
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -72,8 +71,11 @@ async def until(pilot: Pilot[None], condition: Callable[..., object], what: str,
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds} s: {what}\n{text(pilot.app)}"
-        with contextlib.suppress(ScreenStackError):  # the app has ended meanwhile
+        try:
             await pilot.pause(0.02)
+        except ScreenStackError:  # the app has ended, perhaps as it should
+            assert condition(), f"the app has ended without {what}"
+            return
 
 
 async def shown(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
