@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tests.console.scripted import SESSION, ScriptedEngine
-from textual.app import App
+from textual.app import App, ScreenStackError
 from textual.events import Paste
 from textual.pilot import Pilot
 
 from rsb_bridge.model.snapshot import RouteSnapshot
 from rsb_console.app import ConsoleApp
 from rsb_console.screens.form import FormScreen
+from rsb_console.terminal.input_queue import _is_idle
 from rsb_console.widgets.form import Form
 
 E = TypeVar("E", bound=ScriptedEngine)
@@ -70,7 +71,11 @@ async def until(pilot: Pilot[None], condition: Callable[..., object], what: str,
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"not within {seconds} s: {what}\n{text(pilot.app)}"
-        await pilot.pause(0.02)
+        try:
+            await pilot.pause(0.02)
+        except ScreenStackError:  # the app has ended, perhaps as it should
+            assert condition(), f"the app has ended without {what}"
+            return
 
 
 async def shown(pilot: Pilot[None], words: str, seconds: float = 60.0) -> None:
@@ -112,12 +117,44 @@ async def settled(pilot: Pilot[None], seconds: float = 60.0) -> None:
         before, same = text(pilot.app), same + 1 if text(pilot.app) == before else 0
 
 
+class Operator(Pilot[None]):
+    """Goes on only when the console has finished with a key or a click.
+
+    Textual's pilot goes on when the process rests, and so it does on a busy machine that lets it rest too early.
+    """
+
+    def __init__(self, app: ConsoleApp) -> None:
+        super().__init__(app)
+        self._console = app
+
+    async def press(self, *keys: str) -> None:
+        await super().press(*keys)
+        await self._finished()
+
+    async def click(self, *where: Any, **how: Any) -> bool:
+        await settled(self)  # what is clicked stays where it is
+        hit = await super().click(*where, **how)
+        await self._finished()
+        return hit
+
+    async def _finished(self) -> None:
+        app, queue = self._console, self._console.input_queue
+
+        def has_finished() -> bool:
+            if app._exit or app._exception is not None or not app.screen_stack:
+                return True
+            handles_none = queue._task is None and all(map(_is_idle, (app, *app.screen.walk_children(with_self=True))))
+            return handles_none and app._message_queue.empty()
+
+        await until(self, has_finished, "the console has finished with it")
+
+
 def drive(app: ConsoleApp, steps: Steps, size: tuple[int, int] = WIDE) -> None:
     """Run `app` without a terminal, and `steps` on it."""
 
     async def run() -> None:
-        async with app.run_test(size=size, notifications=True) as pilot:
-            await steps(pilot)
+        async with app.run_test(size=size, notifications=True):
+            await steps(Operator(app))
 
     asyncio.run(run())
 

@@ -236,6 +236,7 @@ class ScriptedEngine:
         self.templates: dict[str, str] = {}
         self.reloads = Reloaded(("/scan (transmit): max_rate none → 5.0",))
         self.looking: Future[PeekedMessage | None] = Future()
+        self.looking.cancel()  # nobody looks yet
 
     def start(self) -> None:
         self.running = True

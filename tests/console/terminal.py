@@ -51,6 +51,15 @@ class Terminal:
             except OSError:  # it has closed its end
                 time.sleep(min(seconds, 0.05))
 
+    def _read_all(self) -> None:
+        """Take what is left: the line gives a few kilobytes at a time."""
+        while select.select([self.fd], [], [], 0.05)[0]:
+            try:
+                part = os.read(self.fd, 65536)
+            except OSError:  # it has closed its end
+                return
+            self.output += part
+
     def wait_for(self, words: str, seconds: float = 120.0, *, after: int = 0) -> None:
         """Read until `words` have been written, beyond the first `after` bytes."""
         deadline = time.monotonic() + seconds
@@ -90,7 +99,7 @@ class Terminal:
             else:
                 time.sleep(0.02)
         if read and not self.hung_up:
-            self.read(0.05)
+            self._read_all()
         assert self.status is not None
         return self.status
 

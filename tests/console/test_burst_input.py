@@ -54,6 +54,7 @@ def opened(words: str, keys: Sequence[str]) -> dict[str, int]:
         await pilot.press(*keys)
         await shown(pilot, words)
         fields = form_of(app).fields
+        await until(pilot, lambda: app.focused is not None, "the focus")
         focusable = list(app.screen.focus_chain)
         assert app.focused is not None
         start = focusable.index(app.focused)

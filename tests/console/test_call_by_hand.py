@@ -76,7 +76,7 @@ def test_a_service_is_called_once_it_is_confirmed_and_answers(size: tuple[int, i
         await fill(pilot, request="data: true")
         await pilot.press("f9")
         await shown(pilot, "Call /robot1/set_mode?")
-        assert app.focused is app.screen.query_one("#no", Button), "No is what enter gives"
+        await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "No is what enter gives")
         await shown(pilot, "It is sent once, to the node behind 10.0.0.20:49152:")
         assert calls(app) == []
         await pilot.press("y")
@@ -315,6 +315,7 @@ async def test_an_answer_is_laid_out_once(app: ConsoleApp, pilot: Pilot[None]) -
     pane = app.screen.query_one("#answer", ScrolledLines)
     await pilot.press("G")
     await shown(pilot, "line_1999: 1999")
+    await settled(pilot)
     shown_lines, at = pane._lines, pane.scroll_offset
     put(app, call_route("service", "/robot1/set_mode", State.DOWN, reason="no server any more"))
     await shown(pilot, "no server any more")  # drawn by the timer
@@ -358,9 +359,9 @@ def test_answers_are_wrapped_and_nothing_in_them_is_obeyed() -> None:
 async def test_read_only_calls_nothing(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await gone(pilot, "C call")
     await pilot.press("C")
+    await until(pilot, lambda: any("read-only" in each.message for each in app._notifications), "why not")
     await settled(pilot)
     assert app.screen is app.main
-    await until(pilot, lambda: any("read-only" in each.message for each in app._notifications), "why not")
     assert calls(app) == []
 
 

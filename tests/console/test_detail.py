@@ -55,6 +55,7 @@ def test_the_keys_of_a_list_scroll_it() -> None:
         await pilot.press("enter")
         pane = app.main.detail
         await until(pilot, lambda: pane.has_focus and pane.max_scroll_y > 3, "more than fits")
+        await settled(pilot)
         for key, y in [
             ("j", 1), ("down", 2), ("k", 1), ("up", 0), ("G", pane.max_scroll_y), ("g", 0),
             ("end", pane.max_scroll_y), ("home", 0),

@@ -26,7 +26,7 @@ async def test_log_levels_and_search(app: ConsoleApp, pilot: Pilot[None]) -> Non
     await gone(pilot, "a detail")
     await pilot.press("L")
     await shown(pilot, "Log ▸ WARN+")
-    assert "flowing" not in text(app).split("Log ▸")[1]
+    await until(pilot, lambda: "flowing" not in text(app).split("Log ▸")[1], "no INFO in the log")
     await pilot.press("L")
     await shown(pilot, "Log ▸ ERROR+")
     await pilot.press("L")

@@ -121,7 +121,7 @@ async def test_pause_and_resume(app: ConsoleApp, pilot: Pilot[None]) -> None:
 async def test_quitting_while_linked_asks_with_the_focus_on_no(app: ConsoleApp, pilot: Pilot[None]) -> None:
     await pilot.press("q")
     await shown(pilot, "Quit?")
-    assert app.focused is app.screen.query_one("#no", Button)
+    await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "the focus on No")
     await pilot.press("enter")
     await gone(pilot, "Quit?")
     for key in ("ctrl+q", "ctrl+c"):

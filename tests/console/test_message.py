@@ -29,6 +29,7 @@ from textual.pilot import Pilot
 from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_console.app import ConsoleApp
 from rsb_console.look.message_lines import hex_lines, message_lines, plain
 from rsb_console.session.reading import ReadMessage, read_message
 
@@ -61,6 +62,14 @@ def odometry(frame: str = "base") -> Odometry:
     return message
 
 
+async def answered(pilot: Pilot[None], message: PeekedMessage | None) -> None:
+    """Let a message come once the screen waits for the next one, which may be after it has drawn the one before."""
+    assert isinstance(pilot.app, ConsoleApp)
+    engine = engine_of(pilot.app)
+    await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
+    engine.looking.set_result(message)
+
+
 @pytest.mark.parametrize("keys", [["v"], ["enter", "enter"]])
 def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list[str]) -> None:
     app = scripted_app()
@@ -76,12 +85,13 @@ def test_a_topic_shows_its_latest_message_and_goes_on_with_what_comes(keys: list
         assert "nav_msgs/msg/Odometry  716 B, came over the link in 3.1 ms at " in screen
         assert "header.stamp 5.0 ms before (the stamp's publisher's clock to this machine's)" in screen
         assert engine.commands[:2] == [("peek", "/robot2/scan", True), ("describe", "/robot2/scan")]
-        engine.looking.set_result(peeked(odometry("other")))
+        await answered(pilot, peeked(odometry("other")))
         await shown(pilot, 'child_frame_id: "other"')
         assert engine.commands.count(("describe", "/robot2/scan")) == 1, "the type is known"
-        engine.looking.set_result(None)
+        await answered(pilot, None)
         await shown(pilot, "waiting for a message")
         await shown(pilot, 'child_frame_id: "other"')  # the last one stays
+        await until(pilot, lambda: not engine.looking.done(), "a look at the next message")
         await pilot.press("escape")
         await gone(pilot, "child_frame_id")
         await until(pilot, engine.looking.cancelled, "nobody looks any more")
@@ -126,7 +136,7 @@ def test_a_message_can_be_held() -> None:
         await shown(pilot, 'data: "first"')
         await pilot.press("space")
         await shown(pilot, "HELD")
-        engine.looking.set_result(peeked(String(data="second")))
+        await answered(pilot, peeked(String(data="second")))
         await pilot.press("space")
         await shown(pilot, 'data: "second"')
 

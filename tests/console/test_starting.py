@@ -23,7 +23,7 @@ class Slow(ScriptedEngine):
         self.was_started = False
 
     def start(self) -> None:
-        assert self.may_start.wait(20)
+        assert self.may_start.wait(60)
         super().start()
         self.was_started = True
         self.now = replace(self.now, running=True)

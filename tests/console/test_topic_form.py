@@ -291,7 +291,8 @@ def test_a_restart_asks_then_shows_its_steps() -> None:
         await gone(pilot, "Restart the bridge?")
         assert engine_of(app).commands == []
         await pilot.press("R", "y")
-        await shown(pilot, "✓ restarted")
+        for words in ("telling the peer", "sockets closed", "✓ restarted"):
+            await shown(pilot, words)
         assert text(app).index("telling the peer") < text(app).index("sockets closed") < text(app).index("restarted")
         await pilot.press("enter")
         await gone(pilot, "✓ restarted")

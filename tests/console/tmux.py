@@ -1,5 +1,6 @@
 """A terminal multiplexer under a real command."""
 
+import contextlib
 import os
 import subprocess
 import time
@@ -37,4 +38,5 @@ class Tmux:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self("kill-server")
+        with contextlib.suppress(subprocess.CalledProcessError):  # it has ended with its last command
+            self("kill-server")
