@@ -227,7 +227,7 @@ class RemoteEngine(EngineApi):
 
         def convert_answer(_: Future[object]) -> None:
             error = answered.exception()
-            if done.cancelled():
+            if not done.set_running_or_notify_cancel():
                 return
             if error is not None:
                 done.set_exception(error)
