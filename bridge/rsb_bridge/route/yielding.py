@@ -123,11 +123,14 @@ class Yielding:
         """
         if share is None and self.share is None:
             return
-        self.share = share
+        before, self.share = self.share, share
         if share is None:
-            self._rate = 0.0
+            self._rate = self._next_at = 0.0
             self._throttle.adjust(0.0)
             return
+        if before is not None:  # the last message takes as long as it would have with this share
+            left = self.wait(now) * max(1.0, before.bytes_per_second)
+            self._next_at = now + left / max(1.0, share.bytes_per_second)
         latched = qos is not None and qos.latched
         self._thins = not latched and (low or qos is None or qos.reliability == "best_effort")
         rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self._thins else 0.0
