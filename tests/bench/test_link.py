@@ -126,6 +126,26 @@ def test_one_way_does_not_close_a_loop_with_the_other(pair: Callable[..., Pair])
             assert (found.sent, found.received) == (40, 40), (transport, direction)
 
 
+def test_a_run_whose_topic_is_opened_anew_has_no_figures(pair: Callable[..., Pair]) -> None:
+    """As where the link is lost, and back soon: the other side has counted from 0 since."""
+    both = pair(to_client=LEAVE)
+    both.run(both.client)
+    running = both.client.bench(Order("run", "", "tcp", "transmit", 2500, 50.0, 100))
+
+    async def open_anew(bridge: Bridge) -> bool:
+        (link,) = bridge.links()
+        (route,) = link.routes.values()
+        source = synthetic_of(bridge.context.ros).sources[route.local_topic, link.name]  # type: ignore[union-attr]
+        if not source.busy or source.sent < 20:
+            return False
+        link.table.propose(route)
+        return True
+
+    eventually(lambda: both.client._command(open_anew).result(WITHIN), WITHIN)
+    with pytest.raises(EngineError, match="anew"):
+        running.result(WITHIN)
+
+
 def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> None:
     both = pair(to_server=LEAVE)
     assert both.run(both.server, link="robot1").received == 40

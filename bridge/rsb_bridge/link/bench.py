@@ -228,7 +228,7 @@ class LinkBench:
 
     async def _run(self, order: Order) -> Outcome:
         route = await self._opened(order)
-        sends = route.outgoing
+        sends, opening = route.outgoing, route.id
         theirs = await self._ask(route, reset=True)
         if 0 < theirs.max_rate < order.rate:
             raise LinkError(f"{REFUSED}: it allows {theirs.max_rate:g} messages a second to a benchmark")
@@ -256,6 +256,8 @@ class LinkBench:
             answer = await self._ask(route)
             sent, rate, received = answer.sent, answer.rate or answer.sent / (self._now() - began), drain.count
             latencies = drain.arrived.latencies
+        if route.id != opening:
+            raise LinkError("the topic was opened anew meanwhile, so that not all that came was counted")
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
