@@ -43,6 +43,7 @@ class Context:
         random: for jitter; never for secrets.
         transports: what links and routes run over.
         limited: the way to `events` for what a peer may be the cause of.
+        now: seconds on the clock that all timers use; nobody sets it.
         announcements: what this bridge and the others in its domain tell each other.
         descriptions: of the message types that somebody looks at.
         parameter_events: of the nodes whose parameters are bridged.
@@ -60,6 +61,7 @@ class Context:
     random: Random = field(default_factory=Random)
     transports: Transports = field(default_factory=default_transports)
     limited: RateLimitedEventLog = field(init=False)
+    now: Callable[[], float] = field(init=False)
     announcements: Announcements = field(init=False)
     descriptions: TypeDescriptions = field(init=False)
     parameter_events: ParameterEvents = field(init=False)
@@ -67,6 +69,7 @@ class Context:
     meant: Meant = field(init=False)
 
     def __post_init__(self) -> None:
+        self.now = self.loop.time
         self.limited = RateLimitedEventLog(self.events, self.now)
         self.announcements = Announcements(self.ros, self.loop, self._warn)
         self.descriptions = TypeDescriptions(self.ros, self.now)
@@ -90,10 +93,6 @@ class Context:
         """Do something on the I/O thread, from another; nothing happens once the engine has stopped."""
         with contextlib.suppress(RuntimeError):
             self.loop.call_soon_threadsafe(work)
-
-    def now(self) -> float:
-        """Seconds on the clock that all timers use. Nobody sets it."""
-        return self.loop.time()
 
     def wall(self) -> float:
         """Seconds since the epoch on the wall clock, which may be set at any time."""

@@ -58,6 +58,14 @@ class Outbox:
                 return smaller, stamp, flags | ZSTD
         return payload, stamp, flags
 
+    def pass_on(self, messages: Sequence[Message], size: int, channel: SendingChannel) -> bool:
+        """Send messages, of `size` bytes together, that would only pass through the queue; False: they have to wait."""
+        if self._queue or channel.congested or len(messages) > _BATCH or size > min(self._largest, channel.batch_bytes):
+            return False
+        self._ledger.sent(len(messages))
+        channel.send(messages)
+        return True
+
     def add(self, messages: Sequence[Message], now: float, publisher: bytes, limits: QueueLimits) -> None:
         """Have messages of one publisher wait, at `now` (s), within the limits."""
         self._queue.add([message for message in messages if self._fits(len(message[0]))], now, publisher)

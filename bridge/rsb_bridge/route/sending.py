@@ -160,15 +160,18 @@ class Sending:
         if not self._route.connected:
             self._ledger.drop("link lost", len(messages))
             return
-        if messages:
+        channel, yielding = self._route.channel, self._route.yielding
+        if messages and channel is not None:
             size = sum([len(message[0]) for message in messages])
             self._route.count(len(messages), size)
-            channel, yielding = self._route.channel, self._route.yielding
             yielding.packed(len(messages), size)
-            congested = yielding.holds or (channel is not None and channel.congested)
-            profile = self._route.peer.profile
+            holds, now = yielding.holds, self._context.now()
+            if not holds and self._outbox.pass_on(messages, size, channel):
+                yielding.busy(channel.congested, now)
+                return
+            congested, profile = holds or channel.congested, self._route.peer.profile
             limits = self._outbox.limits(self._route.qos, depth, congested=congested, profile=profile)
-            self._outbox.add(messages, self._context.now(), publisher, limits)
+            self._outbox.add(messages, now, publisher, limits)
             self.flush()
 
     def flush(self) -> None:

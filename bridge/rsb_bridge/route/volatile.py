@@ -67,9 +67,9 @@ class VolatileTopic:
             SlowSubscriberError: it would take too much memory.
         """
         size = len(content) + _MESSAGE_COST
-        if self._held + size - self._memory > self._held_when_asked + FREE:
+        if self._held + size - self._memory() > self._held_when_asked + FREE:
             self._recycle()
-        self._take(size)
+        self._take(size, self._memory())
         self._publisher.publish(content)
 
     def close(self) -> None:
@@ -80,7 +80,6 @@ class VolatileTopic:
         self._waiting.clear()
         self._free.clear()
 
-    @property
     def _memory(self) -> int:
         """Size of the memory that DDS uses for the next message, as far as it is large enough."""
         if len(self._waiting) >= self._depth:
@@ -99,12 +98,12 @@ class VolatileTopic:
         else:
             self._asks_at = now + _ASKS_AGAIN_AFTER
 
-    def _take(self, size: int) -> None:
-        growth = max(0, size - self._memory)
+    def _take(self, size: int, memory: int) -> None:
+        growth = max(0, size - memory)
         charge = max(0, self._held + growth - FREE) - self._charged
         if charge > 0 and not self._charge(charge):
             raise SlowSubscriberError(self._budget.limit)
-        self._waiting.append(self._memory + growth)
+        self._waiting.append(memory + growth)
         if len(self._waiting) > self._depth:
             self._waiting.popleft()
         elif self._free:

@@ -1,0 +1,32 @@
+"""The profile for large messages that comes with the program."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.support.locks import two_domains
+
+_PROFILE = Path(__file__).parents[2] / "configs" / "fastdds-large-messages.xml"
+_SEGMENT = 32 * 1024 * 1024
+_NODE = """
+import sys, rclpy
+rclpy.init(domain_id=int(sys.argv[1]))
+node = rclpy.create_node("large")
+for line in open("/proc/self/maps"):
+    if "/dev/shm/fastrtps_" in line and "port" not in line:
+        begin, end = (int(each, 16) for each in line.split()[0].split("-"))
+        print(end - begin)
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def test_fast_dds_takes_the_profile() -> None:
+    environ = os.environ | {"FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE)}
+    command = [sys.executable, "-c", _NODE, str(two_domains())]
+    ran = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=120, check=True)
+    assert "Error" not in ran.stderr
+    assert 0.9 * _SEGMENT < max(map(int, ran.stdout.split())) < 1.1 * _SEGMENT
