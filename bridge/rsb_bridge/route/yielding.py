@@ -30,10 +30,8 @@ PER_MESSAGE = 60
 """Bytes that a message takes on the wire beside its content, about: header, seal and its part of the packets'."""
 _SHOWN = 5.0
 """s that a topic counts as thinned after the last message that was left out."""
-
-
 _FADES = 0.8
-"""A second: what a topic's average message is taken from."""
+"""The part of the messages so far that still counts a second later, for the size of the average one."""
 
 
 class Share(NamedTuple):
@@ -101,7 +99,7 @@ class Yielding:
         self._rate = 0.0
         self._offered = 0
         self._messages, self._bytes, self._before = 0.0, 0.0, 0.0  # packed lately, and until the last look
-        self._gone = 0  # while held back, since the last look
+        self._gone = 0  # messages that were sent while the topic is held back, since the last look
         self._size = 0.0
         self._wanted = Smoothed(now)
         self._crossed = Smoothed(now)
