@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 from tests.support.offline import NoRos
 from tests.support.ports import free_port
@@ -45,6 +46,10 @@ class Endpoint:
 class QuietRos(NoRos):
     """Takes the bridge's own announcements, and nothing comes of them."""
 
+    def __init__(self, instance_id: str = NoRos.instance_id) -> None:
+        self.instance_id = instance_id
+        self.node_name = f"rsb_bench_{instance_id}"
+
     def subscribe(self, topic: str, *_: object, **__: object) -> Any:
         assert "rsb_bench" not in topic, "DDS hears of a synthetic topic"
         return Endpoint()
@@ -84,7 +89,10 @@ def pair(tmp_path: Path) -> Iterator[Callable[..., Pair]]:
             name="pc", role="server", use_name=True, clients=(Client("robot1", "k.key", bench=to_client),), **common
         )
         client = Session(name="robot1", role="client", key_file="k.key", bench=to_server, **common)
-        engines = [Engine(session, base=tmp_path, ros=QuietRos()) for session in (server, client)]
+        engines = [
+            Engine(msgspec.structs.replace(session, domain_id=number), base=tmp_path, ros=QuietRos(f"{number:08x}"))
+            for number, session in enumerate((server, client))
+        ]
         for engine in engines:
             started.append(engine)
             engine.start()
@@ -109,6 +117,35 @@ def test_messages_cross_both_ways_and_are_counted(pair: Callable[..., Pair], tra
     assert found.usage.memory > 0
 
 
+def test_one_way_does_not_close_a_loop_with_the_other(pair: Callable[..., Pair]) -> None:
+    """One after the other, while the topics of all are still there."""
+    both = pair(to_client=LEAVE)
+    for direction in ("transmit", "receive", "transmit"):
+        for transport in ("tcp", "udp"):
+            found = both.run(both.client, transport=transport, direction=direction)
+            assert (found.sent, found.received) == (40, 40), (transport, direction)
+
+
+def test_a_run_whose_topic_is_opened_anew_has_no_figures(pair: Callable[..., Pair]) -> None:
+    """As where the link is lost, and back soon: the other side has counted from 0 since."""
+    both = pair(to_client=LEAVE)
+    both.run(both.client)
+    running = both.client.bench(Order("run", "", "tcp", "transmit", 2500, 50.0, 100))
+
+    async def open_anew(bridge: Bridge) -> bool:
+        (link,) = bridge.links()
+        (route,) = link.routes.values()
+        source = synthetic_of(bridge.context.ros).sources[route.local_topic, link.name]  # type: ignore[union-attr]
+        if not source.busy or source.sent < 20:
+            return False
+        link.table.propose(route)
+        return True
+
+    eventually(lambda: both.client._command(open_anew).result(WITHIN), WITHIN)
+    with pytest.raises(EngineError, match="anew"):
+        running.result(WITHIN)
+
+
 def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> None:
     both = pair(to_server=LEAVE)
     assert both.run(both.server, link="robot1").received == 40
@@ -119,6 +156,33 @@ def test_without_leave_it_is_refused_in_a_plain_sentence(pair: Callable[..., Pai
     both = pair()
     for engine in (both.client, both.server):
         assert "measure this link: add bench: {}" in both.refused(engine)
+
+
+def test_two_clients_that_measure_at_once_have_their_own_figures(tmp_path: Path) -> None:
+    """Their topics have one name on a server that puts no client's name before them."""
+    port, names = free_port(), ("robot1", "robot2")
+    for name in names:
+        write_key(tmp_path / f"{name}.key")
+    clients = tuple(Client(name, f"{name}.key", bench=LEAVE) for name in names)
+    common: dict[str, Any] = {"server_ip": "127.0.0.1", "server_port": port, "shutdown_topic": None}
+    sessions = [Session(name="pc", role="server", domain_id=1, clients=clients, **common)]
+    sessions += [
+        Session(name=name, role="client", domain_id=domain, key_file=f"{name}.key", **common)
+        for domain, name in enumerate(names, 2)
+    ]
+    engines = [Engine(session, base=tmp_path, ros=QuietRos(f"{number:08x}")) for number, session in enumerate(sessions)]
+    try:
+        for engine in engines:
+            engine.start()
+        eventually(lambda: all(link.state is State.OK for each in engines for link in each.snapshot().links), WITHIN)
+        for direction in ("transmit", "receive"):
+            orders = [Order("run", "", "tcp", direction, 2500, rate, 60) for rate in (50.0, 30.0)]
+            under_way = [engine.bench(order) for engine, order in zip(engines[1:], orders, strict=True)]
+            found = [each.result(WITHIN) for each in under_way]
+            assert [(each.sent, each.received) for each in found] == [(60, 60)] * 2
+    finally:
+        for engine in engines:
+            engine.stop()
 
 
 def test_a_session_does_not_keep_the_topics(pair: Callable[..., Pair]) -> None:
@@ -174,7 +238,7 @@ def test_a_higher_rate_than_the_leave_has_is_not_made(pair: Callable[..., Pair])
 def test_who_sends_faster_all_the_same_is_cut_off(pair: Callable[..., Pair]) -> None:
     both = pair(to_client=Leave(max_rate=100.0))
     both.run(both.client, rate=50.0, count=5)
-    source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit"]  # type: ignore[union-attr]
+    source = synthetic_of(both.client._bridge.context.ros).sources["/rsb_bench/tcp/transmit", "robot1"]  # type: ignore[union-attr]
     source.start(100, 1000.0, 5000)
     eventually(lambda: not both.server.snapshot().routes, WITHIN)
 

@@ -53,6 +53,18 @@ def test_large_messages_go_one_by_one() -> None:
     assert sizes == [1] * 5
 
 
+def test_a_sender_that_does_not_keep_up_ends_and_says_how_fast_it_was() -> None:
+    clocks = Clocks()
+
+    def slow(_: Sequence[RawMessage]) -> None:
+        clocks.passed += 64.0
+
+    source = Source(slow, clocks, lambda: None)
+    source.send(100, 100.0, 10_000)
+    assert 64 < source.sent < 300
+    assert 0.5 < source.rate < 1.5
+
+
 def test_what_arrives_is_counted_with_its_latency() -> None:
     clocks = Clocks()
     drain = Drain(clocks, lambda: None)
@@ -79,10 +91,10 @@ def test_only_these_topics_are_synthetic_and_only_as_long_as_they_are_open() -> 
         ros.advertise("/scan", "a/msg/B", "", Qos(), "")
     publisher = ros.advertise(TOPIC, "a/msg/B", "", Qos(), "")
     subscription = ros.subscribe(TOPIC, "a/msg/B", "", Qos(), lambda _: None, "")
-    assert [*ros.drains, *ros.sources] == [TOPIC, TOPIC]
+    assert [*ros.drains, *ros.sources] == [(TOPIC, ""), (TOPIC, "")]
     newer = ros.advertise(TOPIC, "a/msg/B", "", Qos(), "")
     publisher.close()
-    assert ros.drains == {TOPIC: newer}
+    assert ros.drains == {(TOPIC, ""): newer}
     newer.close()
     subscription.close()
     assert not ros.drains

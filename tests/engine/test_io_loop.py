@@ -338,6 +338,23 @@ def test_numbers_stay_in_order_and_alone_while_threads_change_all_the_time(loop:
     assert errors == []
 
 
+class Fails:
+    def offer(self, batch: Sequence[int]) -> None:
+        raise KeyError(batch)
+
+
+def test_a_receiver_that_fails_does_not_keep_from_the_others_what_came_with_its_own(loop: IoLoop) -> None:
+    errors: list[dict[str, Any]] = []
+    loop.set_exception_handler(lambda _, details: errors.append(details))
+    queue, received = RosToLoopQueue(loop, loop.do_now), Numbers()
+    with in_a_callback(loop):
+        queue.put(received, [1])
+        queue.put(Fails(), [2])
+        queue.put(received, [3])
+    eventually(lambda: received.numbers == [1, 3])
+    assert len(errors) == 1
+
+
 @pytest.mark.usefixtures("threads_change_often")
 @pytest.mark.parametrize("topic", ["/tcp", "/udp"])
 def test_a_bridge_keeps_the_order_while_threads_change_all_the_time(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import msgspec
 import pytest
 
@@ -10,6 +12,7 @@ from rsb_bridge.link.roles import FEATURES
 from rsb_bridge.model.priority import FEATURE, RANKS, priority_of, weight_of
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.limits import limits_changed
+from rsb_bridge.route.route import Route
 from rsb_bridge.transport.registry import default_transports
 from rsb_bridge.wire.amending import Amend
 from rsb_bridge.wire.messages import Propose
@@ -23,6 +26,16 @@ def proposal(topic: Topic) -> Propose:
 def test_there_and_back(priority: str) -> None:
     topic = msgspec.convert({"topic": "/scan", "direction": "transmit", "priority": priority}, Topic)
     assert topic_of(proposal(topic)).priority == priority
+
+
+def test_a_newer_side_s_ranks_count_as_the_nearest_word() -> None:
+    """Else each of them would keep a part of the link, until nothing is left for the highest."""
+    proposed = proposal(Topic("/scan", "transmit"))
+    ranks = [
+        Route.rank.fget(SimpleNamespace(proposal=msgspec.structs.replace(proposed, priority=rank)))  # type: ignore[attr-defined]
+        for rank in range(-100, 101)
+    ]
+    assert ranks == [-1] * 100 + [0] + [1] * 100
 
 
 def test_an_older_side_proposes_none() -> None:

@@ -44,6 +44,30 @@ def test_messages_of_all_sizes_are_exact(open_node: Callable[..., RosNode], even
         assert payload == _payload(size)
 
 
+def test_the_first_ones_do_not_wait_until_many_are_taken(
+    open_node: Callable[..., RosNode], eventually: Callable[..., Any]
+) -> None:
+    """Nor are all of them held at once by what takes them."""
+    sender, receiver = open_node(name="sender"), open_node(name="receiver")
+    batches: list[list[int]] = []
+    goes_on = threading.Event()
+
+    def take(batch: Any) -> None:
+        batches.append([len(each.payload) for each in batch])
+        goes_on.wait(60.0)
+
+    arguments = ("/many", "made_up_msgs/msg/Blob", _HASH, Qos(depth=100))
+    receiver.subscribe(*arguments, take, "link")
+    publisher = sender.advertise(*arguments, "link")
+    eventually(lambda: publisher.subscriber_count)
+    for _ in range(60):
+        publisher.publish(_payload(200_000))
+    eventually(lambda: batches and publisher.acknowledged)
+    goes_on.set()
+    eventually(lambda: sum(map(len, batches)) == 60)
+    assert max(map(sum, batches)) < (4 << 20) + 200_000
+
+
 def test_our_own_large_messages_are_left_out(open_node: Callable[..., RosNode], eventually: Callable[..., Any]) -> None:
     """And what comes after them is whole."""
     ours, other = open_node(), open_node(name="other")

@@ -123,3 +123,30 @@ def test_it_goes_on_once_the_subscriber_does() -> None:
         topic.publish(bytes(1_000_000))
         now.s += 0.01
     assert pool.held <= LIMIT / 2
+
+
+def test_larger_messages_than_those_that_filled_it_go_on() -> None:
+    """DDS has memory enough, but none of it is large enough, and it never gives any back."""
+    now, budget = Time(), Budget(LIMIT)
+    pools = [Pool(1000)]
+
+    def renew() -> Pool:
+        pools.append(Pool(1000))
+        return pools[-1]
+
+    topic = VolatileTopic(pools[0], 1000, budget, now, renew)
+    pools[0].stopped = True
+    fill(topic)
+    for _ in range(3):
+        with pytest.raises(SlowSubscriberError):
+            topic.publish(bytes(6_000_000))
+    pools[0].stopped = False
+    now.s += 1.0
+    for _ in range(100):
+        topic.publish(bytes(6_000_000))
+        now.s += 0.01
+    assert len(pools) == 2
+    assert not pools[0].held
+    assert pools[1].held <= LIMIT / 2
+    topic.close()
+    assert budget.held == 0

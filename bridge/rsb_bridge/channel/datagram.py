@@ -178,8 +178,10 @@ class DatagramReceiver(_DatagramChannel):
         """Give up messages whose fragments did not come in time."""
         self._codec.expire(now, _EXPIRE)
         if self._buffer < RECEIVE_BUFFER:  # its limit may have been raised
-            self._buffer = self.carrier.socket.receive_buffer
-            self._due = self._buffer // _RECEIPTS_PER_BUFFER
+            before, self._buffer = self._buffer, self.carrier.socket.receive_buffer
+            if self._buffer != before:
+                # At once: the sender, whose window is still the old one, would wait for a receipt each time.
+                self._since_receipt = self._due = self._buffer // _RECEIPTS_PER_BUFFER
 
     def _check_buffer(self, largest: int) -> None:
         if largest > self._buffer // WINDOW:

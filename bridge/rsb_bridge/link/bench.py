@@ -71,8 +71,10 @@ class LinkBench:
         self._used_at = 0.0
         self._stopped_until = float("-inf")
         self._busy = False
-        self._seen: dict[str, tuple[int, int]] = {}
-        """Of the peer's topics: messages and bytes that had come at the last tick."""
+        self._seen: dict[Drain, tuple[int, int]] = {}
+        """What the peer sends to: messages and bytes that had come at the last tick."""
+        self._own: set[Drain] = set()
+        """What this side has the peer send to, which costs the peer nothing."""
 
     # --- for the peer
 
@@ -106,7 +108,6 @@ class LinkBench:
         source, drain = self._ends(route)
         if ask.reset and drain is not None:
             drain.reset()
-            self._seen.pop(route.key, None)
         problem = self._send_for_peer(ask, route, source) if ask.count else ""
         usage, arrived = self.usage(), drain.arrived if drain is not None else Arrived(0, (0.0, 0.0, 0.0))
         leave = self._link.rights.bench
@@ -129,33 +130,50 @@ class LinkBench:
         """Begin to send for the peer; why that is not done, or empty."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
             return "this side does not send on that topic"
-        if source.busy:
+        if any(self._sends_for_peer(each) for each in self._routes()):
             return "this side still sends what was asked for before"
-        seconds = ask.count / max(ask.rate, 1e-3)
+        size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
-        if refused := self._budget.refusal(self._link.rights.bench, seconds, ask.size * ask.count, ask.rate):
+        if refused := self._budget.refusal(self._link.rights.bench, seconds, size * ask.count, ask.rate):
             return refused
-        self._budget.spend(seconds, ask.size * ask.count)
-        source.start(max(ask.size, LEAST_SIZE), ask.rate, ask.count)
+        self._budget.spend(seconds, size * ask.count)
+        source.start(size, ask.rate, ask.count)
         return ""
 
     def tick(self) -> None:
         """Once a second: count what the peer has caused, and remove the topics of a benchmark that has gone."""
+        count, size = self._come()
+        if count:
+            self._budget.spend(1.0, size)
+        rate = max(0.0, count - _MORE_AT_ONCE) / _MORE
+        refused = self._budget.refusal(self._link.rights.bench, rate=rate)
         for route in self._routes():
-            if route.proposed_here:
-                if not self._busy and self._now() - self._used_at > _IDLE_FOR:
-                    self._link.table.remove(route, _ENDED)
-                continue
-            _, drain = self._ends(route)
-            count, size = (drain.count, drain.bytes) if drain is not None else (0, 0)
-            before, bytes_before = self._seen.get(route.key, (0, 0))
-            if count > before:
-                self._budget.spend(1.0, size - bytes_before)
-            self._seen[route.key] = count, size
-            rate = max(0.0, count - before - _MORE_AT_ONCE) / _MORE
-            if refused := self._budget.refusal(self._link.rights.bench, rate=rate):
-                self._link.table.deny(route, refused)
+            if not route.proposed_here:
+                if refused:
+                    self._link.table.deny(route, refused)
+            elif not self._busy and self._now() - self._used_at > _IDLE_FOR:
+                self._link.table.remove(route, _ENDED)
+
+    def _come(self) -> tuple[int, int]:
+        """Messages and bytes that the peer has sent since the last tick, also on topics that are gone."""
+        if self._synthetic is None:
+            return 0, 0
+        messages = size = 0
+        opened = dict.fromkeys(self._synthetic.opened(self._link.name), (0, 0))
+        for drain, (messages_before, bytes_before) in (self._seen | opened).items():
+            if drain not in self._own:
+                messages += drain.messages - messages_before
+                size += drain.bytes - bytes_before
+            self._seen[drain] = drain.messages, drain.bytes
+            if drain.closed:
+                del self._seen[drain]
+                self._own.discard(drain)
+        return messages, size
+
+    def _sends_for_peer(self, route: Route) -> bool:
+        source, _ = self._ends(route)
+        return source is not None and source.busy and not route.proposed_here
 
     # --- for this side's operator
 
@@ -184,7 +202,6 @@ class LinkBench:
     def disconnected(self) -> None:
         """The connection is over."""
         self._questions.disconnected()
-        self._seen.clear()
 
     def usage(self) -> Usage:
         """What this process has used so far, with the bytes of this link."""
@@ -211,7 +228,7 @@ class LinkBench:
 
     async def _run(self, order: Order) -> Outcome:
         route = await self._opened(order)
-        sends = route.outgoing
+        sends, opening = route.outgoing, route.id
         theirs = await self._ask(route, reset=True)
         if 0 < theirs.max_rate < order.rate:
             raise LinkError(f"{REFUSED}: it allows {theirs.max_rate:g} messages a second to a benchmark")
@@ -220,6 +237,8 @@ class LinkBench:
             source, _ = self._ends(route)
             if source is None:
                 raise LinkError(_why_not(route))
+            if source.busy:
+                raise LinkError("the run before is not over yet")
             source.start(order.size, order.rate, order.count)
             await self._until_idle(lambda: source.busy, order)
             answer = await self._settled_there(route, order)
@@ -230,11 +249,15 @@ class LinkBench:
             if drain is None:
                 raise LinkError(_why_not(route))
             drain.reset()
+            self._own.add(drain)
+            began = self._now()
             await self._ask(route, size=order.size, rate=order.rate, count=order.count)
             await self._settled_here(drain, order)
             answer = await self._ask(route)
-            sent, rate, received = answer.sent, answer.rate or order.rate, drain.count
+            sent, rate, received = answer.sent, answer.rate or answer.sent / (self._now() - began), drain.count
             latencies = drain.arrived.latencies
+        if route.id != opening:
+            raise LinkError("the topic was opened anew meanwhile, so that not all that came was counted")
         now = self.usage()
         mine = _between(ours, now)
         peers = _between(_usage_in(theirs), _usage_in(answer))
@@ -289,13 +312,14 @@ class LinkBench:
         return answer
 
     async def _until_idle(self, busy: Callable[[], bool], order: Order) -> None:
-        deadline = self._now() + 2 * order.count / order.rate + _QUIET
+        deadline = self._deadline(order)
         while busy() and self._now() < deadline:  # noqa: ASYNC110 -- a thread's state
             await asyncio.sleep(_LOOK_EVERY)
 
     async def _settled_there(self, route: Route, order: Order) -> BenchAnswer:
         answer, grown = await self._ask(route), self._now()
-        while answer.received < order.count and self._now() - grown < max(_QUIET, 2 / order.rate):
+        deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
+        while answer.received < order.count and self._now() < min(grown + interval, deadline):
             await asyncio.sleep(_LOOK_EVERY)
             newer = await self._ask(route)
             if newer.received > answer.received:
@@ -305,12 +329,15 @@ class LinkBench:
 
     async def _settled_here(self, drain: Drain, order: Order) -> None:
         come, grown = drain.count, self._now()
-        deadline = self._now() + 2 * order.count / order.rate + _QUIET
-        interval = max(_QUIET, 2 / order.rate)
-        while come < order.count and self._now() - grown < interval and self._now() < deadline:
+        deadline, interval = self._deadline(order), max(_QUIET, 2 / order.rate)
+        while come < order.count and self._now() < min(grown + interval, deadline):
             await asyncio.sleep(_LOOK_EVERY)
             if drain.count > come:
                 come, grown = drain.count, self._now()
+
+    def _deadline(self, order: Order) -> float:
+        """When a run, or what is still on its way, is waited for no longer."""
+        return self._now() + 2 * order.count / order.rate + _QUIET
 
     # --- both
 
@@ -320,8 +347,8 @@ class LinkBench:
     def _ends(self, route: Route) -> tuple[Source | None, Drain | None]:
         if self._synthetic is None:
             return None, None
-        topic = route.local_topic
-        return self._synthetic.sources.get(topic), self._synthetic.drains.get(topic)
+        end = route.local_topic, self._link.name
+        return self._synthetic.sources.get(end), self._synthetic.drains.get(end)
 
 
 def _why_not(route: Route) -> str:

@@ -107,6 +107,20 @@ class Contention:
         self._received = received
         self._divide(asking, crossed, now, full=full, held_up=held_up)
 
+    def disconnected(self) -> None:
+        """The connection is over: the next one may go another way."""
+        self._divided = None
+        self._enough_for = self._received = 0
+        self._carried = self._crossed = 0.0
+        self._held = False
+        self._counts.clear()
+        self._pings.clear()
+        self.sending.disconnected()
+        self.receiving.disconnected()
+        for route in self._routes():
+            if isinstance(route, OutgoingRoute):
+                route.yielding.told(None, low=False, qos=route.qos, now=self._context.now())
+
     def _looked(self, asking: Collection[_Asking]) -> tuple[float, bool]:
         """How many bytes have arrived since the last look, and whether more waits to be sent all the time."""
         full, arrived = False, 0.0
@@ -146,10 +160,12 @@ class Contention:
             self._divided = None
         elif full:
             self._enough_for = 0
-            self._carried = crossed
-            self._divided = crossed * (_DRAINS if held_up else _MARGIN)
+            if crossed:  # else it stalls, which says nothing about what it carries
+                self._carried = crossed
+                self._divided = crossed * (_DRAINS if held_up else _MARGIN)
         elif self._divided is not None:
             self._enough_for += 1
+            self._carried = max(self._carried, crossed)
             self._divided = max(self._divided, self._carried * _MARGIN)
             if self._enough_for >= _PROBES_AFTER:
                 self._divided *= _GROWS

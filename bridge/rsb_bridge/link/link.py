@@ -247,7 +247,8 @@ class Link(ABC):
         self.status.down(_CAUSES.get(code, LinkCause.CLOSED), reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
-        for part in (self.neighbourhood, self.channels, self.topic_lists, self.type_questions, self.bench):
+        parts = (self.neighbourhood, self.channels, self.topic_lists, self.type_questions, self.bench, self.contention)
+        for part in parts:
             part.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"

@@ -54,22 +54,28 @@ class RosToLoopQueue:
         if self._do_now(self._drain):
             return
         if not self._scheduled:
-            self._scheduled = True
-            try:
-                self._loop.call_soon_threadsafe(self._drain)
-            except RuntimeError:  # the loop is closed: the engine has stopped
-                self._batches.clear()
-                return
+            self._schedule()
         if len(self._batches) > _BACKLOG:
             self._room.clear()
             self._room.wait(_PATIENCE)
 
     def _drain(self) -> None:
         self._scheduled = False
-        while self._batches:
-            receiver, batch = self._batches.popleft()
-            receiver.offer(batch)
-        self._room.set()
+        try:
+            while self._batches:
+                receiver, batch = self._batches.popleft()
+                receiver.offer(batch)
+        finally:
+            self._room.set()
+            if self._batches:  # a receiver has failed: the others' go on
+                self._schedule()
+
+    def _schedule(self) -> None:
+        self._scheduled = True
+        try:
+            self._loop.call_soon_threadsafe(self._drain)
+        except RuntimeError:  # the loop is closed: the engine has stopped
+            self._batches.clear()
 
 
 def _never(work: Callable[[], object]) -> bool:

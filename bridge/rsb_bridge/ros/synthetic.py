@@ -5,8 +5,10 @@ For a route they are topics like any other: its messages are sealed, limited and
 
 from __future__ import annotations
 
+import secrets
 import threading
 import time
+from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -27,6 +29,8 @@ _STAMP = 8  # bytes
 _SAMPLES = 100_000
 _AT_ONCE, _BYTES_AT_ONCE = 64, 8 << 20
 _PAUSE = 0.0005
+_LATE, _LATE_SECONDS = 2, 0.5
+"""Times as long as a run should take, and s more, after which it is over: the sender does not keep up."""
 _BYTES_PER_KB = 1024
 
 
@@ -80,10 +84,11 @@ class Source:
         clocks, rest = self._clocks, bytes(max(0, size - _STAMP - len(_HEADER)))
         most = max(1, min(_AT_ONCE, _BYTES_AT_ONCE // max(1, size)))
         began = clocks.now()
+        ends = began + _LATE * count / rate + _LATE_SECONDS
         sent = 0
-        while sent < count and not self._stops:
+        while sent < count and not self._is_over(ends):
             due = min(count, int((clocks.now() - began) * rate) + 1)
-            while sent < due and not self._stops:
+            while sent < due and not self._is_over(ends):
                 batch = []
                 for number in range(sent, min(due, sent + most)):
                     stamp = clocks.wall_ns()
@@ -96,6 +101,9 @@ class Source:
         passed = clocks.now() - began
         self.rate = min(rate, sent / passed) if passed > 0 else rate
 
+    def _is_over(self, ends: float) -> bool:
+        return self._stops or self._clocks.now() >= ends
+
     def close(self) -> None:
         """End the run that is under way."""
         self._stops = True
@@ -105,9 +113,15 @@ class Source:
 
 
 class Drain:
-    """Takes the messages of one topic where they arrive."""
+    """Takes the messages of one topic where they arrive.
 
-    gid = _GID
+    Attributes:
+        count: messages since the last reset.
+        messages: in all, and `bytes` of them.
+        closed: it takes no more.
+        gid: as a publisher's, which the bridge announces as its own: no source has it.
+    """
+
     subscriber_count = 1
     acknowledged = True
 
@@ -115,11 +129,14 @@ class Drain:
         self._clocks = clocks
         self._closed = closed
         self._latencies: list[int] = []
-        self.count = self.bytes = 0
+        self.count = self.messages = self.bytes = 0
+        self.closed = False
+        self.gid = secrets.token_bytes(len(_GID))
 
     def publish(self, payload: bytes) -> None:
         """Take one message."""
         self.count += 1
+        self.messages += 1
         self.bytes += len(payload)
         if len(self._latencies) < _SAMPLES:
             stamp = int.from_bytes(payload[len(_HEADER) : len(_HEADER) + _STAMP], "little")
@@ -127,17 +144,19 @@ class Drain:
 
     def reset(self) -> None:
         """Count from 0."""
-        self.count = self.bytes = 0
+        self.count = 0
         self._latencies.clear()
 
     @property
     def arrived(self) -> Arrived:
         """What has come since the last reset."""
+        self._latencies.sort()  # the peer may ask often, and what is sorted already takes a tenth of the time
         p50, p99, p999 = (each / 1e9 for each in percentiles(self._latencies))
         return Arrived(self.count, (p50, p99, p999))
 
     def close(self) -> None:
         """Take no more."""
+        self.closed = True
         self._closed()
 
 
@@ -145,15 +164,16 @@ class Synthetic:
     """A ROS side with such topics beside those of its graph.
 
     Attributes:
-        sources: by topic, those that a route sends.
-        drains: by topic, those that a route receives.
+        sources: those that a route sends, by topic and by whose it is: several links may have a topic of one name.
+        drains: those that a route receives, likewise.
     """
 
     def __init__(self, ros: RosInterface, clocks: Time) -> None:
         self._ros = ros
         self._clocks = clocks
-        self.sources: dict[str, Source] = {}
-        self.drains: dict[str, Drain] = {}
+        self.sources: dict[tuple[str, Hashable], Source] = {}
+        self.drains: dict[tuple[str, Hashable], Drain] = {}
+        self._opened: defaultdict[Hashable, list[Drain]] = defaultdict(list)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._ros, name)
@@ -177,23 +197,30 @@ class Synthetic:
     ) -> Subscription:
         if not is_bench_topic(topic):
             return self._ros.subscribe(topic, type_name, type_hash, qos, sink, origin, on_failure)
-        source = self.sources[topic] = Source(sink, self._clocks, lambda: _forget(self.sources, topic, source))
+        key = topic, origin
+        source = self.sources[key] = Source(sink, self._clocks, lambda: _forget(self.sources, key, source))
         return source
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
         if not is_bench_topic(topic):
             return self._ros.advertise(topic, type_name, type_hash, qos, origin)
-        drain = self.drains[topic] = Drain(self._clocks, lambda: _forget(self.drains, topic, drain))
+        key = topic, origin
+        drain = self.drains[key] = Drain(self._clocks, lambda: _forget(self.drains, key, drain))
+        self._opened[origin].append(drain)
         return drain
+
+    def opened(self, origin: Hashable) -> list[Drain]:
+        """Whose drains were opened since this was last asked, also those that are closed again."""
+        return self._opened.pop(origin, [])
 
 
 def _endpoint() -> Endpoint:
     return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _GID)
 
 
-def _forget(held: dict[str, Any], topic: str, which: object) -> None:
-    if held.get(topic) is which:
-        del held[topic]
+def _forget(held: dict[tuple[str, Hashable], Any], key: tuple[str, Hashable], which: object) -> None:
+    if held.get(key) is which:
+        del held[key]
 
 
 def with_synthetic(ros: RosInterface, wall_ns: Callable[[], int]) -> RosInterface:

@@ -29,6 +29,8 @@ _LARGE = 16 * 1024
 """Bytes from which on a call through ctypes costs less than rclpy's copy."""
 _LONG = 256 * 1024
 """Bytes from which on the middleware's copies take longer than it may take to get the GIL back."""
+_ENOUGH = 4 << 20
+"""Bytes that are taken at once: the first of many large messages would wait for the last, and all be held together."""
 
 _INFO = struct.Struct("@qqQQP16s?0P")
 """rmw_message_info_t: source and reception time in ns, publication and reception number, publisher's gid (its
@@ -90,13 +92,18 @@ class Reader:
     def take(self, limit: int, skip: Collection[bytes]) -> list[RawMessage]:
         """Take up to `limit` messages, leaving out those of the publishers with the gids in `skip`.
 
+        After the first `_ENOUGH` bytes no further one is taken.
+
         Raises:
             RosError: rcl failed.
         """
         address, buffer, info, last = self.handle.address, self._buffer, self._info, self._last
         buffer_reference, unpack = ctypes.byref(buffer), _INFO.unpack
-        taken = []
+        taken: list[RawMessage] = []
+        size = 0
         for _ in range(limit):
+            if size >= _ENOUGH:
+                break
             take = _take if self._last_size < _LONG else _take_long
             code = take(address, buffer_reference, info, None)
             if code:
@@ -105,7 +112,8 @@ class Reader:
                 reset_error()
                 raise RosError(f"{self.topic}: a message could not be taken (rcl error {code})")
             _, stamp, number, _, _, gid, _ = unpack(info)
-            self._last_size = buffer.length
+            self._last_size = length = buffer.length
+            size += length
             if gid in skip:
                 buffer.discard()
                 continue

@@ -117,29 +117,48 @@ def _publish_many(node: Node, prefix: str, count: int) -> None:
                 break
 
 
-def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool) -> None:
-    latencies: list[int] = []
-    count = 0
+class Arrivals:
+    """Counts messages that were made since the last reset: what an overload has left comes late, in a later run.
 
-    def take(payload: bytes) -> None:
-        nonlocal count
-        count += 1
-        if len(latencies) < _SAMPLES:
-            latencies.append(time.monotonic_ns() - int(payload[8 : 8 + _STAMP]))
+    Attributes:
+        count: of messages.
+        latencies: ns, of the first of them.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.latencies: list[int] = []
+        self._since = 0
+
+    def reset(self) -> None:
+        self._since = time.monotonic_ns()
+        self.count = 0
+        self.latencies.clear()
+
+    def take(self, payload: bytes) -> None:
+        made_at = int(payload[8 : 8 + _STAMP])
+        if made_at < self._since:
+            return
+        self.count += 1
+        if len(self.latencies) < _SAMPLES:
+            self.latencies.append(time.monotonic_ns() - made_at)
+
+
+def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool) -> None:
+    arrivals = Arrivals()
+    take = arrivals.take
 
     def commands() -> None:
-        nonlocal count
         for line in sys.stdin:
             match line.strip():
                 case "reset":
-                    count = 0
-                    latencies.clear()
+                    arrivals.reset()
                     _answer(ok=True)
                 case "count":
-                    _answer(count=count)
+                    _answer(count=arrivals.count)
                 case _:
-                    p50, p99, p999 = percentiles(latencies)
-                    _answer(count=count, p50=p50, p99=p99, p999=p999)
+                    p50, p99, p999 = percentiles(arrivals.latencies)
+                    _answer(count=arrivals.count, p50=p50, p99=p99, p999=p999)
         context.try_shutdown()
 
     subscriptions = [

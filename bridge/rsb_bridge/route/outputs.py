@@ -83,7 +83,13 @@ class _Output:
             self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed)
         else:
             kept = KEPT_DEPTH if subject.qos.history == "keep_all" else depth
-            self.sink = VolatileTopic(self._advertise(depth), kept, peer.budget.unacknowledged, context.now)
+            self.sink = VolatileTopic(
+                self._advertise(depth),
+                kept,
+                peer.budget.unacknowledged,
+                context.now,
+                lambda: self._advertise(depth),
+            )
 
     def set_origin(self, origin: Origin) -> None:
         """Its messages come from elsewhere now, or none come any more; may raise RosError."""

@@ -15,7 +15,7 @@ import msgspec
 
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.priority import HIGHEST
+from rsb_bridge.model.priority import HIGHEST, RANKS, priority_of
 from rsb_bridge.model.snapshot import Level, RouteSnapshot, Stage
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.route.arming import SAID, Arming, Disarmed
@@ -151,7 +151,7 @@ class Route:
     @property
     def rank(self) -> int:
         """Of its priority; calls go ahead of topics."""
-        return self.proposal.priority if self.proposal.kind == "topic" else HIGHEST
+        return RANKS[priority_of(self.proposal.priority)] if self.proposal.kind == "topic" else HIGHEST
 
     def set_peer_topic(self, topic: str) -> None:
         """The peer says what the topic is called on its side."""

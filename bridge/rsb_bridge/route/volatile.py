@@ -42,13 +42,22 @@ class VolatileTopic:
         depth: messages that it keeps at most.
         budget: of the publisher's link; one topic takes no more of it than it leaves to the others.
         now: the clock that all timers use, in s.
+        renew: makes another publisher in this one's place; None: nothing does.
     """
 
-    def __init__(self, publisher: Publisher, depth: int, budget: Budget, now: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        publisher: Publisher,
+        depth: int,
+        budget: Budget,
+        now: Callable[[], float],
+        renew: Callable[[], Publisher] | None = None,
+    ) -> None:
         self._publisher = publisher
         self._depth = depth
         self._budget = budget
         self._now = now
+        self._renew = renew
         self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
         self._free: list[int] = []  # of memory that DDS uses next
         self._held = self._charged = self._held_when_asked = 0
@@ -69,12 +78,27 @@ class VolatileTopic:
         size = len(content) + _MESSAGE_COST
         if self._held + size - self._memory() > self._held_when_asked + FREE:
             self._recycle()
-        self._take(size, self._memory())
+        try:
+            self._take(size, self._memory())
+        except SlowSubscriberError:
+            if self._waiting or not self._free or self._renew is None:
+                raise
+            self._begin_anew(self._renew)
+            self._take(size, 0)
         self._publisher.publish(content)
 
     def close(self) -> None:
         """Close the publisher, which frees its memory. May be called twice."""
         self._publisher.close()
+        self._forget_memory()
+
+    def _begin_anew(self, renew: Callable[[], Publisher]) -> None:
+        """Have a publisher without memory: all of this one's is free, but each piece is too small."""
+        former, self._publisher = self._publisher, renew()
+        former.close()
+        self._forget_memory()
+
+    def _forget_memory(self) -> None:
         self._budget.give(self._charged)
         self._held = self._charged = self._held_when_asked = 0
         self._waiting.clear()

@@ -30,10 +30,8 @@ PER_MESSAGE = 60
 """Bytes that a message takes on the wire beside its content, about: header, seal and its part of the packets'."""
 _SHOWN = 5.0
 """s that a topic counts as thinned after the last message that was left out."""
-
-
 _FADES = 0.8
-"""A second: what a topic's average message is taken from."""
+"""The part of the messages so far that still counts a second later, for the size of the average one."""
 
 
 class Share(NamedTuple):
@@ -101,7 +99,7 @@ class Yielding:
         self._rate = 0.0
         self._offered = 0
         self._messages, self._bytes, self._before = 0.0, 0.0, 0.0  # packed lately, and until the last look
-        self._gone = 0  # while held back, since the last look
+        self._gone = 0  # messages that were sent while the topic is held back, since the last look
         self._size = 0.0
         self._wanted = Smoothed(now)
         self._crossed = Smoothed(now)
@@ -123,11 +121,14 @@ class Yielding:
         """
         if share is None and self.share is None:
             return
-        self.share = share
+        before, self.share = self.share, share
         if share is None:
-            self._rate = 0.0
+            self._rate = self._next_at = 0.0
             self._throttle.adjust(0.0)
             return
+        if before is not None:  # the last message takes as long as it would have with this share
+            left = self.wait(now) * max(1.0, before.bytes_per_second)
+            self._next_at = now + left / max(1.0, share.bytes_per_second)
         latched = qos is not None and qos.latched
         self._thins = not latched and (low or qos is None or qos.reliability == "best_effort")
         rate = max(SLOWEST, share.bytes_per_second / max(1.0, self._size)) if self._thins else 0.0

@@ -50,6 +50,11 @@ class Throughput:
             self.capacity = newer(self.capacity, Capacity(rate, source, at))
         return rate
 
+    def disconnected(self) -> None:
+        """What arrives from now on comes by another connection."""
+        self._looked = None
+        self._window.clear()
+
     def measured(self, capacity: Capacity) -> None:
         """A bench says what it carries."""
         self.capacity = newer(self.capacity, capacity)

@@ -27,10 +27,10 @@ DATA = 1
 ZSTD = 1
 MORE = 2
 HISTORY = 4
+"""A history header (`rsb_bridge.wire.history`) stands before the content."""
 SOURCE_SHIFT = 4
 """The number of the message's source stands in the flags from this bit on."""
 SOURCE_FLAGS = (MOST_SOURCES - 1) << SOURCE_SHIFT
-"""A history header (`rsb_bridge.wire.history`) stands before the content."""
 
 Message: TypeAlias = tuple[bytes, int, int]
 """(payload, stamp in ns since the epoch, flags: `ZSTD`, `HISTORY`, and the source's number)."""

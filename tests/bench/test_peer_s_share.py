@@ -1,0 +1,141 @@
+"""What a peer that measures can cause, and what one that answers as it likes."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+from tests.support.offline import NoRos
+
+from rsb_bridge.link.bench import LinkBench
+from rsb_bridge.model.benchmark import Leave, Order, bench_topic
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.synthetic import Synthetic, Time
+from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
+
+if TYPE_CHECKING:
+    import pytest
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.route.route import Route
+
+UP, DOWN = bench_topic("tcp", "transmit"), bench_topic("tcp", "receive")
+PEER = "robot1"
+
+
+class Here:
+    """This side of a link to a peer that has leave for 100 messages a second, 10 s and 1 MB."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+        self.ros = Synthetic(cast("Any", NoRos()), Time())
+        self.denied: list[str] = []
+        self.routes: dict[str, Any] = {}
+        ids = SimpleNamespace(open_route=lambda number: list(self.routes.values())[number])
+        table = SimpleNamespace(deny=lambda _, reason: self.denied.append(reason), ids=ids)
+        self.bench = LinkBench(
+            cast(
+                "Link",
+                SimpleNamespace(
+                    name=PEER,
+                    context=SimpleNamespace(ros=self.ros, now=lambda: self.time),
+                    send=lambda _: None,
+                    spawn=lambda _: None,
+                    rights=SimpleNamespace(bench=Leave(seconds=10.0, max_rate=100.0, megabytes=1.0)),
+                    routes=self.routes,
+                    carriers=set,
+                    table=table,
+                ),
+            )
+        )
+
+    def open(self, topic: str) -> Any:
+        """The peer opens a topic, which takes the place of another of its name."""
+        self.routes[topic] = SimpleNamespace(key=topic, local_topic=topic, proposed_here=False, id=1, refusal="")
+        return self.ros.advertise(topic, "", "", Qos(), PEER)
+
+    def ask(self, **wanted: Any) -> BenchAnswer:
+        return asyncio.run(self.bench._answer(BenchAsk(1, 0, **wanted)))
+
+    def second(self) -> None:
+        self.time += 1.0
+        self.bench.tick()
+
+
+def publish(drain: Any, messages: int, size: int = 100) -> None:
+    for _ in range(messages):
+        drain.publish(bytes(size))
+
+
+def test_a_peer_that_has_it_counted_from_0_again_is_held_to_its_leave() -> None:
+    here = Here()
+    drain = here.open(UP)
+    publish(drain, 500)
+    here.ask(reset=True)
+    here.second()
+    assert "100 messages a second" in here.denied[0]
+
+
+def test_a_peer_that_opens_its_topic_again_and_again_is_held_to_its_leave() -> None:
+    here = Here()
+    for _ in range(6):
+        drain = here.open(UP)
+        publish(drain, 10, 20_000)
+        drain.close()
+        del here.routes[UP]
+        here.open(UP)
+        here.second()
+    assert "1 MB" in here.denied[0]
+
+
+def test_the_rate_is_of_all_topics_together() -> None:
+    here = Here()
+    for drain in [here.open(f"/rsb_bench/tcp/{number}") for number in range(5)]:
+        publish(drain, 90)
+    here.second()
+    assert "100 messages a second" in here.denied[0]
+
+
+def test_what_the_peer_was_asked_to_send_is_not_charged_to_it() -> None:
+    here = Here()
+    drain = here.open(DOWN)
+    here.bench._own.add(drain)
+    publish(drain, 500, 20_000)
+    here.second()
+    assert not here.denied
+    drain.close()
+    here.second()
+    assert not here.bench._own
+
+
+def test_one_run_at_a_time_whatever_the_topics() -> None:
+    here = Here()
+    sources = []
+    for topic in (DOWN, bench_topic("udp", "receive")):
+        here.routes[topic] = SimpleNamespace(local_topic=topic, proposed_here=False)
+        sources.append(here.ros.subscribe(topic, "", "", Qos(), lambda _: None, PEER))
+    try:
+        cast("Any", sources[1]).start(100, 10.0, 50)
+        assert "still sends" in here.ask(size=100, rate=10.0, count=5).problem
+    finally:
+        for source in sources:
+            source.close()
+
+
+def test_a_peer_whose_count_goes_on_growing_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, received = Here(), 0
+
+    async def sleep(seconds: float) -> None:
+        here.time += seconds
+
+    async def ask(_: Route, **__: Any) -> BenchAnswer:
+        nonlocal received
+        received += 1
+        assert here.time < 60.0
+        return BenchAnswer(1, received=received)
+
+    monkeypatch.setattr(asyncio, "sleep", sleep)
+    monkeypatch.setattr(here.bench, "_ask", ask)
+    order = Order("run", PEER, "tcp", "transmit", 100, 100_000.0, 1_000_000)
+    assert asyncio.run(here.bench._settled_there(cast("Route", None), order)).received == received

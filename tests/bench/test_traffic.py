@@ -1,0 +1,15 @@
+"""The messages of a benchmark on this machine."""
+
+from __future__ import annotations
+
+from rsb_bridge.ros.traffic import Arrivals, message
+
+
+def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:
+    arrivals, late = Arrivals(), message(100)
+    arrivals.take(late)
+    assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
+    arrivals.reset()
+    arrivals.take(late)
+    arrivals.take(message(100))
+    assert (arrivals.count, len(arrivals.latencies)) == (1, 1)
