@@ -123,6 +123,7 @@ class Yielding:
         """
         if share is None and self.share is None:
             return
+        self._rescale(share, now)
         self.share = share
         if share is None:
             self._rate = 0.0
@@ -135,6 +136,14 @@ class Yielding:
         self._throttle.adjust(rate)
         if not self._thins and share.bytes_per_second < self._wanted.rate * self._size:
             self._mark(now)
+
+    def _rescale(self, share: Share | None, now: float) -> None:
+        """Have what was sent last take as long as it does with a new share."""
+        if self.share is None or share is None:
+            self._next_at = now
+        elif self._next_at > now:
+            faster = max(1.0, share.bytes_per_second) / max(1.0, self.share.bytes_per_second)
+            self._next_at = now + (self._next_at - now) / faster
 
     def look(self, now: float) -> Traffic:
         """Once a second: what it wants."""

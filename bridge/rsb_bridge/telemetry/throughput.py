@@ -25,6 +25,11 @@ class Throughput:
         self._full = False
         self._window: deque[tuple[float, float]] = deque(maxlen=_WINDOW)
 
+    def restart(self) -> None:
+        """Leave out the time from the last look to the next one."""
+        self._looked, self._full = None, False
+        self._window.clear()
+
     def look(self, arrived: float, now: float, at: float, *, full: bool) -> float:
         """Take what has arrived since the last look, about a second ago.
 
