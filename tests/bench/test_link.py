@@ -109,6 +109,12 @@ def test_messages_cross_both_ways_and_are_counted(pair: Callable[..., Pair], tra
     assert found.usage.memory > 0
 
 
+def test_both_sides_do_not_measure_at_once(pair: Callable[..., Pair]) -> None:
+    both = pair(to_client=LEAVE, to_server=LEAVE)
+    both.run(both.client)
+    assert "the other side is measuring the link" in both.refused(both.server)
+
+
 def test_a_server_measures_its_client_with_leave(pair: Callable[..., Pair]) -> None:
     both = pair(to_server=LEAVE)
     assert both.run(both.server, link="robot1").received == 40

@@ -37,7 +37,7 @@ class Clocks(Time):
 @pytest.mark.parametrize(("rate", "count"), [(100.0, 50), (20_000.0, 4_000), (0.5, 1)])
 def test_messages_come_at_their_rate_and_in_batches(rate: float, count: int) -> None:
     clocks, batches = Clocks(), list[list["RawMessage"]]()
-    source = Source(lambda batch: batches.append([*batch]), clocks, lambda: None)
+    source = Source("/t", lambda batch: batches.append([*batch]), clocks, lambda: None)
     source.send(2500, rate, count)
     messages = [message for batch in batches for message in batch]
     assert [message.number for message in messages] == [*range(1, count + 1)]
@@ -49,20 +49,20 @@ def test_messages_come_at_their_rate_and_in_batches(rate: float, count: int) -> 
 
 def test_large_messages_go_one_by_one() -> None:
     sizes: list[int] = []
-    Source(lambda batch: sizes.append(len(batch)), Clocks(), lambda: None).send(6_000_000, 1e6, 5)
+    Source("/t", lambda batch: sizes.append(len(batch)), Clocks(), lambda: None).send(6_000_000, 1e6, 5)
     assert sizes == [1] * 5
 
 
 def test_what_arrives_is_counted_with_its_latency() -> None:
     clocks = Clocks()
-    drain = Drain(clocks, lambda: None)
+    drain = Drain("/t", clocks, lambda: None)
 
     def late(batch: Sequence[RawMessage]) -> None:
         clocks.passed += 0.25
         for message in batch:
             drain.publish(message.payload)
 
-    source = Source(late, clocks, lambda: None)
+    source = Source("/t", late, clocks, lambda: None)
     source.send(100, 1.0, 8)
     assert drain.arrived == (8, (0.25, 0.25, 0.25))
     assert drain.bytes == 800
@@ -95,3 +95,15 @@ def test_percentiles() -> None:
     assert percentiles([5]) == (5, 5, 5)
     assert percentiles(range(1000)) == (500, 990, 999)
     assert percentiles([*reversed(range(100))]) == (50, 99, 99)
+
+
+def test_no_two_ends_are_taken_for_one() -> None:
+    """A topic's source that had the same GID as another one's drain seemed to be relayed, and closed a loop."""
+    ros = Synthetic(NoRos(), Clocks())
+    topics = [bench_topic("tcp", direction) for direction in ("transmit", "receive")]
+    found = [end.gid for topic in topics for end in (*ros.publishers(topic), *ros.subscriptions(topic))]
+    assert len(set(found)) == len(found) == 4
+    sent: list[RawMessage] = []
+    Source(topics[0], sent.extend, Clocks(), lambda: None).send(100, 10.0, 1)
+    assert sent[0].gid == found[0]
+    assert Drain(topics[0], Clocks(), lambda: None).gid == found[1]

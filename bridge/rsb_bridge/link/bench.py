@@ -261,6 +261,8 @@ class LinkBench:
         name = bench_topic(transport, order.direction)
         route = next((each for each in self._routes() if each.proposed_here and each.spec.topic == name), None)
         if route is None:
+            if any(not each.proposed_here for each in self._routes()):
+                raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
             topic = Topic(
                 name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0

@@ -5,6 +5,7 @@ For a route they are topics like any other: its messages are sealed, limited and
 
 from __future__ import annotations
 
+import hashlib
 import threading
 import time
 from pathlib import Path
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import OnFailure, Publisher, RosInterface, Sink, Subscription
 
 _NODE = "/rsb_bench"
-_GID = b"rsb_bench".ljust(16, b"\0")
+_GID_BYTES = 16
 _HEADER = b"\x00\x01\x00\x00"
 _STAMP = 8  # bytes
 _SAMPLES = 100_000
@@ -54,7 +55,8 @@ class Time:
 class Source:
     """Makes the messages of one topic, as the ROS thread takes those of others."""
 
-    def __init__(self, sink: Sink, clocks: Time, closed: Callable[[], None]) -> None:
+    def __init__(self, topic: str, sink: Sink, clocks: Time, closed: Callable[[], None]) -> None:
+        self._gid = _gid("source", topic)
         self._sink = sink
         self._clocks = clocks
         self._closed = closed
@@ -88,7 +90,7 @@ class Source:
                 for number in range(sent, min(due, sent + most)):
                     stamp = clocks.wall_ns()
                     payload = b"%b%b%b" % (_HEADER, stamp.to_bytes(_STAMP, "little"), rest)
-                    batch.append(RawMessage(payload, stamp, _GID, number + 1))
+                    batch.append(RawMessage(payload, stamp, self._gid, number + 1))
                 self._sink(batch)
                 sent += len(batch)
                 self.sent = sent
@@ -107,11 +109,11 @@ class Source:
 class Drain:
     """Takes the messages of one topic where they arrive."""
 
-    gid = _GID
     subscriber_count = 1
     acknowledged = True
 
-    def __init__(self, clocks: Time, closed: Callable[[], None]) -> None:
+    def __init__(self, topic: str, clocks: Time, closed: Callable[[], None]) -> None:
+        self.gid = _gid("drain", topic)
         self._clocks = clocks
         self._closed = closed
         self._latencies: list[int] = []
@@ -160,10 +162,10 @@ class Synthetic:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """See `rsb_bridge.ros.api.RosInterface`, likewise those below."""
-        return [_endpoint()] if is_bench_topic(topic) else self._ros.publishers(topic)
+        return [_endpoint("source", topic)] if is_bench_topic(topic) else self._ros.publishers(topic)
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
-        return [_endpoint()] if is_bench_topic(topic) else self._ros.subscriptions(topic)
+        return [_endpoint("drain", topic)] if is_bench_topic(topic) else self._ros.subscriptions(topic)
 
     def subscribe(
         self,
@@ -177,18 +179,23 @@ class Synthetic:
     ) -> Subscription:
         if not is_bench_topic(topic):
             return self._ros.subscribe(topic, type_name, type_hash, qos, sink, origin, on_failure)
-        source = self.sources[topic] = Source(sink, self._clocks, lambda: _forget(self.sources, topic, source))
+        source = self.sources[topic] = Source(topic, sink, self._clocks, lambda: _forget(self.sources, topic, source))
         return source
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> Publisher:
         if not is_bench_topic(topic):
             return self._ros.advertise(topic, type_name, type_hash, qos, origin)
-        drain = self.drains[topic] = Drain(self._clocks, lambda: _forget(self.drains, topic, drain))
+        drain = self.drains[topic] = Drain(topic, self._clocks, lambda: _forget(self.drains, topic, drain))
         return drain
 
 
-def _endpoint() -> Endpoint:
-    return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _GID)
+def _endpoint(what: str, topic: str) -> Endpoint:
+    return Endpoint(_NODE, TYPE, TYPE_HASH, Qos(), _gid(what, topic))
+
+
+def _gid(what: str, topic: str) -> bytes:
+    """Of each end its own: a source that seemed to be another topic's drain would close a loop."""
+    return hashlib.blake2b(f"{what} {topic}".encode(), digest_size=_GID_BYTES).digest()
 
 
 def _forget(held: dict[str, Any], topic: str, which: object) -> None:
