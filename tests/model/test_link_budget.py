@@ -147,7 +147,7 @@ def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
     assert cost.capacity.bytes_per_second == cost.used
     assert cost.over == pytest.approx(cost.load.bytes_per_second)
     _, second = told(cost, NOW)
-    assert "it may carry that, or not" in second
+    assert "If the link carries no more" in second
     assert "too much" not in second
     assert "/camera" in second
 

@@ -261,8 +261,8 @@ def told(cost: Cost, now: float) -> tuple[str, ...]:
         parts.append(f"{cost.gets / load.bytes_per_second:.0%} of its own messages would cross")
     then = "; ".join(parts)
     if capacity.source == CapacitySource.SEEN:
-        more = f"{amount(cost.over)} more than has crossed yet: it may carry that, or not"
-        return first, f"{more}; if not: {then}" if then else more
+        more = f"{amount(cost.over)} more than has crossed yet"
+        return first, f"{more}. If the link carries no more: {then}" if then else f"{more}: it may carry that, or not"
     return first, f"{amount(cost.over)} too much: {then}"
 
 

@@ -106,7 +106,7 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
         together: whether all of them are there at the same time.
     """
     if not judged:
-        return ["Nothing to judge: no topic has a rate and a size yet, or nothing was measured."]
+        return ["Nothing to judge: no topic has a rate and a size yet, or too little was measured."]
     by = {
         verdict: [_load(each) for each in judged if each.verdict == verdict]
         for verdict in ("carried", "barely", "not", "unknown")

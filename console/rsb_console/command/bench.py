@@ -204,15 +204,16 @@ def _finish(
     if not (report.points or arguments.json or report.ended == "interrupted"):
         return failed(arguments, "; ".join(report.notes) or "nothing could be measured", code)
     report.judged = judge(loads, report.points)
-    report.verdict = in_words(report.judged, over, together=together)
+    if report.points:
+        report.verdict = in_words(report.judged, over, together=together)
     if arguments.json:
         print_line(as_json(report))
     else:
-        for line in lines_of(report):
+        for line in lines_of(report) if report.points else ():
             print_line(line)
         width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 100
         drawn = in_terminal(report.points, width)
-        for line in ["", *drawn, ""] if drawn else [""]:
+        for line in ["", *drawn, ""] if drawn else [""] if report.points else []:
             print_line(line)
         for line in report.verdict:
             print_line(fill(line, width, break_long_words=False, break_on_hyphens=False))
@@ -229,7 +230,9 @@ def _finish(
 
 def _ending(report: Report) -> list[str]:
     if report.ended == "interrupted":
-        return ["interrupted: these are the figures until then"]
+        return [
+            "interrupted: these are the figures until then" if report.points else "interrupted: nothing was measured"
+        ]
     if report.ended == "time":
         return ["the time was up before everything was measured: --seconds gives more"]
     return []
