@@ -82,8 +82,20 @@ def test_the_command_is_known() -> None:
     assert (given.bridge, given.quick, given.direction) == ("robot1", True, "transmit")
 
 
-@pytest.mark.parametrize("wrong", ["--transports bluetooth", "--direction both", "--plot /no/such/x.svg"])
-def test_what_makes_no_sense_on_one_machine_is_refused_at_once(wrong: str) -> None:
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "--transports bluetooth",
+        "--direction both",
+        "--plot /no/such/x.svg",
+        "--plot /tmp",
+        "--plot x.png",
+        "--link robot1",
+        "nobody-here --topics 5",
+        "nobody-here --domains 3,4",
+    ],
+)
+def test_what_makes_no_sense_is_refused_at_once(wrong: str) -> None:
     assert bench(*wrong.split())[0] == 2
 
 

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
 from rsb_console.bench.judging import USUAL, capacity, in_words, judge
+from rsb_console.bench.over_link import loads_of_all
 from rsb_console.bench.results import Load, Point, Run
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.snapshot import Snapshot
 
 
 def point(
@@ -49,6 +55,18 @@ def test_topics_are_carried_just_so_or_not() -> None:
     assert judged[0].share == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize("limit", ["time", "leave"])
+def test_what_was_not_tried_is_not_said_to_be_too_much(limit: str) -> None:
+    measured = [point(1_000, 100.0), point(100_000, 10.0, limit=limit)]
+    loads = [Load("/a", 1_000, 95.0), Load("/b", 100_000, 10.0), Load("/c", 100_000, 11.0), Load("/d", 1_000_000, 2.0)]
+    judged = judge(loads, measured)
+    assert [each.verdict for each in judged] == ["barely", "carried", "unknown", "unknown"]
+    assert [each.at_most for each in judged] == [False, True, True, True]
+    words = in_words(judged, "this link", together=True)
+    assert not any("does not carry" in line or "Together" in line for line in words)
+    assert any("/c" in line and "/d" in line and "Too little was tried" in line for line in words)
+
+
 def test_a_topic_is_judged_by_its_own_transport_and_direction() -> None:
     both = [point(1_000, 100.0), point(1_000, 1_000.0, "udp"), point(1_000, 10.0, direction="receive")]
     assert judge([Load("/a", 1_000, 90.0, "tcp", "transmit")], both)[0].verdict == "barely"
@@ -75,3 +93,17 @@ def test_without_topics_or_figures_there_is_a_sentence_all_the_same() -> None:
     assert in_words([], "this link", together=True)
     assert judge(USUAL, []) == []
     assert judge(USUAL, [point(1_000, None, limit="time")]) == []
+
+
+def snapshot(role: str, link: str) -> Snapshot:
+    """A bridge with one topic of 1 kB at 10 Hz."""
+    spec = SimpleNamespace(kind="topic", topic="/scan", direction="transmit")
+    figures = {"expected_rate": None, "rate": 10.0, "bytes_per_second": 1e4, "ledger": SimpleNamespace(delivered=1)}
+    route = SimpleNamespace(spec=spec, link=link, topic=f"/{role}/scan", transport="tcp", **figures)
+    return cast("Snapshot", SimpleNamespace(role=role, routes=[route]))
+
+
+def test_a_topic_between_two_bridges_of_this_machine_is_one_topic() -> None:
+    assert len(loads_of_all([snapshot("client", "robot1"), snapshot("server", "robot1")])) == 1
+    assert len(loads_of_all([snapshot("server", "robot1"), snapshot("server", "robot2")])) == 2
+    assert len(loads_of_all([snapshot("client", "robot1"), snapshot("client", "robot1")])) == 2

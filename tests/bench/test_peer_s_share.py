@@ -117,7 +117,7 @@ def test_one_run_at_a_time_whatever_the_topics() -> None:
         sources.append(here.ros.subscribe(topic, "", "", Qos(), lambda _: None, PEER))
     try:
         cast("Any", sources[1]).start(100, 10.0, 50)
-        assert "still sends" in here.ask(size=100, rate=10.0, count=5).problem
+        assert "still being sent" in here.ask(size=100, rate=10.0, count=5).problem
     finally:
         for source in sources:
             source.close()

@@ -43,6 +43,15 @@ def test_it_keeps_within_its_time(plan: Plan) -> None:
     assert len(report.points) == 2 * len(plan.sizes)
 
 
+def test_without_a_sight_of_the_wire_nothing_more_is_sent_for_it() -> None:
+    class Blind(SimulatedLink):
+        def wire(self, *_: float) -> None:  # type: ignore[override]
+            return
+
+    report = measured(SimulatedPlace({"tcp": Blind()}))
+    assert all(point.best is not None and point.best.wire is None for point in report.points)
+
+
 def test_when_the_time_is_up_each_transport_has_had_its_share() -> None:
     place = SimulatedPlace({"tcp": SimulatedLink(), "udp": SimulatedLink()})
     report = measured(place, replace(FULL, most=40.0, many=()))

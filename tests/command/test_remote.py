@@ -181,6 +181,7 @@ def test_commands_do_what_they_say(ran: Any, engine: ScriptedEngine) -> None:
     [
         (("add", "/map", "receive", "prtocol=udp"), "prtocol=udp: unknown key; did you mean protocol? (keys: topic,"),
         (("add", "/map", "receive", "udp"), "udp: not KEY=VALUE, as in max_rate=5"),
+        (("add", "/map", "receive", "--rate", "5"), "--rate and --size are for --dry-run"),
         (("add", "/map"), "add /map: the direction is missing. transmit takes it from the client to the server, "),
         (("add", "/map", "type=String"), "the direction is missing. transmit takes it"),
         (("edit", "/scan"), "edit /scan: nothing to change; for example: max_rate=5"),

@@ -9,9 +9,10 @@ import pytest
 from tests.console.scripted import LINK, NOW, route
 
 from rsb_bridge.model.capacity import LASTS, Capacity, CapacitySource, newer
-from rsb_bridge.model.link_budget import PER_MESSAGE, TYPICAL, LoadSource, as_report, cost_of, load_of, told
+from rsb_bridge.model.link_budget import PER_MESSAGE, TYPICAL, Load, LoadSource, as_report, cost_of, load_of, told
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.telemetry.throughput import Throughput
 
 _SCAN = "sensor_msgs/msg/LaserScan"
@@ -105,7 +106,8 @@ def test_what_a_topic_brings() -> None:
     alike = load_of(now, Topic("/rear", "transmit"), type_name=_SCAN)
     assert (alike.source, alike.like) == (LoadSource.ALIKE, "/scan")
     usual = load_of(now, Topic("/image", "transmit", type=_IMAGE))
-    assert usual == (*TYPICAL[_IMAGE], LoadSource.TYPICAL, "")
+    assert usual == Load(*TYPICAL[_IMAGE], LoadSource.TYPICAL)
+    assert load_of(now, Topic("/image", "transmit", type="Image")) == usual
     assert load_of(now, Topic("/image", "transmit", type=_IMAGE, max_rate=5.0)).rate == 5.0
     assert load_of(now, Topic("/image", "transmit", type=_IMAGE, expected_rate=7.0)).rate == 7.0
     unknown = cost_of(now, "robot1", Topic("/x", "transmit", type="my_msgs/msg/X"))
@@ -136,3 +138,22 @@ def test_throughput() -> None:
     assert (meter.capacity.bytes_per_second, meter.capacity.source) == (1e6, CapacitySource.FULL)
     meter.measured(Capacity(3e6, CapacitySource.BENCH, 20.0))
     assert meter.capacity.bytes_per_second == 3e6
+
+
+def test_what_crosses_now_has_been_seen_and_more_may_be_carried() -> None:
+    now = snapshot(sent("/camera", "low", 10.0, 60_000), carries=1e5, source=CapacitySource.SEEN)
+    cost = cost_of(now, "robot1", Topic("/points", "transmit"), rate=5.0, size=100_000.0)
+    assert cost.capacity is not None
+    assert cost.capacity.bytes_per_second == cost.used
+    assert cost.over == pytest.approx(cost.load.bytes_per_second)
+    _, second = told(cost, NOW)
+    assert "If the link carries no more" in second
+    assert "too much" not in second
+    assert "/camera" in second
+
+
+def test_a_topic_that_is_thinned_brings_more_than_crosses() -> None:
+    now = snapshot(sent("/camera", "low", 2.0, 60_000, cause=Cause.THINNED), carries=1e6)
+    thinned, given = (cost_of(now, "robot1", Topic("/camera", "transmit"), rate=rate) for rate in (None, 30.0))
+    assert "brings more" in told(thinned, NOW)[0]
+    assert "brings more" not in told(given, NOW)[0]

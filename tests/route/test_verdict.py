@@ -15,6 +15,7 @@ from rsb_bridge.model.verdict import FINE, Cause, Verdict, about, worse
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.route.both_sides import BothSides, lasting, record_of
 from rsb_bridge.route.verdict import Facts, judge, named
+from rsb_bridge.route.yielding import Share, Yielded
 from rsb_bridge.telemetry.watches import Loss
 from rsb_bridge.wire.records import VerdictRecord
 
@@ -54,6 +55,16 @@ def test_a_route_that_flows_is_fine() -> None:
             State.DOWN,
             Cause.NO_PATH,
             ["(Connection timed out)", "though the link is up", "MTU"],
+        ),
+        (
+            SENDER,
+            {
+                "breaking": "Connection timed out",
+                "yielded": Yielded(Share(1e4, 4e5, 3.5e6, "/scan"), 0.1, 30.0, thins=True, since=NOW),
+            },
+            State.DOWN,
+            Cause.NO_PATH,
+            ["(Connection timed out)", "the link carries 0.4 of 3.5 MB/s", "/scan goes first"],
         ),
         (SENDER, {"loop": "round"}, State.DOWN, Cause.LOOP, ["round"]),
         (SENDER, {"paused": True, "stale_since": NOW - 20.0}, State.PAUSED, Cause.PAUSED, ["operator"]),

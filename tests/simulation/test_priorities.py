@@ -29,6 +29,7 @@ _BANDWIDTH = 100_000.0
 """Bytes/s: the topics ask for three times as much."""
 _BEGIN, _SETTLED, _SECONDS = 20.0, 15.0, 60.0
 """s until the link gets slow, until its division has settled, and for which it is then looked at."""
+_BACK_WITHIN, _COUNTED = 15.0, 10.0
 _BEST_EFFORT = Qos(reliability="best_effort")
 
 
@@ -84,6 +85,20 @@ class Slow:
             self.lost = [shown.ledger.dropped_total - was for shown, was in zip(self.shown, dropped, strict=True)]
             self.world.network.path(*ends).bandwidth = None
             await asyncio.sleep(again)
+
+    async def cut_off(self, seconds: float) -> None:
+        """Have nothing cross for some s, and count a while later."""
+        await asyncio.sleep(_BEGIN)
+        ends = self.robot.station.machine, self.world.server.machine
+        with self.world.trouble("cut", self.robot):
+            self.world.network.cut(*ends)
+            await asyncio.sleep(seconds)
+            self.world.network.heal(*ends)
+            await asyncio.sleep(_BACK_WITHIN)
+            before = [flow.heard for flow in self.robot.flows]
+            await asyncio.sleep(_COUNTED)
+            self.rates = [(flow.heard - count) / _COUNTED for flow, count in zip(self.robot.flows, before, strict=True)]
+            self.shown = self.snapshots()
 
     def snapshots(self) -> list[RouteSnapshot]:
         """Each topic's route on the sending side."""
@@ -166,3 +181,11 @@ def test_once_the_link_is_fast_again_nobody_yields(play: Play) -> None:
     assert slow.shown[1].cause == Cause.THINNED
     assert later[1].cause != Cause.THINNED
     assert later[1].rate > 25.0
+
+
+@pytest.mark.parametrize("cut", [2.0, 3.0, 12.0])
+def test_after_a_cut_the_topics_are_back_at_once(cut: float, play: Play) -> None:
+    """While nothing arrives, or no connection is there, nobody learns what the link carries."""
+    slow = Slow(1, [Asked("high", 20.0, 1_000), Asked("normal", 50.0, 2_000, Qos()), Asked("low", 30.0, 8_000)])
+    play(slow.world, 80.0, slow.cut_off(cut))
+    assert slow.rates == pytest.approx([20.0, 50.0, 30.0], rel=0.1)

@@ -120,7 +120,8 @@ class Rights:
 
     def _no_leave(self) -> Refusal:
         reason = f"{self.owner} does not let {self.peer} measure this link"
-        return Refusal(reason, f"add bench: {{}} {self.place}")
+        where = f"to {self.place.removeprefix('of ')}" if self.place.startswith("of ") else self.place
+        return Refusal(reason, f"add bench: {{}} {where}")
 
     def max_rate(self, use: Use) -> float:
         """The most messages or calls a second that may cross, whoever asked for them; 0: there is no limit."""

@@ -85,7 +85,7 @@ class LinkBench:
         if self._synthetic is None:
             return "nothing can be measured here"
         if self._now() < self._stopped_until:
-            return "an operator of this side has stopped the benchmark"
+            return "an operator has stopped the benchmark; a minute later it may begin again"
         return self._budget.refusal(leave)
 
     def removed(self, route: Route) -> None:
@@ -129,9 +129,9 @@ class LinkBench:
     def _send_for_peer(self, ask: BenchAsk, route: Route, source: Source | None) -> str:
         """Begin to send for the peer; why that is not done, or empty."""
         if source is None or route.proposed_here:  # whose topic it is orders the runs
-            return "this side does not send on that topic"
+            return "what is sent on that topic comes from the side that asks"
         if any(self._sends_for_peer(each) for each in self._routes()):
-            return "this side still sends what was asked for before"
+            return "what was asked for before is still being sent"
         size, seconds = max(ask.size, LEAST_SIZE), ask.count / max(ask.rate, 1e-3)
         if seconds > MOST_SECONDS:
             return f"a run takes at most {MOST_SECONDS:g} s"
@@ -284,6 +284,8 @@ class LinkBench:
         name = bench_topic(transport, order.direction)
         route = next((each for each in self._routes() if each.proposed_here and each.spec.topic == name), None)
         if route is None:
+            if any(not each.proposed_here for each in self._routes()):
+                raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
             topic = Topic(
                 name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0

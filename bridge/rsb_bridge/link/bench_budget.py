@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.benchmark import Leave
 
 HOUR = 3600.0
+_LITTLE_LEFT = ", and too little of that is left"
 
 
 class BenchBudget:
@@ -34,19 +35,15 @@ class BenchBudget:
             rate: Hz at which.
         """
         if leave is None:
-            return "this side gives no leave to measure the link"
+            return "there is no leave to measure the link"
         self._renew()
         if rate > leave.max_rate:
-            return f"this side allows {leave.max_rate:g} messages a second to a benchmark (bench.max_rate)"
+            return f"a benchmark may send at most {leave.max_rate:g} messages a second (bench.max_rate)"
         if self._seconds >= leave.seconds or self._seconds + seconds > leave.seconds:
-            return (
-                f"this side allows {leave.seconds:g} s of a benchmark in an hour (bench.seconds), and they are used up"
-            )
+            return f"a benchmark may take at most {leave.seconds:g} s in an hour (bench.seconds){_LITTLE_LEFT}"
         most = leave.megabytes * 1e6
         if self._bytes >= most or self._bytes + size > most:
-            return (
-                f"this side allows {most / 1e6:g} MB to a benchmark in an hour (bench.megabytes), and they are used up"
-            )
+            return f"a benchmark may send at most {most / 1e6:g} MB in an hour (bench.megabytes){_LITTLE_LEFT}"
         return ""
 
     def spend(self, seconds: float, size: float) -> None:

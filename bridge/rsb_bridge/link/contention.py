@@ -2,8 +2,9 @@
 
 Once a second it looks whether more is asked for than crosses: a channel that was never idle for half a second, messages
 dropped from a full queue, or pings held up behind a queue somewhere on the way. Then what arrives now, less a tenth, is
-divided (`rsb_bridge.model.allotment`). As long as that is enough, what is divided grows again, until
-nobody has to yield. Where all topics have one priority, nothing is divided: each has its own queue, as ever.
+divided (`rsb_bridge.model.allotment`). As long as that is enough, what is divided grows again, until nobody has to
+yield. A link that carried everything before may only have stalled: it is soon given everything again, once. Where all
+topics have one priority, nothing is divided: each has its own queue, as ever.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ _MARGIN, _DRAINS = 0.9, 0.6
 """Parts of what crosses that are divided; the second one while a queue on the way drains."""
 _PROBES_AFTER, _GROWS = 15, 1.05
 """What is divided grows after so many seconds in which it was enough, each second to so many times as much."""
+_STALLED = 3
+"""Looks without a sign after which all is given again that was divided for the first time."""
 _ENOUGH = 1.1
 """Times what is asked for."""
 _SHORTEST_PINGS = 60
@@ -73,7 +76,8 @@ class Contention:
         self._routes = routes
         self._carriers = carriers
         self._divided: float | None = None
-        self._enough_for = 0
+        self._enough_for = _PROBES_AFTER
+        self._may_be_stall = False
         self._carried = self._crossed = 0.0
         self._held = False
         self._received = 0
@@ -110,7 +114,8 @@ class Contention:
     def disconnected(self) -> None:
         """The connection is over: the next one may go another way."""
         self._divided = None
-        self._enough_for = self._received = 0
+        self._enough_for, self._may_be_stall = _PROBES_AFTER, False
+        self._received = 0
         self._carried = self._crossed = 0.0
         self._held = False
         self._counts.clear()
@@ -159,12 +164,16 @@ class Contention:
         if len({wish.rank for wish in wishes.values()}) < 2:
             self._divided = None
         elif full:
+            self._may_be_stall = self._may_be_stall or (self._divided is None and self._enough_for >= _PROBES_AFTER)
             self._enough_for = 0
-            if crossed:  # else it stalls, which says nothing about what it carries
+            if crossed:  # nothing at all says that the link stalls, not what it carries
                 self._carried = crossed
                 self._divided = crossed * (_DRAINS if held_up else _MARGIN)
-        elif self._divided is not None:
+        else:
             self._enough_for += 1
+            if self._may_be_stall and self._enough_for >= _STALLED:
+                self._may_be_stall, self._divided = False, None
+        if self._divided is not None and not full:
             self._carried = max(self._carried, crossed)
             self._divided = max(self._divided, self._carried * _MARGIN)
             if self._enough_for >= _PROBES_AFTER:

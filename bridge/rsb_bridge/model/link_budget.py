@@ -10,11 +10,13 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import msgspec
+
 from rsb_bridge.model.allotment import Wish, allot
 from rsb_bridge.model.capacity import Capacity, CapacitySource
 from rsb_bridge.model.priority import RANKS
 from rsb_bridge.model.text import join_first
-from rsb_bridge.model.verdict import about
+from rsb_bridge.model.verdict import Cause, about
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -74,12 +76,14 @@ class Load(NamedTuple):
         size: bytes of a message.
         source: how that is known.
         like: the topic it was measured on; empty: it is not measured.
+        thinned: that topic yields to others now, so it brings more than was measured.
     """
 
     rate: float
     size: float
     source: LoadSource
     like: str = ""
+    thinned: bool = False
 
     @property
     def bytes_per_second(self) -> float:
@@ -160,6 +164,8 @@ def cost_of(
     ]
     wishes: dict[str, Wish] = {route.key: Wish(RANKS[route.spec.priority], _wire_rate(route)) for route in routes}
     used = sum(wish.bytes_per_second for wish in wishes.values())
+    if capacity is not None and capacity.source == CapacitySource.SEEN and capacity.bytes_per_second < used:
+        capacity = msgspec.structs.replace(capacity, bytes_per_second=used)  # it is seen just now
     own = Wish(RANKS[topic.priority], load.bytes_per_second)
     if capacity is None:
         return Cost(load, used, None, own.bytes_per_second)
@@ -178,7 +184,7 @@ def load_of(
     now: Snapshot, topic: Topic, *, type_name: str = "", rate: float | None = None, size: float | None = None
 ) -> Load:
     """What a topic brings, as well as that is known; arguments as of `cost_of`."""
-    type_name = type_name or ("" if topic.type == "auto" else topic.type)
+    type_name = _full_name(type_name or ("" if topic.type == "auto" else topic.type), now.routes)
     rate = rate or topic.expected_rate
     found = _measured(now.routes, topic, type_name)
     if found is None and type_name in TYPICAL:
@@ -187,8 +193,14 @@ def load_of(
         found = Load(rate, size, LoadSource.GIVEN)
     elif found is None:
         return Load(rate or 0.0, size or 0.0, LoadSource.UNKNOWN)
-    found = found._replace(rate=rate or found.rate, size=size or found.size)
+    found = found._replace(rate=rate or found.rate, size=size or found.size, thinned=found.thinned and rate is None)
     return found if topic.max_rate is None else found._replace(rate=min(found.rate, topic.max_rate))
+
+
+def _full_name(name: str, routes: Iterable[RouteSnapshot]) -> str:
+    """``sensor_msgs/msg/Image`` for ``Image``, as session files may say it; others stay as they are."""
+    found = {full for full in (*TYPICAL, *(route.type_name for route in routes)) if full.rpartition("/")[2] == name}
+    return found.pop() if "/" not in name and len(found) == 1 else name
 
 
 def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> Load | None:
@@ -196,7 +208,8 @@ def _measured(routes: Iterable[RouteSnapshot], topic: Topic, type_name: str) -> 
     for route in routes:
         if route.calls is not None or route.rate <= 0.0:
             continue
-        load = Load(route.rate, route.bytes_per_second / route.rate, LoadSource.HERE, route.topic)
+        thinned = route.cause == Cause.THINNED
+        load = Load(route.rate, route.bytes_per_second / route.rate, LoadSource.HERE, route.topic, thinned)
         if (route.spec.topic, route.spec.direction) == (topic.topic, topic.direction):
             return load
         if type_name and route.type_name == type_name and alike is None:
@@ -239,25 +252,28 @@ def told(cost: Cost, now: float) -> tuple[str, ...]:
     first = f"{what}; the link {_carries(capacity, now)}, {amount(cost.used)} in use"
     if not cost.over:
         return (first,)
-    if capacity.source == CapacitySource.SEEN and not cost.sufferers:
-        return first, "more than has crossed yet: it may carry that, or not"
     names = join_first([f"{each.topic} to {each.after / each.before:.0%}" for each in cost.sufferers], _NAMED)
     parts = []
     if cost.sufferers:
         thinned = all(each.thinned for each in cost.sufferers)
         parts.append(f"thins {names}" if thinned else f"crowds {names}: give what matters priority: high")
     if cost.gets < _SUFFERS * load.bytes_per_second:
-        parts.append(f"it would have {cost.gets / load.bytes_per_second:.0%} of its own messages across")
-    return first, f"{amount(cost.over)} too much: {'; '.join(parts)}"
+        parts.append(f"{cost.gets / load.bytes_per_second:.0%} of its own messages would cross")
+    then = "; ".join(parts)
+    if capacity.source == CapacitySource.SEEN:
+        more = f"{amount(cost.over)} more than has crossed yet"
+        return first, f"{more}. If the link carries no more: {then}" if then else f"{more}: it may carry that, or not"
+    return first, f"{amount(cost.over)} too much: {then}"
 
 
 def _how(load: Load) -> str:
-    return {
+    how = {
         LoadSource.GIVEN: "as given",
         LoadSource.HERE: f"measured on {load.like}",
         LoadSource.ALIKE: f"as {load.like} of the same type",
         LoadSource.TYPICAL: "usual for its type, not measured",
     }.get(load.source, "")
+    return f"{how}, which is thinned now and brings more" if load.thinned else how
 
 
 def _carries(capacity: Capacity, now: float) -> str:

@@ -21,6 +21,8 @@ class Standing(Protocol):
     @property
     def breaking(self) -> str: ...
     @property
+    def crowded_out(self) -> str: ...
+    @property
     def refusal(self) -> str: ...
     @property
     def loop(self) -> str: ...
@@ -67,10 +69,14 @@ def _link(facts: Standing) -> Verdict | None:
 def _breaking(facts: Standing) -> Verdict | None:
     if not facts.breaking:
         return None
-    text = (
-        f"its data connection ends before a message arrives ({facts.breaking}), though the link is up: large packets "
-        "may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), or make messages smaller"
-    )
+    text = f"its data connection ends before a message arrives ({facts.breaking}), though the link is up: "
+    if facts.crowded_out:
+        text += f"{facts.crowded_out}; make its messages smaller, or set compression: zstd or a higher priority"
+    else:
+        text += (
+            "large packets may be lost on the way; set a lower MTU on both sides (ip link set DEVICE mtu 1280), "
+            "or make messages smaller"
+        )
     return Verdict(State.DOWN, Cause.NO_PATH, text)
 
 

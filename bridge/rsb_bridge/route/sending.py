@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
-
-_SHARE_HOLDS = 1.0
-"""s until what a topic that is held back may send is another."""
+_SHARED_ANEW = 1.0
+"""s after which the link's shares may have changed, and with them how long a message is held back."""
 
 
 class SendingRoute(Peekable, Protocol):
@@ -184,7 +183,7 @@ class Sending:
         held = yielding.wait(now)
         yielding.busy(channel.congested or (not held and bool(self._outbox)), now)
         if held and self._outbox and self._later is None:
-            self._later = self._context.loop.call_later(min(held, _SHARE_HOLDS), self._flush_later)
+            self._later = self._context.loop.call_later(min(held, _SHARED_ANEW), self._flush_later)
 
     def _flush_later(self) -> None:
         self._later = None

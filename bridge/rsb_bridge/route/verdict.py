@@ -10,7 +10,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.gates import gated, no_path, rank, throttled
-from rsb_bridge.route.yielding import verdict_of
+from rsb_bridge.route.yielding import verdict_of, why
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
@@ -101,6 +101,11 @@ class Facts(NamedTuple):
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
     yielded: Yielded | None = None
+
+    @property
+    def crowded_out(self) -> str:
+        """Why it yields to others of its link; empty: it does not."""
+        return "" if self.yielded is None else why(self.yielded)
 
 
 def judge(facts: Facts) -> Verdict:

@@ -223,8 +223,7 @@ class Yielding:
 
 def verdict_of(yielded: Yielded) -> Verdict:
     """What an operator is told."""
-    share = yielded.share
-    link = f"the link carries {_of(share.carried, share.asked)}, and {share.first} goes first"
+    link = why(yielded)
     if yielded.thins:
         text = f"thinned to {_hertz(yielded)}: {link}"
     else:
@@ -233,6 +232,12 @@ def verdict_of(yielded: Yielded) -> Verdict:
             "dropped (priority: low thins it instead)"
         )
     return Verdict(State.SLOW, Cause.THINNED, text, yielded.since)
+
+
+def why(yielded: Yielded) -> str:
+    """Why it yields."""
+    share = yielded.share
+    return f"the link carries {_of(share.carried, share.asked)}, and {share.first} goes first"
 
 
 def _hertz(yielded: Yielded) -> str:

@@ -52,7 +52,7 @@ class Throughput:
 
     def disconnected(self) -> None:
         """What arrives from now on comes by another connection."""
-        self._looked = None
+        self._looked, self._full = None, False
         self._window.clear()
 
     def measured(self, capacity: Capacity) -> None:

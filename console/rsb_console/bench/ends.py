@@ -35,8 +35,8 @@ class Ends(Protocol):
         """The highest rate (Hz) that may be tried with messages of a size."""
         ...
 
-    def wire(self, rate: float, seconds: float, size: int) -> Run:
-        """As `send`, with the bytes on the wire, if that can be seen; seeing it may cost processor time."""
+    def wire(self, rate: float, seconds: float, size: int) -> Run | None:
+        """As `send`, with the bytes on the wire, which may cost processor time; None: they cannot be seen."""
         ...
 
     def sides(self, idle: float) -> tuple[Side, Side]:

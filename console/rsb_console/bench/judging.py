@@ -11,6 +11,7 @@ from rsb_console.look.formats import byte_count, expected
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from typing import Literal
 
     from rsb_console.bench.results import Point
 
@@ -39,20 +40,29 @@ def capacity(points: Iterable[Point], size: float) -> float:
         points: of one transport and direction.
         size: bytes.
     """
-    known = sorted((each.size, each.best.rate if each.best else 0.0) for each in points if each.best or _lost(each))
-    if not known:
+    near = _nearest(points, size)
+    if not near:
         return 0.0
-    below = [each for each in known if each[0] <= size]
-    above = [each for each in known if each[0] >= size]
-    if not below:
-        return known[0][1]
-    if not above:
-        return known[-1][1] * known[-1][0] / size
-    (low, many), (high, few) = below[-1], above[0]
+    (low, many), *_, (high, few) = ((each.size, each.best.rate if each.best else 0.0) for each in (near[0], near[-1]))
+    if len(near) == 1:
+        return many if size <= low else many * low / size
     if low == high or not (many and few):
         return few
     share = math.log(size / low) / math.log(high / low)
     return math.exp(math.log(many) + share * math.log(few / many))
+
+
+def _nearest(points: Iterable[Point], size: float) -> list[Point]:
+    """The points that say what is carried of a size: the ones below and above it, or the one at its end."""
+    known = sorted((each for each in points if each.best or _lost(each)), key=lambda each: each.size)
+    below = [each for each in known if each.size <= size]
+    above = [each for each in known if each.size >= size]
+    return below[-1:] + above[:1]
+
+
+def _open_ended(points: Iterable[Point], size: float) -> bool:
+    """Whether more may be carried of a size than was tried."""
+    return any(each.limit in ("time", "leave") for each in _nearest(points, size))
 
 
 def _lost(point: Point) -> bool:
@@ -71,13 +81,20 @@ def _judge(load: Load, points: Sequence[Point]) -> Judged | None:
     own = [way for way in own if way[1] == load.direction] or own
     if not own:
         return None
-    most = {
-        way: capacity([each for each in points if (each.transport, each.direction) == way], load.size) for way in own
-    }
+    by_way = {way: [each for each in points if (each.transport, each.direction) == way] for way in own}
+    most = {way: capacity(its, load.size) for way, its in by_way.items()}
     way = max(own, key=lambda each: most[each])
-    share = load.rate / most[way] if most[way] else math.inf
-    verdict = "carried" if share <= BARELY else "barely" if share <= 1 else "not"
-    return Judged(load, way[0], share if math.isfinite(share) else 1e9, verdict)  # type: ignore[arg-type]
+    share = min(load.rate / most[way], 1e9) if most[way] else 1e9
+    at_most = _open_ended(by_way[way], load.size)
+    return Judged(load, way[0], share, _verdict(share, at_most=at_most), at_most)
+
+
+def _verdict(share: float, *, at_most: bool) -> Literal["carried", "barely", "not", "unknown"]:
+    if share <= (1.0 if at_most else BARELY):
+        return "carried"
+    if at_most:
+        return "unknown"
+    return "barely" if share <= 1 else "not"
 
 
 def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str]:
@@ -89,9 +106,10 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
         together: whether all of them are there at the same time.
     """
     if not judged:
-        return ["Nothing to judge: no topic has a rate and a size yet, or nothing was measured."]
+        return ["Nothing to judge: no topic has a rate and a size yet, or too little was measured."]
     by = {
-        verdict: [_load(each) for each in judged if each.verdict == verdict] for verdict in ("carried", "barely", "not")
+        verdict: [_load(each) for each in judged if each.verdict == verdict]
+        for verdict in ("carried", "barely", "not", "unknown")
     }
     lines = []
     if by["carried"]:
@@ -101,8 +119,10 @@ def in_words(judged: Sequence[Judged], over: str, *, together: bool) -> list[str
         lines.append(f"{over} does not carry {join_first(by['not'], _NAMED)}.")
     if by["barely"]:
         lines.append(f"Only just: {join_first(by['barely'], _NAMED)}; anything else there costs messages.")
+    if by["unknown"]:
+        lines.append(f"Too little was tried to say whether {over} carries {join_first(by['unknown'], _NAMED)}.")
     total = sum(each.share for each in judged)
-    if together and len(judged) > 1 and not by["not"] and total > BARELY:
+    if together and len(judged) > 1 and not by["not"] and total > BARELY and not any(each.at_most for each in judged):
         much = "more than there is" if total > 1 else "nearly all there is"
         lines.append(f"Together they take {100 * total:.0f} % of it, {much}: limit the largest (max_rate).")
     return [line[0].upper() + line[1:] for line in lines]

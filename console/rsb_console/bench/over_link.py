@@ -8,20 +8,22 @@ import time
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, Order, Outcome
+from rsb_bridge.model.benchmark import ENDED_BY_PEER, MOST_SECONDS, Order, Outcome, is_bench_topic
 from rsb_console.bench.ends import BenchError, StoppedError, Way
 from rsb_console.bench.results import Load, Run, Side
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from typing import Any
 
     from rsb_bridge.api import EngineApi
-    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_console.bench.ends import Ends
 
 _ANSWERED_WITHIN = 60.0
 _ENDED_WITHIN = 5.0
+_ALONE = 0.01
+"""The part of the benchmark's bytes up to which others do not count."""
 
 
 class OverLink:
@@ -73,11 +75,20 @@ class _LinkEnds:
         outcome = _result(self._engine, Order("run", self._link, way.transport, way.direction, size, rate, count))
         self._last = outcome
         p50, p99, p999 = (each * 1e3 for each in (outcome.p50, outcome.p99, outcome.p999))
-        sides, wire = (outcome.sending.cpu, outcome.receiving.cpu), outcome.sending.sent_bytes or None
+        sides = outcome.sending.cpu, outcome.receiving.cpu
+        alone = self._others() < _ALONE * outcome.rate * size
+        wire = outcome.sending.sent_bytes or None if alone else None
         return Run(size, outcome.sent, outcome.received, outcome.rate, p50, p99, p999, sides, wire)
 
-    def wire(self, rate: float, seconds: float, size: int) -> Run:
-        return self.send(rate, seconds, size)
+    def wire(self, *_: float) -> None:
+        """The link's own topics are in its bytes, too: where they are much, there is nothing to see."""
+        return
+
+    def _others(self) -> float:
+        """Bytes/s of the link's own topics, the same way."""
+        now = self._engine.snapshot()
+        own = (route for route in now.routes if route.link == self._link and not is_bench_topic(route.topic))
+        return sum(route.bytes_per_second for route in own if route.outgoing == self._sends_here)
 
     def most(self, _: int) -> float:
         return (self._last.most_rate if self._last else 0.0) or math.inf
@@ -116,12 +127,24 @@ def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[s
 
 def loads_of(snapshot: Snapshot, link: str = "") -> list[Load]:
     """The topics of a bridge whose rate and size are known by now."""
-    found = []
+    return [load for _, load in _loads(snapshot, link)]
+
+
+def loads_of_all(snapshots: Iterable[Snapshot]) -> list[Load]:
+    """The topics of several bridges. What runs between two of them is counted once."""
+    found: dict[tuple[str, ...], dict[str, list[Load]]] = {}
+    for snapshot in snapshots:
+        for route, load in _loads(snapshot):
+            sides = found.setdefault((route.link, route.spec.topic, route.spec.direction), {})
+            sides.setdefault(snapshot.role, []).append(load)
+    return [load for sides in found.values() for load in max(sides.values(), key=len)]
+
+
+def _loads(snapshot: Snapshot, link: str = "") -> Iterator[tuple[RouteSnapshot, Load]]:
     for route in snapshot.routes:
         if route.spec.kind != "topic" or link not in ("", route.link) or not route.ledger.delivered:
             continue
         rate = route.expected_rate or route.rate
         size = route.bytes_per_second / route.rate if route.rate else route.bytes_total / route.ledger.delivered
         if rate and size:
-            found.append(Load(route.topic, size, rate, route.transport, route.spec.direction))
-    return found
+            yield route, Load(route.topic, size, rate, route.transport, route.spec.direction)

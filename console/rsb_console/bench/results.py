@@ -155,13 +155,15 @@ class Judged:
         load: the topic.
         transport: by which it was judged.
         share: of what the link carries of such messages at most, from 0.
-        verdict: ``carried``, ``barely`` or ``not``.
+        verdict: ``carried``, ``barely``, ``not``, or ``unknown``: no rate that is high enough was tried.
+        at_most: the share may be smaller, because the time or the peer's leave ended the search for a higher rate.
     """
 
     load: Load
     transport: str
     share: float
-    verdict: Literal["carried", "barely", "not"]
+    verdict: Literal["carried", "barely", "not", "unknown"]
+    at_most: bool = False
 
 
 @dataclass(slots=True)

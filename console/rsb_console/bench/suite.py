@@ -163,7 +163,8 @@ class Suite:
             best = gentle
         if best is not None and best.wire is None:
             self._say(f"{what}, wire")
-            best = replace(best, wire=_of(ends.wire(best.rate * _SLOWER_BY, plan.run, size), best.sent))
+            seen = ends.wire(best.rate * _SLOWER_BY, plan.run, size)
+            best = best if seen is None else replace(best, wire=_of(seen, best.sent))
         if found.limit == "loss":
             rate = min(ends.most(size), _TOO_FAST * (best.rate if best else tried[-1]))
             self._say(f"{what}, {rate:,.0f} msg/s, too fast")

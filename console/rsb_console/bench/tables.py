@@ -78,20 +78,17 @@ def _latencies(points: Sequence[Point]) -> Iterator[str]:
 
 
 def _sides(report: Report) -> Iterator[str]:
-    yield "Each bridge: s until it listens, and until the first message is through; % of a core while idle; memory"
-    rows = [("", "", "listens", "first", "idle", "memory")]
+    started = any(side.first is not None for sides in report.sides.values() for side in sides)
+    if started:
+        yield "Each bridge: s until it listens, and until the first message is through; % of a core while idle; memory"
+    else:
+        yield "Each bridge: % of a core while the benchmark sends nothing; memory"
+    rows: list[tuple[str, ...]] = [("", "", *(("listens", "first") if started else ()), "idle", "memory")]
     for transport, sides in report.sides.items():
         for name, side in zip(("sends", "receives"), sides, strict=True):
-            rows.append(
-                (
-                    transport,
-                    name,
-                    _NONE if side.listening is None else f"{side.listening:.2f}",
-                    _NONE if side.first is None else f"{side.first:.2f}",
-                    _NONE if side.idle is None else f"{side.idle:.2f} %",
-                    f"{side.memory:.0f} MB",
-                )
-            )
+            starts = (_NONE if each is None else f"{each:.2f}" for each in (side.listening, side.first))
+            idle = _NONE if side.idle is None else f"{side.idle:.2f} %"
+            rows.append((transport, name, *(starts if started else ()), idle, f"{side.memory:.0f} MB"))
     yield from _aligned(rows)
 
 

@@ -36,6 +36,8 @@ def add(arguments: Namespace) -> int:
         values["direction"], keys = _direction_and_keys(arguments)
     else:
         keys = _provider_and_keys(arguments, kind)
+    if (arguments.rate or arguments.size) and not arguments.dry_run:
+        raise UsageError(f"add {arguments.topic}: --rate and --size are for --dry-run, which adds nothing")
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
         links = [link.name for link in engine.snapshot().links]

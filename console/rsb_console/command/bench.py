@@ -20,7 +20,7 @@ from rsb_console.bench.drawing import as_svg, in_terminal
 from rsb_console.bench.ends import BenchError
 from rsb_console.bench.judging import USUAL, in_words, judge
 from rsb_console.bench.local import Loopback, machine, ros_problem
-from rsb_console.bench.over_link import OverLink, loads_of, ways_of
+from rsb_console.bench.over_link import OverLink, loads_of, loads_of_all, ways_of
 from rsb_console.bench.results import Report, as_json
 from rsb_console.bench.suite import FULL, QUICK, Plan, Suite
 from rsb_console.bench.tables import lines_of
@@ -33,30 +33,53 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.control.client import RemoteEngine
-    from rsb_bridge.model.snapshot import LinkSnapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, Snapshot
     from rsb_console.bench.ends import Place
     from rsb_console.bench.results import Load
 
 _BOTH = ("transmit", "receive")
+_DOMAINS = 92, 93
 _LINKED_WITHIN = 3.0
 _LOOK_EVERY = 0.1
 
 
 def run(_: str, arguments: Namespace) -> int:
     """Measure, and print what came of it. Returns the exit code."""
-    if arguments.plot is not None and not arguments.plot.parent.is_dir():
-        return failed(arguments, f"{arguments.plot}: there is no such folder", USAGE)
     here = arguments.bridge is None and arguments.control is None
+    if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
+        return failed(arguments, problem, USAGE)
     try:
         return _on_this_machine(arguments) if here else reported(_over_link, arguments)
     except BenchError as error:
         return failed(arguments, str(error), FAILURE)
 
 
+def _plot_problem(path: Path | None) -> str:
+    """Why nothing can be drawn there, which nobody wants to learn after minutes; empty: it can, or is not to be."""
+    if path is None:
+        return ""
+    if path.suffix.lower() != ".svg":
+        return f"{path}: the plot is an SVG file: give it a name that ends in .svg"
+    if path.is_dir():
+        return f"{path}: this is a folder"
+    return "" if path.parent.is_dir() else f"{path}: there is no such folder"
+
+
+def _misplaced(arguments: Namespace, *, here: bool) -> str:
+    """Which argument has no meaning without, or with, the name of a bridge; empty: none."""
+    if here and arguments.link:
+        return (
+            "--link needs the name of the bridge whose link is to be measured, for example: rsb-console bench control"
+        )
+    if not here and (arguments.topics is not None or arguments.domains is not None):
+        return "--topics and --domains are for a benchmark on one machine: leave them out, or the name of the bridge"
+    return ""
+
+
 def _on_this_machine(arguments: Namespace) -> int:
     if problem := ros_problem():
         raise BenchError(problem)
-    near, far = arguments.domains
+    near, far = arguments.domains or _DOMAINS
     transports = arguments.transports or ("tcp", "udp")
     if "bluetooth" in transports:
         return failed(arguments, "Bluetooth needs two machines: name the session whose link is to be measured", USAGE)
@@ -64,7 +87,7 @@ def _on_this_machine(arguments: Namespace) -> int:
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
     loads = _loads_of_running_bridges()
     report = Report("This machine, two bridges over loopback", machine())
-    code = _measure(Loopback(transports, (near, far)), report, arguments)
+    code = _measure(Loopback(transports, (near, far)), report, _plan(arguments))
     return _finish(report, loads or USUAL, "this machine", arguments, code, together=bool(loads))
 
 
@@ -77,7 +100,7 @@ def _over_link(arguments: Namespace) -> int:
         place = OverLink(engine, link.name, ways_of(link, arguments.transports, directions))
         report = Report(f"The link of {engine.bridge.name} with {link.peer or link.name}", f"{machine()} on this side")
         try:
-            code = _measure(place, report, arguments)
+            code = _measure(place, report, replace(_plan(arguments), many=()))
         finally:
             place.close()
     return _finish(report, loads, "this link", arguments, code, together=True)
@@ -135,23 +158,23 @@ def _loads_of_running_bridges() -> list[Load]:
     from rsb_bridge.api import EngineError  # noqa: PLC0415 -- with the engine
     from rsb_bridge.control.client import RemoteEngine  # noqa: PLC0415
 
-    loads: list[Load] = []
+    snapshots: list[Snapshot] = []
     for bridge in running_bridges():
         engine = RemoteEngine(bridge.path, read_only=True)
         with contextlib.suppress(EngineError, OSError):
             engine.start()
             try:
-                loads += loads_of(engine.snapshot())
+                snapshots.append(engine.snapshot())
             finally:
                 engine.stop()
-    return loads
+    return loads_of_all(snapshots)
 
 
-def _measure(place: Place, report: Report, arguments: Namespace) -> int:
+def _measure(place: Place, report: Report, plan: Plan) -> int:
     """Fill the report; an operator who interrupts has what was measured so far. Returns the exit code."""
     with Progress(sys.stderr) as progress:
         try:
-            Suite(place, _plan(arguments), report, time.monotonic, progress.show).run()
+            Suite(place, plan, report, time.monotonic, progress.show).run()
         except KeyboardInterrupt:
             report.ended = "interrupted"
             return INTERRUPTED
@@ -181,15 +204,16 @@ def _finish(
     if not (report.points or arguments.json or report.ended == "interrupted"):
         return failed(arguments, "; ".join(report.notes) or "nothing could be measured", code)
     report.judged = judge(loads, report.points)
-    report.verdict = in_words(report.judged, over, together=together)
+    if report.points:
+        report.verdict = in_words(report.judged, over, together=together)
     if arguments.json:
         print_line(as_json(report))
     else:
-        for line in lines_of(report):
+        for line in lines_of(report) if report.points else ():
             print_line(line)
         width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 100
         drawn = in_terminal(report.points, width)
-        for line in ["", *drawn, ""] if drawn else [""]:
+        for line in ["", *drawn, ""] if drawn else [""] if report.points else []:
             print_line(line)
         for line in report.verdict:
             print_line(fill(line, width, break_long_words=False, break_on_hyphens=False))
@@ -206,7 +230,9 @@ def _finish(
 
 def _ending(report: Report) -> list[str]:
     if report.ended == "interrupted":
-        return ["interrupted: these are the figures until then"]
+        return [
+            "interrupted: these are the figures until then" if report.points else "interrupted: nothing was measured"
+        ]
     if report.ended == "time":
         return ["the time was up before everything was measured: --seconds gives more"]
     return []

@@ -52,7 +52,7 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     numbers = "how many topics to open at once on this machine: 1,50,500; 0: skip that"
     parser.add_argument("--topics", type=topics, metavar="N,...", help=numbers)
     own = "two ROS domains on this machine that nobody uses (92,93)"
-    parser.add_argument("--domains", type=domains, default=(92, 93), metavar="A,B", help=own)
+    parser.add_argument("--domains", type=domains, metavar="A,B", help=own)
     parser.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw it, too")
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from rsb_console.command.values import count, timeout
+from rsb_console.command.values import above_0, count, timeout
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -271,8 +271,8 @@ def _cost_options(parser: argparse.ArgumentParser) -> None:
         "--dry-run", action="store_true", help="add nothing: say what a topic would cost on the link, and who suffers"
     )
     figures = "with --dry-run: what it brings, where the bridge has no figure"
-    parser.add_argument("--rate", type=float, metavar="HZ", help=figures)
-    parser.add_argument("--size", type=float, metavar="BYTES", help=figures)
+    parser.add_argument("--rate", type=above_0, metavar="HZ", help=figures)
+    parser.add_argument("--size", type=above_0, metavar="BYTES", help=figures)
 
 
 def _topic_keys(parser: argparse.ArgumentParser) -> None:

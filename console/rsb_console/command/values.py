@@ -20,6 +20,18 @@ def seconds(text: str) -> float:
     return parsed
 
 
+def above_0(text: str) -> float:
+    """Parse a figure.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a number above 0.
+    """
+    parsed = _number(text)
+    if not 0 < parsed < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return parsed
+
+
 def timeout(text: str) -> float:
     """Parse how long to wait; 0 only looks.
 

@@ -83,6 +83,11 @@ class CallsFacts(NamedTuple):
     timeout: float = 0.0
     providers: str = ""
 
+    @property
+    def crowded_out(self) -> str:
+        """Empty: calls yield to nothing."""
+        return ""
+
 
 def judge_calls(facts: CallsFacts) -> Verdict:
     """What counts: what keeps everything else from being known, else the worst of `_RULES`, of equals the first."""
