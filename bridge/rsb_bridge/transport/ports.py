@@ -6,6 +6,8 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.transport.transport import ListenError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -29,6 +31,7 @@ class Ports:
         self._acceptor = acceptor
         self._ports: dict[tuple[str, int], _Port] = {}
         self._opening = asyncio.Lock()
+        self._closed = 0  # how often
 
     async def open(self, name: str, number: int) -> Callable[[], None]:
         """Use a port of the transport of that name; it is bound if nobody uses it yet.
@@ -37,14 +40,17 @@ class Ports:
             What to call when it is no longer used.
 
         Raises:
-            ListenError: it can't be bound.
+            ListenError: it can't be bound, or all are closed meanwhile.
         """
-        key = (name, number)
+        key, closed = (name, number), self._closed
         async with self._opening:
             port = self._ports.get(key)
             if port is None:
                 transport = self._transports[name]
                 port = _Port(await transport.listen(transport.host(self._session), number, self._acceptor))
+                if closed != self._closed:
+                    port.listener.close()
+                    raise ListenError(f"{transport.port_kind} {number} was closed again while it was opened")
                 self._ports[key] = port
         port.users += 1
         return lambda: self._release(key, port)
@@ -56,7 +62,8 @@ class Ports:
             port.listener.close()
 
     def close(self) -> None:
-        """Close them all."""
+        """Close them all, those that are being opened, too."""
+        self._closed += 1
         for port in self._ports.values():
             port.listener.close()
         self._ports.clear()
