@@ -51,17 +51,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Have Hypothesis not mind how fast the machine is.
-
-    Where no test uses it, its plugin would import it at the end, only to have nothing to say.
-    """
+    """Where no test uses Hypothesis, its plugin would import it at the end, only to have nothing to say."""
     if "hypothesis" not in sys.modules:
         session.config.pluginmanager.unregister(name="hypothesispytest")
-        return
-    from hypothesis import HealthCheck, settings
-
-    settings.register_profile("slow", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
-    settings.load_profile("slow")
 
 
 @pytest.hookimpl(wrapper=True)

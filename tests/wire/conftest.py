@@ -1,4 +1,4 @@
 from hypothesis import settings
 
-settings.register_profile("wire", deadline=None, max_examples=100)
+settings.register_profile("wire", max_examples=100)
 settings.load_profile("wire")
