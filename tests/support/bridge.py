@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Protocol
     from rsb_bridge.model.snapshot import Event, Ledger, LinkSnapshot, RouteSnapshot, Snapshot
     from rsb_bridge.ros.api import RosInterface
+    from rsb_bridge.route.route import Route
 
 STOPS_WITHIN = 15.0
 THREADS = ("rsb-io", "ros", "rsb-history", "rsb-disk")
@@ -160,11 +161,15 @@ def connections(engine: Engine, name: str = "robot1") -> int:
     return next(link.connections for link in engine._bridge.links() if link.name == name)
 
 
+def _routes(engine: Engine) -> list[Route]:
+    """Those of all links."""
+    assert engine._bridge is not None
+    return [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
+
+
 def outgoing(engine: Engine, topic: str) -> OutgoingRoute:
     """What sends a topic, whose counts are newer than the snapshot."""
-    assert engine._bridge is not None
-    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
-    return next(route for route in routes if isinstance(route, OutgoingRoute) and route.topic == topic)
+    return next(route for route in _routes(engine) if isinstance(route, OutgoingRoute) and route.topic == topic)
 
 
 def route(engine: EngineApi, topic: str) -> RouteSnapshot:
@@ -242,28 +247,22 @@ def _senders(receiver: Engine, name: str, route: IncomingRoute) -> list[Outgoing
 
 def listened_to(engine: Engine) -> set[str]:
     """The topics that an engine publishes to somebody, asked of the publishers: the snapshot may be 1 s behind."""
-    assert engine._bridge is not None
-    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
-    incoming = [route for route in routes if isinstance(route, IncomingRoute)]
+    incoming = [route for route in _routes(engine) if isinstance(route, IncomingRoute)]
     return {route.remote_topic for route in incoming if route._outputs.subscriber_count}
 
 
 def listeners(engine: Engine, topic: str) -> int:
     """How many subscriptions get what an engine publishes: a subscription may know of the publisher before that."""
-    assert engine._bridge is not None
-    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
     return sum(
         route._outputs.subscriber_count
-        for route in routes
+        for route in _routes(engine)
         if isinstance(route, IncomingRoute) and route.remote_topic == topic
     )
 
 
 def feedback_listeners(engine: Engine) -> int:
     """Likewise, of the feedback of the only action that an engine offers."""
-    assert engine._bridge is not None
-    routes = [route for link in engine._bridge.links() for route in tuple(link.routes.values())]
-    (found,) = (route for route in routes if isinstance(route, CallingAction))
+    (found,) = (route for route in _routes(engine) if isinstance(route, CallingAction))
     offered = found._offers.publishers.get(FEEDBACK)
     return offered.subscriber_count if offered else 0
 
