@@ -7,7 +7,7 @@ import contextlib
 import os
 import tempfile
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,17 +95,7 @@ class Bed:
         """As `send`, with the bytes that the sending bridge handed to its sockets."""
         before = sent_bytes(self.sockets[0])
         run = self.send(rate, seconds, size)
-        return Run(
-            size,
-            run.sent,
-            run.received,
-            run.rate,
-            run.p50,
-            run.p99,
-            run.p999,
-            run.sides,
-            sent_bytes(self.sockets[0]) - before,
-        )
+        return replace(run, wire=sent_bytes(self.sockets[0]) - before)
 
     def sides(self, idle: float) -> tuple[Side, Side]:
         before, began = [process.cpu() for process in self.between], time.monotonic()

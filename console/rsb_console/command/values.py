@@ -14,10 +14,7 @@ def seconds(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: it is not a number above 0.
     """
-    parsed = _number(text)
-    if not 0 < parsed < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds above 0")
-    return parsed
+    return _above_0(text, "number of seconds")
 
 
 def above_0(text: str) -> float:
@@ -26,10 +23,7 @@ def above_0(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: it is not a number above 0.
     """
-    parsed = _number(text)
-    if not 0 < parsed < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return parsed
+    return _above_0(text, "number")
 
 
 def timeout(text: str) -> float:
@@ -59,6 +53,13 @@ def count(text: str) -> int:
         parsed = 0
     if parsed < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return parsed
+
+
+def _above_0(text: str, what: str) -> float:
+    parsed = _number(text)
+    if not 0 < parsed < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a {what} above 0")
     return parsed
 
 
