@@ -10,7 +10,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Int32, String
-from tests.support.bridge import carries, find, happened, heard, link, now, route, stage
+from tests.support.bridge import carries, happened, heard, link, now, route, says, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.participants import KnownNode
 from tests.support.ports import free_port
@@ -34,12 +34,6 @@ if TYPE_CHECKING:
 
 
 INT32, STRING = "std_msgs/msg/Int32", "std_msgs/msg/String"
-
-
-def says(engine: Engine, topic: str, *words: str) -> bool:
-    """Whether a topic's reason has all these words."""
-    found = find(engine, topic)
-    return found is not None and all(each in found.reason for each in words)
 
 
 def test_types_by_any_name(bridge: Bridge, robot: Domain, pc: Domain) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import happened, linked, route
+from tests.support.bridge import happened, linked, route, says
 from tests.support.ports import free_port
 from tests.support.rogue import Rogue
 from tests.support.waiting import eventually
@@ -22,8 +22,6 @@ from rsb_bridge.wire.messages import Accept, Close, Propose, Refuse
 if TYPE_CHECKING:
     from tests.support.bridge import Bridge
 
-    from rsb_bridge.api import EngineApi
-
 TCP, UDP, RFCOMM = (named(name)() for name in ("tcp", "udp", "bluetooth"))
 SESSION = Session(name="pc", role="server", server_ip="0.0.0.0", server_port=7060)
 
@@ -39,12 +37,6 @@ def answer_of(rogue: Rogue) -> Accept | Refuse:
     answer = rogue.wait_for(Accept, Refuse)
     assert isinstance(answer, Accept | Refuse)
     return answer
-
-
-def says(engine: EngineApi, topic: str, *words: str) -> bool:
-    """Whether a topic's reason has all of these; one that is refused is proposed again now and then."""
-    reason = route(engine, topic).reason
-    return all(each in reason for each in words)
 
 
 @pytest.mark.parametrize("protocol", ["udp", "tcp"])

@@ -185,6 +185,12 @@ def find(engine: EngineApi, topic: str) -> RouteSnapshot | None:
     return next((each for each in now(engine).routes if each.topic == topic), None)
 
 
+def says(engine: EngineApi, topic: str, *words: str) -> bool:
+    """Whether a topic's reason has all these words; one that is refused is proposed again now and then."""
+    found = find(engine, topic)
+    return found is not None and all(each in found.reason for each in words)
+
+
 def stage(engine: Engine, topic: str, name: str) -> bool | None:
     """Whether a message's way is known to lead past a stage; of a topic that goes both ways, both."""
     found = [
