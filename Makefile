@@ -5,7 +5,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 comma := ,
 # A sourced ROS brings its own rclpy on PYTHONPATH; elsewhere ROS 2 Jazzy comes as wheels.
-EXTRAS := $(if $(ROS_DISTRO),dev,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)ros-test$(comma)dev,dev))
+ROS_EXTRAS := $(if $(ROS_DISTRO),,$(if $(filter x86_64,$(shell uname -m)),ros$(comma)ros-test$(comma)))
+EXTRAS := $(ROS_EXTRAS)zenoh$(comma)metrics$(comma)dev
 
 # Children by the hundred start sooner with bytecode.
 unexport PYTHONDONTWRITEBYTECODE
@@ -75,8 +76,9 @@ lock:
 	$(LOCK)/bin/pip install --quiet --disable-pip-version-check uv
 	$(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' > $(LOCK)/build.in
 	$(LOCKED) --output-file locks/run.txt
-	$(LOCKED) --extra ros --output-file locks/ros.txt
-	$(LOCKED) --extra ros --extra ros-test --extra dev --output-file locks/dev.txt
+	$(LOCKED) --extra zenoh --extra metrics --output-file locks/fleet.txt
+	$(LOCKED) --extra ros --extra zenoh --extra metrics --output-file locks/ros.txt
+	$(LOCKED) --extra ros --extra ros-test --extra zenoh --extra metrics --extra dev --output-file locks/dev.txt
 
 PACKAGES := tmux qemu-system-x86 iproute2 nftables systemd
 

@@ -16,7 +16,12 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-EXTRAS = {"run": (), "ros": ("ros",), "dev": ("ros", "ros-test", "dev")}
+EXTRAS = {
+    "run": (),
+    "fleet": ("zenoh", "metrics"),
+    "ros": ("ros", "zenoh", "metrics"),
+    "dev": ("ros", "ros-test", "zenoh", "metrics", "dev"),
+}
 _LINE = re.compile(r"(?P<name>[a-z0-9-]+)==(?P<version>\S+)( ; (?P<marker>.+))?")
 
 
