@@ -38,7 +38,7 @@ from rsb_bridge.ros.queue import RosToLoopQueue
 from rsb_bridge.ros.side import ros_side
 from rsb_bridge.telemetry.event_log import EventLog
 from rsb_bridge.telemetry.snapshots import SnapshotPublisher
-from rsb_bridge.transport.registry import Transports, default_transports
+from rsb_bridge.transport.registry import Transports, transports_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -90,7 +90,7 @@ class Engine(EngineApi):
         self._ros = ros
         self._clock = clock or Clock()
         self._random = random or Random()  # noqa: S311 — jitter, no secret
-        self._transports = transports or default_transports()
+        self._transports = transports or transports_of(session, base, self._random)
         self._events = EventLog(self._clock)
         self._starting = threading.Lock()
         """Held by whoever starts or ends the threads."""
@@ -323,6 +323,7 @@ class Engine(EngineApi):
             await bridge.run()
         finally:
             self._commands.end()
+            self._transports.close()
 
     async def _with_key(
         self, command: Callable[[Client, tuple[Key, ...]], Coroutine[None, None, None]], client: Client

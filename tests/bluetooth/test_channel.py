@@ -91,7 +91,7 @@ class Radio(Rfcomm):
         noting = replace(acceptor, make_handler=lambda: _Noting(acceptor.make_handler(), self.accepted))
         return await self._tcp.listen("127.0.0.1", self._port, noting)
 
-    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+    async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         assert (host, port) == (_MAC, _CHANNEL)
         assert all(end.stream.over for end in self.called), "two adapters have one connection on a channel"
         if self.off:

@@ -136,7 +136,7 @@ class SaysGoodbye(Tcp):
         self.times: list[float] = []
         self._loop = loop
 
-    async def connect(self, host: str, port: int, handler: Any) -> Stream:
+    async def connect(self, host: str, port: int, handler: Any, rank: int | None = None) -> Stream:
         self.times.append(self._loop.time())
         (link,) = self.role.links()
         link.control = Control(link)  # type: ignore[assignment]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 RESTART = "restart the bridge's process for that (systemctl restart, or rsb-console stop and start it again)"
 _OTHER_SESSION = ("name", "role")
-_FIXED = ("server_ip", "server_port", "bluetooth_address", "domain_id", "use_encryption", "profile")
+_FIXED = ("server_ip", "server_port", "bluetooth_address", "zenoh", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from rsb_bridge.config.decoding import join, read, show
 from rsb_bridge.config.yaml_text import SessionError, read_yaml
+from rsb_bridge.model import transports
 from rsb_bridge.model.limits import RATE
 from rsb_bridge.model.session import Grant, May, Problem
 
@@ -27,6 +28,11 @@ _ENTRY = re.compile(r"\{[^{}]*\}?|[^\s,{]+")
 
 class GrantError(ValueError):
     """What was typed is no entry of `allow` or `deny`; the message says why."""
+
+
+def protocols_of(grant: Grant) -> tuple[str, ...]:
+    """What may carry the topics of an entry; empty: anything."""
+    return grant.protocol if isinstance(grant.protocol, tuple) else (grant.protocol,) if grant.protocol else ()
 
 
 def typed_grants(text: str) -> tuple[str | Grant, ...]:
@@ -92,8 +98,9 @@ def _subject_problems(grant: Grant, here: str) -> Iterator[Problem]:
     else:
         noun, uses, others = "service", CALL_USES, "topics"
         yield from _pattern_problems(grant.services or "", noun, join(here, "services"))
-        if grant.protocol is not None and "udp" in grant.protocol:
-            yield Problem(join(here, "protocol"), "udp carries no calls: leave it out, or give tcp or bluetooth")
+        for protocol in protocols_of(grant):
+            if not transports.named(protocol).reliable:
+                yield Problem(join(here, "protocol"), f"{protocol} carries no calls: leave it out")
     if grant.may is not None and grant.may not in uses:
         message = f"{grant.may} is for {others}: a {noun} takes {' or '.join(uses)}, or leave may out for both"
         yield Problem(join(here, "may"), message)

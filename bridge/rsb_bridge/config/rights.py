@@ -10,7 +10,7 @@ import msgspec
 
 from rsb_bridge.config.call_rules import service_names
 from rsb_bridge.config.file_form import LISTS
-from rsb_bridge.config.grants import CALL_USES, TOPIC_USES, allowing, denying
+from rsb_bridge.config.grants import CALL_USES, TOPIC_USES, allowing, denying, protocols_of
 from rsb_bridge.config.yaml_text import inline
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.lanes import LANES
@@ -193,11 +193,6 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
 def listed_as(may: May) -> Direction:
     """The direction of what a client lists, and by that has the server do."""
     return _LISTED_AS[may][0]
-
-
-def protocols_of(grant: Grant) -> tuple[str, ...]:
-    """What may carry the topics of an entry; empty: anything."""
-    return grant.protocol if isinstance(grant.protocol, tuple) else (grant.protocol,) if grant.protocol else ()
 
 
 def _meant_by(use: Use) -> list[str]:

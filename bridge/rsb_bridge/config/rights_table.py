@@ -6,8 +6,8 @@ import fnmatch
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.config.grants import CALL_USES, TOPIC_USES
-from rsb_bridge.config.rights import Use, listed_as, protocols_of, rights_of_client, rights_of_server
+from rsb_bridge.config.grants import CALL_USES, TOPIC_USES, protocols_of
+from rsb_bridge.config.rights import Use, listed_as, rights_of_client, rights_of_server
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import PORTS_PER_CLIENT
 from rsb_bridge.model.text import join_first
@@ -92,7 +92,7 @@ def listings(session: Session) -> Iterator[Listing]:
 
 def _listing(rights: Rights, carried: Sequence[str], within: str, ports: str) -> Listing:
     rows = [*_rows(rights, TOPIC_USES, carried, within, ports)]
-    reliable = [transport for transport in carried if transport != "udp"]
+    reliable = [name for name in carried if transports.named(name).reliable]
     rows += _rows(rights, CALL_USES, reliable, within, ports)
     return Listing(rights.peer, tuple(rows), tuple(_moves(rights, carried)), tuple(_acts(rights, reliable)))
 

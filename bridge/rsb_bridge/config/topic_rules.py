@@ -11,10 +11,10 @@ from rsb_bridge.config.grants import rate_problems
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.model import transports
 from rsb_bridge.model.lanes import LANES
-from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, NO_PORT, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name, server_topic, well_formed
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
-from rsb_bridge.model.session import Kind, Problem, Session, Topic
+from rsb_bridge.model.session import Kind, Problem, Protocol, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
 from rsb_bridge.model.type_names import expand_type_name
 
@@ -30,12 +30,17 @@ A_KIND: Final[dict[Kind, str]] = {
     "parameters": "a node's parameters",
 }
 """Each kind, in a sentence."""
+_OVER_ZENOH = ("zenoh", "zenoh-drop")
 _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "action": "action", "parameters": "node"}
 
 
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     """Whether there is such a port."""
-    if port not in transport.ports:
+    if not port and 0 not in transport.ports:
+        yield Problem(location, f"missing: give a {transport.port_kind}, {transport.ports}")
+    elif port and transport.ports is NO_PORT:
+        yield Problem(location, "a link over Zenoh has no ports: leave it out")
+    elif port not in transport.ports:
         yield Problem(location, f"{port} is not a valid {transport.port_kind}: {transport.ports}")
 
 
@@ -128,9 +133,9 @@ def _type(name: str, location: str) -> Iterator[Problem]:
 
 
 def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[Problem]:
-    if topic.protocol == "udp" and topic.kind != "topic":
+    if topic.protocol and not transports.named(topic.protocol).reliable and topic.kind != "topic":
         message = (
-            "udp loses datagrams, and a call has to arrive whole, and be answered: give tcp, or leave protocol out"
+            f"{topic.protocol} loses messages, and a call has to arrive whole, and be answered: leave protocol out"
         )
         yield Problem(join(location, "protocol"), message)
     elif session is None:
@@ -141,6 +146,8 @@ def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[
                 join(location, "protocol"),
                 f"{topic.protocol} does not cross a Bluetooth link (server_ip is a MAC): leave protocol out",
             )
+    elif (topic.protocol in _OVER_ZENOH) != session.is_zenoh and topic.protocol is not None:
+        yield Problem(join(location, "protocol"), _elsewhere(topic.protocol, session))
     elif topic.protocol == "bluetooth" and session.bluetooth_address is None:
         yield Problem(
             join(location, "protocol"),
@@ -153,6 +160,13 @@ def _protocol(topic: Topic, location: str, session: Session | None) -> Iterator[
             f"missing: a bluetooth {_NAMED[topic.kind]} of an IP link needs a channel, {CHANNEL}; several topics may "
             "share one",
         )
+
+
+def _elsewhere(protocol: Protocol, session: Session) -> str:
+    """Why a topic cannot go by that protocol on a session's link."""
+    if session.is_zenoh:
+        return f"{protocol} does not cross a link over Zenoh: give zenoh or zenoh-drop, or leave protocol out"
+    return f"{protocol} needs a link over Zenoh (server_ip: zenoh): leave protocol out"
 
 
 def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:

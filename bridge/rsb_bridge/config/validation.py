@@ -33,6 +33,7 @@ from rsb_bridge.config.topic_rules import (
     topic_problems,
     transport_of,
 )
+from rsb_bridge.config.zenoh_rules import zenoh_problems
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
@@ -195,6 +196,7 @@ def _address(session: Session) -> Iterator[Problem]:
         yield Problem("server_ip", f"{address!r} is not an address (did you mean {address.replace('-', ':')}?)")
     elif not (is_mac(address) or _is_ip(address) or _is_host(address)):
         yield Problem("server_ip", f"{show(address)} is not an IPv4 or IPv6 address, a host name, or a Bluetooth MAC")
+    yield from zenoh_problems(session)
     if session.bluetooth_address is None:
         return
     if session.is_bluetooth:

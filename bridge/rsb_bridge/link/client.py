@@ -147,12 +147,13 @@ class ClientLink(Link):
         port: int,
         connection: ClientConnection | DataConnection,
         let_in: LetIn,
+        rank: int | None = None,
     ) -> Failure | None:
         """Connect, and wait for the server's answer; None: the server accepted the stream."""
         remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
         attempt = ConnectAttempt(connection, self.address, remedied, let_in)
         try:
-            await transport.connect(host, port, attempt)
+            await transport.connect(host, port, attempt, rank)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
                 return await attempt.outcome
         except OSError as error:
@@ -313,7 +314,7 @@ class ClientLink(Link):
 
         # The address that the control connection reached: the server's name may resolve to another by now.
         host = self.control.stream.host if transport is self.transport else transport.host(self.context.session)
-        return await self._open(transport, host, route.proposal.port or self.port, connection, let_in)
+        return await self._open(transport, host, route.proposal.port or self.port, connection, let_in, route.rank)
 
     def _share_stream(self, route: Route, transport: StreamTransport) -> None:
         """Join the stream of the route's channel, or open it if nobody has begun to."""

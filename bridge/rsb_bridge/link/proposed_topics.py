@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.link.proposals import proposal_of, protocol_of
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.profiles import PLAIN
 
@@ -96,5 +96,5 @@ class ProposedTopics:
         name, prefixed, transports = self._client_name, self._prefixed(), self._context.transports
         for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
             raise LinkError(str(problem))
-        transport = transports[topic.protocol] if topic.protocol else self._transport
-        return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._profile())
+        protocol = topic.protocol or protocol_of(topic, self._transport)
+        return proposal_of(topic, transports[protocol], client_name=name, use_name=prefixed, profile=self._profile())

@@ -204,7 +204,12 @@ class ServerRole:
         for link in self._server.links.values():
             for topic in link.entry.client.topics:
                 link.proposed.add(topic)
-        await self._server.start()
+        try:
+            await self._server.start()
+        except ListenError as error:
+            if self._context.transports.of_link(self._context.session.server_ip).local:
+                raise
+            self._bind_later(str(error))
 
     async def stop(self) -> None:
         self._stopped = True

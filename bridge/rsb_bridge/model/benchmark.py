@@ -43,7 +43,7 @@ class Order(msgspec.Struct, frozen=True, omit_defaults=True):
 
     what: Literal["run", "measure", "end"] = "run"
     link: str = ""
-    transport: Literal["", "tcp", "udp", "bluetooth"] = ""
+    transport: Literal["", "tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"] = ""
     direction: Literal["transmit", "receive"] = "transmit"
     size: int = 0
     rate: float = 0.0

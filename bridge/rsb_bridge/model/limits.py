@@ -29,6 +29,8 @@ SAFE_DOMAIN = Range(0, 101)
 """ROS domains whose ports are clear of Linux's ephemeral range (docs.ros.org, "The ROS_DOMAIN_ID")."""
 PORT = Range(1, 65535)
 """TCP and UDP (RFC 9293, section 3.1; RFC 768); 0 lets the kernel choose."""
+NO_PORT = Range(0, 0)
+"""Zenoh has none: who is meant stands in the key."""
 DEFAULT_PORT = 7060
 """Below the ports of DDS (7400 + 250 for each domain), and of the kernel for outgoing connections (32768 to 60999)."""
 TOPIC_PORT = Range(1024, PORT.high)

@@ -28,9 +28,12 @@ Kind = Literal["topic", "service", "action", "parameters"]
 Provider = Literal["client", "server"]
 Identity = tuple[Kind, str, Direction]
 """What no two of a session's topics have in common: kind, name on the client, direction."""
-Protocol = Literal["tcp", "udp", "bluetooth"]
+Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "call", "serve"]
+
+ZENOH_HOST = "zenoh"
+"""The `Session.server_ip` of a link over Zenoh."""
 
 _MAC = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}")
 
@@ -181,6 +184,22 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     bench: Leave | None = None
 
 
+class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """How a session reaches its Zenoh network.
+
+    Attributes:
+        connect: endpoints of routers, or of a bridge that listens: ``tls/hub:7447``; the first that answers is used.
+        listen: endpoints to bind, for links without a router: ``tcp/0.0.0.0:7447``.
+        config: path of a Zenoh configuration (JSON5), relative to the session file, for certificates and the like.
+        fleet: tells the bridges of one fleet from others in the same network: only links within a fleet are possible.
+    """
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    config: str | None = None
+    fleet: str = "fleet"
+
+
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """What one bridge process does.
 
@@ -188,7 +207,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         name: must match on both sides; the prefix (``/scan`` -> ``/robot1/scan``) when `use_name` is set.
         role: a client connects, a server binds.
         server_ip: IPv4 or IPv6 address, host name, or Bluetooth MAC, which makes the link RFCOMM. A server binds it.
-        server_port: TCP and UDP port, or RFCOMM channel.
+            ``zenoh``: the link goes over the Zenoh network that `zenoh` gives.
+        server_port: TCP and UDP port, or RFCOMM channel; 0: none, over Zenoh.
         bluetooth_address: MAC of the server's adapter, for single topics over Bluetooth beside an IP link. Each names
             a channel as its port; those that name the same share it.
         domain_id: ROS domain; None: ``$ROS_DOMAIN_ID``, else 0.
@@ -211,12 +231,14 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
         bench: on a client, the server may measure the link, and cause so much by that; on a server without a list of
             clients, likewise its client. None: it may not.
+        zenoh: the Zenoh network, for links over it, and to be seen in its fleet whatever the links run over; None:
+            there is none.
     """
 
     name: str
     role: Role
     server_ip: str
-    server_port: int
+    server_port: int = 0
     bluetooth_address: str | None = None
     domain_id: int | None = None
     use_name: bool = False
@@ -235,11 +257,17 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     shared_keys: bool = False
     profile: ProfileName | None = None
     bench: Leave | None = None
+    zenoh: ZenohSettings | None = None
 
     @property
     def is_bluetooth(self) -> bool:
         """Whether the link is RFCOMM."""
         return is_mac(self.server_ip)
+
+    @property
+    def is_zenoh(self) -> bool:
+        """Whether the link goes over Zenoh."""
+        return self.server_ip == ZENOH_HOST
 
     @property
     def accepted_clients(self) -> tuple[Client, ...]:

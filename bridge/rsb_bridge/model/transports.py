@@ -5,10 +5,10 @@ Validation reads these facts, so that a session is checked without loading a soc
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from rsb_bridge.model.limits import CHANNEL, PORT, TOPIC_PORT, Range
-from rsb_bridge.model.session import is_mac
+from rsb_bridge.model.limits import CHANNEL, NO_PORT, PORT, TOPIC_PORT, Range
+from rsb_bridge.model.session import ZENOH_HOST, is_mac
 
 if TYPE_CHECKING:
     from rsb_bridge.model.profiles import Compression
@@ -29,6 +29,10 @@ class TransportTraits:
         multiplexed: the routes of a link share one stream per number, and the link's own stream is one of them. Else
             each route has a stream of its own.
         companions: names of the transports that a server of such links binds to the same number for their routes.
+        reliable: what is sent comes, or its sender is told that the carrier is lost.
+        best_effort: name of the companion that carries topics whose session asks for best effort, where they name none;
+            empty: they go as all others.
+        local: its addresses are this machine's own, so that a server that can't bind one cannot start.
     """
 
     name: ClassVar[Protocol]
@@ -40,6 +44,9 @@ class TransportTraits:
     compression: ClassVar[Compression] = "none"
     multiplexed: ClassVar[bool] = False
     companions: ClassVar[tuple[Protocol, ...]] = ()
+    reliable: ClassVar[bool] = True
+    best_effort: ClassVar[Protocol | Literal[""]] = ""
+    local: ClassVar[bool] = True
 
     @staticmethod
     def carries_links_to(host: str) -> bool:
@@ -71,17 +78,45 @@ class TcpTraits(TransportTraits):
 
     @staticmethod
     def carries_links_to(host: str) -> bool:
-        return not is_mac(host)
+        return not is_mac(host) and host != ZENOH_HOST
 
 
 class UdpTraits(TransportTraits):
     """UDP over IPv4 and IPv6."""
 
     name = "udp"
+    reliable = False
+
+
+class ZenohTraits(TransportTraits):
+    """Streams over a Zenoh network, each in samples that its routers hold back while it is congested."""
+
+    name = "zenoh"
+    port_kind = "Zenoh port"
+    ports = topic_ports = NO_PORT
+    ip_ports = False
+    companions = ("zenoh-drop",)
+    best_effort = "zenoh-drop"
+    local = False
+
+    @staticmethod
+    def carries_links_to(host: str) -> bool:
+        return host == ZENOH_HOST
+
+
+class ZenohDropTraits(TransportTraits):
+    """Single samples over a Zenoh network, which its routers drop while it is congested."""
+
+    name = "zenoh-drop"
+    port_kind = "Zenoh port"
+    ports = topic_ports = NO_PORT
+    ip_ports = False
+    reliable = False
+    local = False
 
 
 _BY_NAME: dict[str, type[TransportTraits]] = {
-    traits.name: traits for traits in (RfcommTraits, TcpTraits, UdpTraits)
+    traits.name: traits for traits in (RfcommTraits, ZenohTraits, ZenohDropTraits, TcpTraits, UdpTraits)
 }  # fmt: skip
 
 

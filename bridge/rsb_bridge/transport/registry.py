@@ -8,8 +8,14 @@ from rsb_bridge.transport.rfcomm import Rfcomm
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.transport.udp import Udp
+from rsb_bridge.transport.zenoh.network import Network
+from rsb_bridge.transport.zenoh.transport import Links, Zenoh, ZenohDrop
 
 if TYPE_CHECKING:
+    from pathlib import Path
+    from random import Random
+
+    from rsb_bridge.model.session import Session
     from rsb_bridge.transport.transport import Transport
 
 
@@ -27,6 +33,11 @@ class Transports:
     def __getitem__(self, name: str) -> Transport:
         return self._by_name[name]
 
+    def close(self) -> None:
+        """Give back what they share; all sockets are closed."""
+        for transport in self._by_name.values():
+            transport.close()
+
     def of_link(self, host: str) -> StreamTransport:
         """The transport of a link whose session has that `server_ip`."""
         return next(
@@ -39,3 +50,17 @@ class Transports:
 def default_transports() -> Transports:
     """TCP, UDP and Bluetooth RFCOMM over the kernel's sockets."""
     return Transports(Rfcomm(), Tcp(), Udp())
+
+
+def transports_of(session: Session, base: Path, random: Random) -> Transports:
+    """What a session's links and topics may run over.
+
+    Args:
+        session: whose.
+        base: the folder that its files are relative to.
+        random: for jitter.
+    """
+    if session.zenoh is None:
+        return default_transports()
+    links = Links(Network(session.zenoh, base, random.random()), session.name)
+    return Transports(Rfcomm(), Zenoh(links), ZenohDrop(links), Tcp(), Udp())

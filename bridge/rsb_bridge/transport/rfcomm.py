@@ -61,7 +61,7 @@ class Rfcomm(RfcommTraits, StreamTransport):
     def format_address(self, address: Address) -> str:
         return _format_address(address)
 
-    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+    async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT):

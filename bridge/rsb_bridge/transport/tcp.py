@@ -47,7 +47,7 @@ class Tcp(TcpTraits, StreamTransport):
 
     largest_message = MESSAGE_LIMIT
 
-    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+    async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         """Connect to the first of the host's addresses that answers, within `CONNECT_TIMEOUT` (RFC 8305)."""
         found = await look_up(host, port, CONNECT_TIMEOUT)
         if not found:

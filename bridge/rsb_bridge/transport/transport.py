@@ -135,6 +135,10 @@ class _Transport(TransportTraits, ABC):
         """An address as an operator reads it: ``host:port`` and the like."""
         return format_address(address)
 
+    def close(self) -> None:
+        """Give back what all its sockets share, after the last of them is closed."""
+        return
+
     @abstractmethod
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         """Accept what comes to all of the host's addresses.
@@ -148,10 +152,16 @@ class StreamTransport(_Transport):
     """A transport of byte streams."""
 
     @abstractmethod
-    async def connect(self, host: str, port: int, handler: StreamHandler) -> Stream:
+    async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         """Connect a stream; the handler is told by `StreamHandler.connected` before this returns.
 
         When cancelled it leaves no socket behind.
+
+        Args:
+            host: of the server.
+            port: of the server.
+            handler: of the stream.
+            rank: of the priority of the route that it carries; None: it carries a link's own messages.
 
         Raises:
             OSError: there is no connection; `rsb_bridge.transport.streams.os_error_message` says why.

@@ -46,7 +46,7 @@ MOST_PUBLISHERS = 4096
 PublisherIds: TypeAlias = Annotated[tuple[PublisherId, ...], Meta(max_length=MOST_PUBLISHERS)]
 NewestNumbers: TypeAlias = Annotated[dict[PublisherId, MessageNumber], Meta(max_length=MOST_PUBLISHERS)]
 
-Transport = Literal["tcp", "udp", "bluetooth"]
+Transport = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Compression = Literal["none", "zstd"]
 RefuseCode = Literal["type_differs", "denied", "port_taken"]
 

@@ -1,0 +1,54 @@
+"""Blocking calls in threads that nobody joins.
+
+The event loop's own pool is joined when the process ends, and other work shares it: a call that does not return would
+hold up both.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+T = TypeVar("T")
+
+
+async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
+    """What a blocking call returns, or the OSError that it raises.
+
+    Args:
+        name: of the thread.
+        work: the call; it goes on where it is given up.
+        within: s until it is given up.
+
+    Raises:
+        TimeoutError: it is given up.
+        OSError: raised by the call.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[T] = loop.create_future()
+
+    def settle(result: T | None, error: OSError | None) -> None:
+        if done.done():
+            return
+        if error is not None:
+            done.set_exception(error)
+        else:
+            done.set_result(result)  # type: ignore[arg-type]  # it is one, as there is no error
+
+    def run() -> None:
+        result, error = None, None
+        try:
+            result = work()
+        except OSError as raised:
+            error = raised
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(settle, result, error)
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    async with asyncio.timeout(within):
+        return await done

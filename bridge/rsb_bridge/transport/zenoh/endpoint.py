@@ -1,0 +1,266 @@
+"""An endpoint of a Zenoh network: an address of its own, what comes to it, and who else is there.
+
+Keys, below ``rsb_console/FLEET``, where an address is 16 hexadecimal digits, new for each endpoint:
+
+- ``at/TO/FROM/STREAM``: a sample for the endpoint TO; a stream is 16 hexadecimal digits, ``drop`` a datagram.
+- ``here/SERVICE/ADDRESS/LABEL``: the liveliness token of an endpoint; its label is percent-encoded.
+
+A sample says in its attachment what it is (`Kind`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import os
+import struct
+import threading
+from collections import deque
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+from urllib.parse import quote, unquote
+
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.transport.threads import in_thread
+from rsb_bridge.transport.zenoh.outbox import Outbox
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    import zenoh
+
+ROOT = "rsb_console"
+RECEIVE_BUFFER = 32 * 1024 * 1024
+"""Bytes that may wait for the loop; what comes beyond is lost, as in a kernel's full buffer."""
+ASKED_WITHIN = 2.0
+"""s that announcements are waited for."""
+MOST_SEEN = 10_000
+"""Announcements that are kept; who is in a network may make any number of them."""
+
+_DATAGRAM = "drop"
+_LABEL_LENGTH = 300
+_HEADER = struct.Struct(">BBQ")
+_OVERHEAD = 500
+"""Bytes that a sample takes while it waits, beyond its payload."""
+
+
+class Kind(IntEnum):
+    """What a sample of a stream is. Its number is..."""
+
+    DATA = 1
+    """... its place among these, from 0."""
+    WINDOW = 2
+    """... how many bytes this side has taken in so far."""
+    END = 3
+    """... how many samples of data came before; the payload says why."""
+
+
+class Header(NamedTuple):
+    """What a sample's attachment says.
+
+    Attributes:
+        kind: a `Kind`; other numbers are passed over.
+        rank: of the stream's priority; `Outbox` has the ranks.
+        number: by the kind.
+    """
+
+    kind: int
+    rank: int
+    number: int
+
+    def pack(self) -> bytes:
+        """The attachment."""
+        return _HEADER.pack(*self)
+
+
+class Seen(NamedTuple):
+    """Somebody who has announced an endpoint.
+
+    Attributes:
+        service: as in `rsb_bridge.transport.zenoh.network.Network.endpoint`.
+        address: of the endpoint.
+        label: as its owner says, unauthenticated.
+    """
+
+    service: str
+    address: str
+    label: str
+
+
+class StreamEnd(Protocol):
+    """This side's end of a stream."""
+
+    def arrived(self, header: Header, payload: bytes) -> None:
+        """A sample came."""
+        ...
+
+    def cut_off(self, reason: str) -> None:
+        """The other end is gone, or cannot be reached any more."""
+        ...
+
+
+class Endpoint:
+    """On the loop that was running when it was made; used on that loop only, but for `cut_off`.
+
+    Attributes:
+        address: of its own.
+        outbox: what it sends.
+        seen: of the services that it watches, by address; itself, too, if that is one of them.
+        on_stream: called with the sender's address, the stream and its first header where a stream is new; gives this
+            side's end. None: new streams are refused.
+        on_datagram: called with the sender's address and a payload; None: datagrams are lost.
+        on_seen: called when somebody comes (True) or goes.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        fleet: str,
+        service: str,
+        label: str,
+        watched: Sequence[str],
+        on_close: Callable[[Endpoint], None],
+    ) -> None:
+        self.address = os.urandom(8).hex()
+        self.outbox = Outbox(session, asyncio.get_running_loop())
+        self.seen: dict[str, Seen] = {}
+        self.on_stream: Callable[[str, str, Header], StreamEnd] | None = None
+        self.on_datagram: Callable[[str, bytes], None] | None = None
+        self.on_seen: Callable[[Seen, bool], None] = _nobody
+        self._session = session
+        self._root = f"{ROOT}/{fleet}"
+        self._service, self._label, self._watched = service, label, watched
+        self._on_close = on_close
+        self._loop = asyncio.get_running_loop()
+        self._streams: dict[tuple[str, str], StreamEnd] = {}
+        self._arrivals: deque[Callable[[], None]] = deque()
+        self._waiting_bytes = 0
+        self._counting = threading.Lock()
+        self._woken = False
+        self._declared: list[zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
+
+    def announce(self) -> None:
+        """Begin to receive, and let all see that this endpoint is there."""
+        session, root = self._session, self._root
+        live = session.liveliness()
+        watched = [f"{root}/here/{service}/*/*" for service in self._watched]
+        self._declared = [
+            session.declare_subscriber(f"{root}/at/{self.address}/*/*", self._sample),
+            *(live.declare_subscriber(key, self._announcement, history=True) for key in watched),
+            live.declare_token(f"{root}/here/{self._service}/{self.address}/{quote(self._label, safe='') or '-'}"),
+        ]
+
+    def close(self) -> None:
+        """Be gone. Streams are to be closed before."""
+        for declared in self._declared:
+            with contextlib.suppress(Exception):  # the network is closed already
+                declared.undeclare()  # type: ignore[no-untyped-call]
+        self._declared = []
+        self.outbox.close()
+        self._on_close(self)
+
+    async def ask(self, service: str) -> list[Seen]:
+        """Who of a service is there now, as routers know it."""
+        key = f"{self._root}/here/{service}/*/*"
+
+        def collect() -> list[Seen]:
+            replies = self._session.liveliness().get(key, timeout=ASKED_WITHIN)
+            found = (_seen(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
+            return list(itertools.islice(found, MOST_SEEN))
+
+        return await in_thread("zenoh-ask", collect, 2 * ASKED_WITHIN)
+
+    # --- streams
+
+    def key(self, to: str, stream: str = _DATAGRAM) -> str:
+        """The key of samples for another endpoint."""
+        return f"{self._root}/at/{to}/{self.address}/{stream}"
+
+    def add(self, peer: str, stream: str, end: StreamEnd) -> None:
+        """Give a stream's samples to its end."""
+        self._streams[peer, stream] = end
+
+    def forget(self, peer: str, stream: str) -> None:
+        """The stream is over."""
+        self._streams.pop((peer, stream), None)
+
+    def cut_off(self, reason: str) -> None:
+        """Nothing gets through any more: end all streams. From any thread."""
+        self._soon(lambda: self._end_all(reason))
+
+    def _end_all(self, reason: str, peer: str = "") -> None:
+        for (address, _), end in tuple(self._streams.items()):
+            if peer in ("", address):
+                end.cut_off(reason)
+
+    # --- on Zenoh's threads
+
+    def _sample(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        attachment = sample.attachment
+        header = b"" if attachment is None else attachment.to_bytes()
+        size = len(payload) + _OVERHEAD
+        with self._counting:
+            if self._waiting_bytes + size > RECEIVE_BUFFER:
+                return  # a stream notices by the numbers
+            self._waiting_bytes += size
+        key = str(sample.key_expr)
+        self._soon(lambda: self._take(key, header, payload, size))
+
+    def _announcement(self, sample: zenoh.Sample) -> None:
+        seen, comes = _seen(str(sample.key_expr)), sample.kind.name == "PUT"
+        self._soon(lambda: self._announced(seen, comes=comes))
+
+    def _soon(self, work: Callable[[], None]) -> None:
+        self._arrivals.append(work)
+        if not self._woken:
+            self._woken = True
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._loop.call_soon_threadsafe(self._turn)
+
+    # --- on the loop
+
+    def _turn(self) -> None:
+        self._woken = False
+        for _ in range(len(self._arrivals)):
+            self._arrivals.popleft()()
+
+    def _take(self, key: str, attachment: bytes, payload: bytes, size: int) -> None:
+        with self._counting:
+            self._waiting_bytes -= size
+        *_, sender, stream = key.rsplit("/", 2)
+        if stream == _DATAGRAM:
+            if self.on_datagram is not None:
+                self.on_datagram(sender, payload)
+            return
+        if len(attachment) != _HEADER.size:
+            return
+        header = Header(*_HEADER.unpack(attachment))
+        end = self._streams.get((sender, stream))
+        if end is None:
+            if header.kind != Kind.DATA:
+                return
+            if self.on_stream is None or header.number:
+                over = Header(Kind.END, header.rank, 0)
+                self.outbox.put(self.key(sender, stream), b"there is no such stream any more", over)
+                return
+            end = self.on_stream(sender, stream, header)
+        end.arrived(header, payload)
+
+    def _announced(self, seen: Seen, *, comes: bool) -> None:
+        if comes and (seen.address in self.seen or len(self.seen) < MOST_SEEN):
+            self.seen[seen.address] = seen
+        elif not comes:
+            self.seen.pop(seen.address, None)
+            self._end_all("the other side has left the Zenoh network", seen.address)
+        self.on_seen(seen, comes)
+
+
+def _seen(key: str) -> Seen:
+    *_, service, address, label = key.rsplit("/", 3)
+    return Seen(service, address, sanitize_text(unquote(label), _LABEL_LENGTH) if label != "-" else "")
+
+
+def _nobody(_: Seen, __: bool) -> None:
+    """Nobody watches."""

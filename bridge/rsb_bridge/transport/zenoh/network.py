@@ -1,0 +1,178 @@
+"""One process's place in a Zenoh network: opening it, and what to tell an operator where that fails.
+
+The `zenoh` package is an extra. It is imported when a network is opened, and by nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.transport.threads import in_thread
+from rsb_bridge.transport.zenoh.diagnosis import why_unreachable
+from rsb_bridge.transport.zenoh.endpoint import Endpoint
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    import zenoh
+
+    from rsb_bridge.model.session import ZenohSettings
+
+HOW_TO_INSTALL = "links over Zenoh need the package eclipse-zenoh: pip install 'rsb-console[zenoh]'"
+LARGEST_SAMPLE = 2 * 1024 * 1024
+"""Bytes; this side's own are half as long at most, and whatever else comes is refused before it is put together."""
+
+_OPEN_WITHIN = 10.0
+_QUEUES = ("control", "real_time", "interactive_high", "interactive_low", "data_high", "data", "data_low", "background")
+_BATCHES = 16
+"""Of 64 kB, in each priority's queue; the most that Zenoh allows. `endpoint` relies on it."""
+_LEASE = 5000
+"""ms without a byte after which a router counts as lost."""
+_RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2}
+
+
+class Network:
+    """A Zenoh session of this process, opened when it is first needed, and shared by all that use it.
+
+    It finds its way back by itself after a router was lost. Its endpoints may be on several event loops.
+
+    Args:
+        settings: where the network is.
+        base: the folder that `ZenohSettings.config` is relative to.
+        jitter: a number from 0 to 1, different in each process: by how much it retries later than others.
+    """
+
+    def __init__(self, settings: ZenohSettings, base: Path, jitter: float = 0.0) -> None:
+        self.settings = settings
+        self._base = base
+        self._jitter = jitter
+        self._lock = threading.Lock()
+        self._session: zenoh.Session | None = None
+        self._listener: Any = None
+        self._endpoints: list[Endpoint] = []
+        self._closed = False
+
+    async def open(self) -> None:
+        """Be in the network, if no earlier call has seen to it.
+
+        Raises:
+            OSError: it is not reached; the message says why, and what to do.
+        """
+        try:
+            await in_thread("zenoh-open", self._open, _OPEN_WITHIN)
+        except TimeoutError:
+            raise OSError(f"{self.place}: no answer within {_OPEN_WITHIN:g} s") from None
+        if not self.connected:
+            raise OSError(f"{self.place}: the router is lost; Zenoh looks for it")
+
+    @property
+    def place(self) -> str:
+        """Where the network is reached, for an operator."""
+        settings = self.settings
+        return ", ".join(settings.connect or settings.listen) or f"the endpoints of {settings.config}"
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is somebody to talk to, or somebody may come: who listens waits for peers."""
+        session = self._session
+        return session is not None and bool(self.settings.listen or session.info.transports())
+
+    async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
+        """A new endpoint on the running loop, announced to all of the fleet.
+
+        Args:
+            service: what it is: ``server``, ``client``, ``engine``, ``console``.
+            label: says more, to whoever sees the announcement; its characters are any.
+            watched: the services whose comings and goings it watches.
+
+        Raises:
+            OSError: the network is not reached.
+        """
+        await self.open()
+        with self._lock:
+            session = self._session
+            if session is None:
+                raise OSError(f"{self.place}: closed meanwhile")
+            endpoint = Endpoint(session, self.settings.fleet, service, label, watched, self._left)
+            self._endpoints.append(endpoint)
+        endpoint.announce()
+        return endpoint
+
+    def close(self) -> None:
+        """Leave the network, from any thread; endpoints are to be closed before."""
+        with self._lock:
+            self._closed = True
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+
+    def _left(self, endpoint: Endpoint) -> None:
+        with self._lock:
+            self._endpoints.remove(endpoint)
+
+    # --- in a thread
+
+    def _open(self) -> None:
+        with self._lock:
+            if self._session is not None or self._closed:
+                return
+            try:
+                import zenoh  # noqa: PLC0415 (an extra)
+            except ImportError:
+                raise OSError(HOW_TO_INSTALL) from None
+            config = self._config(zenoh)
+            try:
+                session = zenoh.open(config)
+            except zenoh.ZError as error:
+                raise OSError(why_unreachable(self.settings, config, str(error))) from None
+            self._listener = session.info.declare_transport_events_listener(self._changed)
+            self._session = session
+
+    def _config(self, package: Any) -> zenoh.Config:
+        settings = self.settings
+        config: zenoh.Config = package.Config()
+        if settings.config is not None:
+            path = self._base / settings.config
+            try:
+                config = package.Config.from_json5(path.read_text(encoding="utf-8"))
+            except OSError as error:
+                raise OSError(f"zenoh.config: {path}: {os.strerror(error.errno or 0)}") from None
+            except (package.ZError, ValueError) as error:
+                raise OSError(f"zenoh.config: {path}: {first_sentence(str(error))}") from None
+        else:
+            _set(config, "scouting/multicast/enabled", value=False)  # nobody is called who is not named
+        if settings.connect:
+            _set(config, "connect/endpoints", list(settings.connect))
+        if settings.listen:
+            _set(config, "listen/endpoints", list(settings.listen))
+        if settings.config is None:
+            _set(config, "mode", "peer" if settings.listen else "client")
+        _set(config, "connect/retry", {**_RETRY, "period_init_ms": int(_RETRY["period_init_ms"] * (1 + self._jitter))})
+        _set(config, "transport/link/tx/lease", _LEASE)
+        _set(config, "transport/link/rx/max_message_size", 2 * LARGEST_SAMPLE)
+        _set(config, "transport/link/tx/queue/size", dict.fromkeys(_QUEUES, _BATCHES))
+        _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
+        return config
+
+    def _changed(self, _: object) -> None:
+        """A router or peer has come or gone; on a thread of Zenoh's."""
+        session = self._session
+        if session is None or session.info.transports():
+            return
+        with self._lock:
+            endpoints = list(self._endpoints)
+        for endpoint in endpoints:
+            endpoint.cut_off("the connection to the Zenoh router is lost")
+
+
+def _set(config: zenoh.Config, key: str, value: object) -> None:
+    config.insert_json5(key, json.dumps(value))
+
+
+def first_sentence(text: str) -> str:
+    """What Zenoh says of an error, without where in its own code that was."""
+    return text.partition(" at /")[0].strip().rstrip(".")

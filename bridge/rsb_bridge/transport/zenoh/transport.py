@@ -1,0 +1,250 @@
+"""Zenoh as a transport of links: who finds whom, and how their streams and datagrams begin."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.text import join_first
+from rsb_bridge.model.transports import ZenohDropTraits, ZenohTraits
+from rsb_bridge.transport.streams import Address, Stream, StreamHandler
+from rsb_bridge.transport.transport import (
+    RECEIVE_BUFFER,
+    Acceptor,
+    Datagrams,
+    DatagramSocket,
+    DatagramTransport,
+    Listener,
+    ListenError,
+    SendPath,
+    StreamTransport,
+)
+from rsb_bridge.transport.zenoh.outbox import LINK_RANK
+from rsb_bridge.transport.zenoh.pipe import Pipe
+from rsb_bridge.wire.framing import MESSAGE_LIMIT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Header, Seen
+    from rsb_bridge.transport.zenoh.network import Network
+
+SERVER, CLIENT = "server", "client"
+"""The services by which the two sides of links announce themselves."""
+DATAGRAM = 60_000
+"""Bytes of a datagram: with its key it fits one batch of Zenoh's, which loses it whole or not at all."""
+
+_NAMED = 3
+_RANKS = {1: 1, 0: 2, -1: 3}
+
+
+class ZenohStream(Stream):
+    """A stream whose sender waits while too much of it is under way."""
+
+    high_water = 256 * 1024
+
+    @property
+    def peer(self) -> str:
+        return _format_address(self.address)
+
+
+class Links:
+    """This process's endpoint for links, one for all of them: of the server, or of the client.
+
+    Args:
+        network: which it is in.
+        name: of the session, for others to see.
+    """
+
+    def __init__(self, network: Network, name: str) -> None:
+        self.network = network
+        self._label = f"{name} on {socket.gethostname()}"
+        self._endpoint: Endpoint | None = None
+        self._opening = asyncio.Lock()
+
+    async def endpoint(self, service: str, watched: Sequence[str]) -> Endpoint:
+        """The endpoint, made at the first call.
+
+        Raises:
+            OSError: the network is not reached.
+        """
+        async with self._opening:
+            if self._endpoint is None:
+                self._endpoint = await self.network.endpoint(service, self._label, watched)
+            else:
+                await self.network.open()
+        return self._endpoint
+
+    def endpoint_if_open(self) -> Endpoint:
+        """The endpoint of a link that is up.
+
+        Raises:
+            OSError: there is none.
+        """
+        if self._endpoint is None:
+            raise OSError("not in the Zenoh network")
+        return self._endpoint
+
+    def close(self) -> None:
+        """Close the endpoint; the next one has another address."""
+        if self._endpoint is not None:
+            self._endpoint.close()
+            self._endpoint = None
+
+
+class Zenoh(ZenohTraits, StreamTransport):
+    """Streams over a Zenoh network. Hosts are ``zenoh``, or the address of the server's endpoint; ports are 0."""
+
+    largest_message = MESSAGE_LIMIT
+
+    def __init__(self, links: Links) -> None:
+        self._links = links
+
+    def format_address(self, address: Address) -> str:
+        return f"zenoh ({self._links.network.place})" if address[0] == "zenoh" else _format_address(address)
+
+    async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
+        endpoint = await self._links.endpoint(CLIENT, (SERVER,))
+        peer = await self._server(endpoint) if host == "zenoh" else host
+        stream = ZenohStream(handler)
+        Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream)
+        return stream
+
+    async def _server(self, endpoint: Endpoint) -> str:
+        servers = {seen.address: seen for seen in await endpoint.ask(SERVER)}
+        fleet = self._links.network.settings.fleet
+        if not servers:
+            raise OSError(f"the Zenoh network has no server of the fleet {fleet!r}: is it running, with that fleet?")
+        if len(servers) > 1:
+            raise OSError(_several(fleet, servers.values()))
+        return next(iter(servers))
+
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
+        try:
+            endpoint = await self._links.endpoint(SERVER, (CLIENT, SERVER))
+            others = [seen for seen in await endpoint.ask(SERVER) if seen.address != endpoint.address]
+        except OSError as error:
+            self._links.close()
+            raise ListenError(str(error)) from None
+        if others:
+            self._links.close()
+            raise ListenError(_several(self._links.network.settings.fleet, others, own=True))
+
+        def accept(sender: str, stream: str, header: Header) -> Pipe:
+            return Pipe(endpoint, sender, stream, header.rank, ZenohStream(acceptor.make_handler()))
+
+        def another(seen: Seen, comes: bool) -> None:
+            if comes and seen.service == SERVER and seen.address != endpoint.address:
+                acceptor.shortage(_several(self._links.network.settings.fleet, [seen], own=True))
+
+        endpoint.on_stream = accept
+        endpoint.on_seen = another
+        return _Listening(self._links, endpoint)
+
+    def close(self) -> None:
+        self._links.close()
+        self._links.network.close()
+
+
+class _Listening:
+    """A server's end of `Zenoh.listen`."""
+
+    def __init__(self, links: Links, endpoint: Endpoint) -> None:
+        self._links = links
+        self._endpoint = endpoint
+
+    def close(self) -> None:
+        self._endpoint.on_stream = None
+
+
+class ZenohSocket:
+    """Sends single samples to one peer, or to any; fulfils `DatagramSocket`.
+
+    Attributes:
+        when_writable: never called: it is never congested.
+    """
+
+    congested = False
+    port = 0
+    receive_buffer = RECEIVE_BUFFER
+
+    def __init__(self, endpoint: Endpoint, peer: str, on_close: Callable[[], None]) -> None:
+        self.when_writable: set[Callable[[], None]] = set()
+        self._endpoint = endpoint
+        self._peer = peer
+        self._on_close = on_close
+
+    def send(self, datagrams: Sequence[bytes], path: SendPath | None) -> None:
+        """See `DatagramSocket.send`."""
+        key = self._endpoint.key(self._peer if path is None else str(path.address[0]))
+        for datagram in datagrams:
+            self._endpoint.outbox.drop(key, datagram)
+
+    def path(self, source: str, address: Address) -> SendPath:
+        """See `DatagramSocket.path`."""
+        return SendPath(address, [])
+
+    def datagram_size(self, address: Address) -> int:
+        """See `DatagramSocket.datagram_size`."""
+        return DATAGRAM
+
+    def close(self) -> None:
+        """See `DatagramSocket.close`."""
+        self._on_close()
+
+
+class ZenohDrop(ZenohDropTraits, DatagramTransport):
+    """Datagrams over a Zenoh network, for the routes of links over `Zenoh`."""
+
+    largest_message = MESSAGE_LIMIT
+
+    def __init__(self, links: Links) -> None:
+        self._links = links
+
+    def format_address(self, address: Address) -> str:
+        return _format_address(address)
+
+    async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
+        """Take datagrams at the endpoint that the streams have."""
+        try:
+            endpoint = self._links.endpoint_if_open()
+        except OSError as error:
+            raise ListenError(str(error)) from None
+        bound = ZenohSocket(endpoint, "", lambda: _deaf(endpoint))
+        endpoint.on_datagram = lambda sender, payload: acceptor.datagrams(bound, [(payload, (sender, 0))])
+        return bound
+
+    def connect(self, peer: Address, received: Callable[[DatagramSocket, Datagrams], None]) -> DatagramSocket:
+        endpoint = self._links.endpoint_if_open()
+        server = str(peer[0])
+        connected = ZenohSocket(endpoint, server, lambda: _deaf(endpoint))
+
+        def take(sender: str, payload: bytes) -> None:
+            if sender == server:
+                received(connected, [(payload, peer)])
+
+        endpoint.on_datagram = take
+        return connected
+
+
+def _deaf(endpoint: Endpoint) -> None:
+    endpoint.on_datagram = None
+
+
+def _priority(rank: int | None) -> int:
+    """The rank of a sample (`rsb_bridge.transport.zenoh.outbox`) for that of a route; None: the link's own."""
+    return LINK_RANK if rank is None else _RANKS[(rank > 0) - (rank < 0)]
+
+
+def _several(fleet: str, servers: Iterable[Seen], *, own: bool = False) -> str:
+    names = join_first(sorted(seen.label for seen in servers), _NAMED)
+    remedy = "stop one, or give this one's sessions another fleet (zenoh: {fleet: NAME})"
+    if own:
+        return f"the fleet {fleet!r} has a server already: {names}: {remedy}"
+    return f"the fleet {fleet!r} has several servers: {names}: {remedy}"
+
+
+def _format_address(address: Address) -> str:
+    return f"zenoh {address[0]}"
