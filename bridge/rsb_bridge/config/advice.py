@@ -14,6 +14,8 @@ from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
+from rsb_bridge.config.zenoh_rules import HOW_TO_INSTALL_ZENOH
+from rsb_bridge.model import transports
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -43,17 +45,23 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     if not session.use_encryption:
         yield Problem("use_encryption", "off: everything crosses in the clear, and anyone may connect")
     yield from _domain(session, domain_variable)
-    if session.role == "server" and not session.is_bluetooth and session.server_port not in TOPIC_PORT:
+    if _binds_port(session) and session.server_port not in TOPIC_PORT:
         yield Problem("server_port", f"ports below {TOPIC_PORT.low} need root, or CAP_NET_BIND_SERVICE")
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
+    if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
+        yield Problem("zenoh", HOW_TO_INSTALL_ZENOH)
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
     for at, client in enumerate(session.clients):
         where = join("clients", at)
         yield from _topics(client.topics, where, session)
         yield from _denied(client.topics, where, rights_of_client(client, session.name), session)
+
+
+def _binds_port(session: Session) -> bool:
+    return session.role == "server" and transports.of_link(session.server_ip).ip_ports
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
@@ -66,7 +74,7 @@ def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
     mine = [
         (join("ports", at), port) for at, port in enumerate(session.ports if isinstance(session.ports, tuple) else ())
     ]
-    if session.role == "server" and not session.is_bluetooth:
+    if _binds_port(session):
         mine.append(("server_port", session.server_port))
     for location, port in mine:
         if port in taken:

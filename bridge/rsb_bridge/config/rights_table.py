@@ -179,6 +179,8 @@ def _may(rights: Rights, use: Use, carried: Sequence[str]) -> bool:
 
 
 def _ports(session: Session) -> str:
+    if session.is_zenoh:
+        return "none"
     if session.ports is None:
         return f"any {PORTS_PER_CLIENT}"
     return "none" if session.ports == "none" else join_first([str(port) for port in session.ports], _NAMED) or "none"

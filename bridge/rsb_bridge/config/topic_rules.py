@@ -45,10 +45,19 @@ def port_problems(port: int, location: str, transport: type[TransportTraits]) ->
 
 
 def transport_of(topic: Topic, session: Session | None) -> type[TransportTraits]:
-    """What carries a topic: its own transport, else the link's; without a session, an IP link's."""
+    """What carries a topic: its own transport, else the link's for its QoS; without a session, an IP link's."""
     if topic.protocol is not None:
         return transports.named(topic.protocol)
-    return transports.of_link(session.server_ip if session is not None else "")
+    link = transports.of_link(session.server_ip if session is not None else "")
+    return transports.named(link.best_effort) if link.best_effort and _is_best_effort(topic) else link
+
+
+def _is_best_effort(topic: Topic) -> bool:
+    try:
+        qos = topic.parsed_qos()
+    except ValueError:  # a problem of its own
+        return False
+    return topic.kind == "topic" and qos is not None and qos.reliability == "best_effort"
 
 
 def topic_problems(topic: Topic, location: str, session: Session | None, client: str | None) -> Iterator[Problem]:

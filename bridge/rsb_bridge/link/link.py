@@ -98,7 +98,7 @@ class Link(ABC):
         self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
         self.table = RouteTable(context, self)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
-        self.proposed = ProposedTopics(context, self.table, self.transport, name, self._prefixed, lambda: self.profile)
+        self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.bench = LinkBench(self)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)

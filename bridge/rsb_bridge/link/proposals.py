@@ -18,8 +18,7 @@ from rsb_bridge.wire.messages import Propose
 
 if TYPE_CHECKING:
     from rsb_bridge.model.profiles import LinkProfile
-    from rsb_bridge.model.session import Kind, Protocol
-    from rsb_bridge.model.transports import TransportTraits
+    from rsb_bridge.model.session import Kind
     from rsb_bridge.transport.transport import Transport
 
 _KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
@@ -59,12 +58,6 @@ def proposal_of(
         timeout=topic.timeout or 0.0,
         priority=RANKS[topic.priority],
     )
-
-
-def protocol_of(topic: Topic, link: TransportTraits) -> Protocol:
-    """What carries a topic that names no protocol, on a link of that transport."""
-    qos = topic.parsed_qos() if topic.kind == "topic" else None
-    return link.best_effort or link.name if qos is not None and qos.reliability == "best_effort" else link.name
 
 
 def topic_of(proposal: Propose) -> Topic:

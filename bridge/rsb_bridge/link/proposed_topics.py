@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import proposal_of, protocol_of
+from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.profiles import PLAIN
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.model.session import Topic
     from rsb_bridge.route.route import Route
-    from rsb_bridge.transport.transport import Transport
     from rsb_bridge.wire.messages import Propose
 
 
@@ -28,7 +28,6 @@ class ProposedTopics:
     Args:
         context: its session says what is valid.
         table: the link's routes.
-        transport: of the link, which carries a topic unless that names another.
         client_name: the prefix.
         prefixed: whether this side knows that the server puts the prefix before the client's topics.
         profile: gives the link's.
@@ -38,14 +37,12 @@ class ProposedTopics:
         self,
         context: Context,
         table: RouteTable,
-        transport: Transport,
         client_name: str,
         prefixed: Callable[[], bool],
         profile: Callable[[], LinkProfile] = lambda: PLAIN,
     ) -> None:
         self._context = context
         self._table = table
-        self._transport = transport
         self._client_name = client_name
         self._prefixed = prefixed
         self._profile = profile
@@ -96,5 +93,5 @@ class ProposedTopics:
         name, prefixed, transports = self._client_name, self._prefixed(), self._context.transports
         for problem in validate_topic(topic, self._context.session, client=name if prefixed else None):
             raise LinkError(str(problem))
-        protocol = topic.protocol or protocol_of(topic, self._transport)
-        return proposal_of(topic, transports[protocol], client_name=name, use_name=prefixed, profile=self._profile())
+        transport = transports[transport_of(topic, self._context.session).name]
+        return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._profile())

@@ -27,8 +27,7 @@ _NAMED = 6
 
 def summary(session: Session) -> Iterator[str]:
     """What a session says, line by line."""
-    where = f"{session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
-    yield f"{session.role} {session.name} {'at' if session.role == 'server' else 'to'} {where}, {_domain(session)}"
+    yield f"{session.role} {session.name} {_where(session)}, {_domain(session)}"
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
         yield f"profile {session.profile}: {described(PROFILES[session.profile])}"
@@ -44,6 +43,14 @@ def summary(session: Session) -> Iterator[str]:
             yield f"    proposes {_route(topic, session, profile_of(client.profile, session.profile))}"
     if session.role == "server" and not session.clients:
         yield f"  accepts {session.name}: everything"
+
+
+def _where(session: Session) -> str:
+    if session.zenoh is not None and session.is_zenoh:
+        places = ", ".join(session.zenoh.connect or session.zenoh.listen) or session.zenoh.config
+        return f"in the fleet {session.zenoh.fleet}, over Zenoh ({places})"
+    way = "at" if session.role == "server" else "to"
+    return f"{way} {session.server_ip} {'channel' if session.is_bluetooth else 'port'} {session.server_port}"
 
 
 def _grants(entries: Iterable[str | Grant]) -> str:

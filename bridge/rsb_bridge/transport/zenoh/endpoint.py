@@ -122,6 +122,8 @@ class Endpoint:
         watched: Sequence[str],
         on_close: Callable[[Endpoint], None],
     ) -> None:
+        import zenoh as package  # noqa: PLC0415 (an extra)
+
         self.address = os.urandom(8).hex()
         self.outbox = Outbox(session, asyncio.get_running_loop())
         self.seen: dict[str, Seen] = {}
@@ -129,6 +131,7 @@ class Endpoint:
         self.on_datagram: Callable[[str, bytes], None] | None = None
         self.on_seen: Callable[[Seen, bool], None] = _nobody
         self._session = session
+        self._put = package.SampleKind.PUT
         self._root = f"{ROOT}/{fleet}"
         self._service, self._label, self._watched = service, label, watched
         self._on_close = on_close
@@ -209,7 +212,7 @@ class Endpoint:
         self._soon(lambda: self._take(key, header, payload, size))
 
     def _announcement(self, sample: zenoh.Sample) -> None:
-        seen, comes = _seen(str(sample.key_expr)), sample.kind.name == "PUT"
+        seen, comes = _seen(str(sample.key_expr)), sample.kind == self._put
         self._soon(lambda: self._announced(seen, comes=comes))
 
     def _soon(self, work: Callable[[], None]) -> None:

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import ZenohSettings
 
-HOW_TO_INSTALL = "links over Zenoh need the package eclipse-zenoh: pip install 'rsb-console[zenoh]'"
 LARGEST_SAMPLE = 2 * 1024 * 1024
 """Bytes; this side's own are half as long at most, and whatever else comes is refused before it is put together."""
 
@@ -123,7 +122,7 @@ class Network:
             try:
                 import zenoh  # noqa: PLC0415 (an extra)
             except ImportError:
-                raise OSError(HOW_TO_INSTALL) from None
+                raise OSError("the package eclipse-zenoh is not installed: pip install 'rsb-console[zenoh]'") from None
             config = self._config(zenoh)
             try:
                 session = zenoh.open(config)
