@@ -36,7 +36,7 @@ def test_the_bases_of_these_tests_are_right(text: str) -> None:
         (
             topic("protocol: tpc"),
             7,
-            "topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
+            "topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth, zenoh, zenoh-drop (did you mean tcp?)",
         ),
         (topic("protocol: TCP"), 7, "(did you mean tcp?)"),
         (topic("protcol: tcp"), 7, "topic /scan, protcol: unknown key (did you mean protocol?)"),

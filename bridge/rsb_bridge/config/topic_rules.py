@@ -36,9 +36,7 @@ _NAMED: Final[dict[Kind, str]] = {"topic": "topic", "service": "service", "actio
 
 def port_problems(port: int, location: str, transport: type[TransportTraits]) -> Iterator[Problem]:
     """Whether there is such a port."""
-    if not port and 0 not in transport.ports:
-        yield Problem(location, f"missing: give a {transport.port_kind}, {transport.ports}")
-    elif port and transport.ports is NO_PORT:
+    if port and transport.ports is NO_PORT:
         yield Problem(location, "a link over Zenoh has no ports: leave it out")
     elif port not in transport.ports:
         yield Problem(location, f"{port} is not a valid {transport.port_kind}: {transport.ports}")

@@ -149,7 +149,11 @@ def _within(location: str, outer: str) -> bool:
 def _session(session: Session) -> Iterator[Problem]:
     yield from _name(session.name, "name", use_name=session.use_name and not session.clients)
     yield from _address(session)
-    yield from port_problems(session.server_port, "server_port", transports.of_link(session.server_ip))
+    link = transports.of_link(session.server_ip)
+    if not session.server_port and 0 not in link.ports:
+        yield Problem("server_port", f"missing, or 0: give a {link.port_kind}, {link.ports}")
+    else:
+        yield from port_problems(session.server_port, "server_port", link)
     if session.domain_id is not None and session.domain_id not in DOMAIN:
         yield Problem("domain_id", f"{session.domain_id} is not a ROS domain: {DOMAIN}")
     yield from key_file_problems(session)
