@@ -31,6 +31,7 @@ Identity = tuple[Kind, str, Direction]
 Protocol = Literal["tcp", "udp", "bluetooth"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "call", "serve"]
+OperatorMay = Literal["look", "change"]
 
 _MAC = re.compile(r"[0-9A-Fa-f]{2}(:[0-9A-Fa-f]{2}){5}")
 
@@ -181,6 +182,20 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     bench: Leave | None = None
 
 
+class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Somebody who may attach to this bridge over a network, with a key of their own.
+
+    Attributes:
+        name: what events call them.
+        key_file: their key, which nobody else has: no other operator, and no link.
+        may: ``look`` only, or ``change`` what the bridge does.
+    """
+
+    name: str
+    key_file: str
+    may: OperatorMay = "look"
+
+
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """What one bridge process does.
 
@@ -211,6 +226,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
         bench: on a client, the server may measure the link, and cause so much by that; on a server without a list of
             clients, likewise its client. None: it may not.
+        operators: those who may attach over a network.
     """
 
     name: str
@@ -235,6 +251,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     shared_keys: bool = False
     profile: ProfileName | None = None
     bench: Leave | None = None
+    operators: tuple[Operator, ...] = ()
 
     @property
     def is_bluetooth(self) -> bool:

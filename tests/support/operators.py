@@ -1,0 +1,84 @@
+"""An engine that operators attach to over a network: TCP sockets of this machine stand in for what carries them."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+from tests.console.scripted import ScriptedEngine
+
+from rsb_bridge.access import Access
+from rsb_bridge.config.keys import Key
+from rsb_bridge.config.operators import Granted
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.sealed import SealedAcceptor
+from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.session import Operator
+from rsb_bridge.telemetry.event_log import EventLog
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+
+    from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.session import OperatorMay
+    from rsb_bridge.model.snapshot import Event
+
+ANNA, BOB = Key(b"a" * 32), Key(b"b" * 32)
+
+
+def granted(name: str, key: Key, may: OperatorMay = "change") -> dict[str, Granted]:
+    """One operator's entry in `Access.granted`."""
+    return {name: Granted(Operator(name, f"{name}.key", may), key)}
+
+
+class Reachable:
+    """A scripted engine, robot1, that anna may change and bob look at.
+
+    Args:
+        machine: serves it on a control socket, too.
+        engine: another one to serve.
+
+    Attributes:
+        access: says who may attach.
+        server: of this machine's consoles, and of operators.
+        acceptor: lets operators in.
+        port: that it listens on, on 127.0.0.1.
+    """
+
+    def __init__(self, machine: Machine, engine: Any = None) -> None:
+        self.engine = ScriptedEngine() if engine is None else engine
+        self.access = Access("robot1", EventLog(Clock()), Clock())
+        self.access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
+        self.server = machine.serve(self.engine)
+        self.acceptor = SealedAcceptor(self.server, self.access)
+        self.port = asyncio.run_coroutine_threadsafe(self._listen(), self.server.loop).result(60)
+        self._machine = machine
+        machine.in_the_end(lambda: asyncio.run_coroutine_threadsafe(self._close(), self.server.loop).result(60))
+
+    async def _listen(self) -> int:
+        self._listening = await self.server.loop.create_server(self.acceptor.protocol, "127.0.0.1", 0)
+        port: int = self._listening.sockets[0].getsockname()[1]
+        return port
+
+    async def _close(self) -> None:
+        self._listening.close()
+
+    def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> Sealed:
+        """An operator's way to it; or by another port, where somebody is in between."""
+
+        async def connect(protocol: asyncio.Protocol) -> None:
+            await asyncio.get_running_loop().create_connection(lambda: protocol, "127.0.0.1", port or self.port)
+
+        return Sealed(connect, name, key, engine)
+
+    def attach(self, name: str = "anna", key: Key = ANNA, **how: Any) -> RemoteEngine:
+        """Attach as an operator."""
+        remote = RemoteEngine(self.way(name, key, **how))
+        remote.start()
+        self._machine.in_the_end(remote.stop)
+        return remote
+
+    def events(self, *codes: EventCode) -> list[Event]:
+        """What of these codes was recorded of operators."""
+        return [event for event in self.access.events.after(0) if event.code in codes]
