@@ -4,8 +4,8 @@ Whoever listens makes a stream of each connection that comes, and a protocol for
 `rsb_bridge.control.server.ControlServer.loop`. The stream is what asyncio calls a transport. It calls
 ``connection_made``, ``data_received``, ``eof_received`` and ``connection_lost`` of the protocol, in order and on that
 loop. It has ``write``, ``close``, ``abort``, ``is_closing``, ``pause_reading``, ``get_write_buffer_size`` and
-``get_extra_info``, whose ``"peername"`` says where the connection comes from, as a socket has it or as a text; that need
-not be true. A stream whose other end is gone has to call ``connection_lost``: nothing in here asks whether it is there.
+``get_extra_info``, whose ``"peername"`` says where the connection comes from, as a socket has it or as a text, true or
+not. A stream whose other end is gone has to call ``connection_lost``: nothing in here asks whether it is there.
 """
 
 from __future__ import annotations
