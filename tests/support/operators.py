@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+import socket
+from typing import TYPE_CHECKING, Any, Self
 
 from tests.console.scripted import ScriptedEngine
 
+from rsb_bridge import __version__
 from rsb_bridge.access import Access
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.operators import Granted
 from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
 from rsb_bridge.control.sealed import SealedAcceptor
 from rsb_bridge.control.sealed_way import Sealed
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.session import Operator
 from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.wire.events import Admitted, Opened
+from rsb_bridge.wire.operators import OperatorConsole
 
 if TYPE_CHECKING:
     from tests.support.control import Machine
 
+    from rsb_bridge.control.protocol import ToBridge, ToConsole
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import OperatorMay
     from rsb_bridge.model.snapshot import Event
+    from rsb_bridge.wire.events import Event as WireEvent
 
 ANNA, BOB = Key(b"a" * 32), Key(b"b" * 32)
 
@@ -54,7 +61,14 @@ class Reachable:
         self.acceptor = SealedAcceptor(self.server, self.access)
         self.port = asyncio.run_coroutine_threadsafe(self._listen(), self.server.loop).result(60)
         self._machine = machine
-        machine.in_the_end(lambda: asyncio.run_coroutine_threadsafe(self._close(), self.server.loop).result(60))
+        self._closed = False
+        machine.in_the_end(self.close)
+
+    def close(self) -> None:
+        """Listen no more; who is attached stays."""
+        if not self._closed:
+            self._closed = True
+            asyncio.run_coroutine_threadsafe(self._close(), self.server.loop).result(60)
 
     async def _listen(self) -> int:
         self._listening = await self.server.loop.create_server(self.acceptor.protocol, "127.0.0.1", 0)
@@ -82,3 +96,68 @@ class Reachable:
     def events(self, *codes: EventCode) -> list[Event]:
         """What of these codes was recorded of operators."""
         return [event for event in self.access.events.after(0) if event.code in codes]
+
+
+class Stranger:
+    """A socket to the engine's port, and a console's end of the handshake to use on it.
+
+    Args:
+        port: the engine's.
+        name: of the operator.
+        key: that is tried.
+        engine: that is meant.
+    """
+
+    def __init__(self, port: int, name: str = "anna", key: Key = ANNA, engine: str = "robot1") -> None:
+        self.console = OperatorConsole(name, key.secret, engine, version=VERSION, host="pc")
+        self.socket = socket.create_connection(("127.0.0.1", port), 60.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.close()
+
+    def send(self, data: bytes) -> None:
+        """Send bytes as they are."""
+        self.socket.sendall(data)
+
+    def hear(self) -> list[WireEvent]:
+        """What comes next, opened; nothing: the engine has closed the connection."""
+        try:
+            data = self.socket.recv(64 << 10)
+        except ConnectionResetError:
+            return []
+        events = self.console.receive_data(data) if data else []
+        if answer := self.console.data_to_send():
+            self.send(answer)
+        return events or (self.hear() if data else [])
+
+    def is_closed(self) -> bool:
+        """Wait for the engine to close the connection, whatever it says before."""
+        try:
+            while self.socket.recv(64 << 10):
+                pass
+        except ConnectionResetError:
+            pass
+        return True
+
+    def attach(self, *, read_only: bool = False) -> None:
+        """Be admitted and welcomed."""
+        self.send(self.console.start())
+        assert self.hear() == [Admitted()]
+        self.say(Hello(VERSION, __version__, read_only))
+        assert isinstance(self.answer(), Welcome)
+
+    def say(self, message: ToBridge) -> None:
+        """Send a message of the control protocol, sealed."""
+        self.send(self.console.send(encode(message)))
+
+    def answer(self) -> ToConsole:
+        """The next message of the control protocol, which comes alone."""
+        frames = frames_to_console()
+        while True:
+            for event in self.hear():
+                assert isinstance(event, Opened)
+                for message in frames.feed(event.content):
+                    return message

@@ -79,6 +79,7 @@ class SealedAcceptor:
         self._replays: dict[bytes, ReplayCache] = {}  # by key
         self._ticking = False
         access.watch(self.review)
+        server.at_end(self._close)
 
     def protocol(self) -> SealedConsole:
         """The protocol of a connection that has come, for its stream."""
@@ -126,6 +127,10 @@ class SealedAcceptor:
         if self._lines.take(1, self.access.now()):
             self.access.events.add(Level.INFO, code, text, who=who)
 
+    def _close(self) -> None:
+        for console in tuple(self._present):
+            console.abort()
+
     def _review(self) -> None:
         granted = self.access.granted
         valid = {each.key.secret for each in granted.values()}
@@ -163,8 +168,7 @@ class SealedConsole(asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
         self._host, self._peer = _origin(transport.get_extra_info("peername"))
         if not self._acceptor.add(self):
-            self.stage = _Stage.GONE
-            self._transport.abort()
+            self.abort()
             return
         self._deadline = self._loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
 
@@ -196,6 +200,7 @@ class SealedConsole(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._leave()
+        self._acceptor.remove(self)
 
     # --- before it is attached
 
@@ -278,7 +283,6 @@ class SealedConsole(asyncio.Protocol):
             return
         self.stage = _Stage.GONE
         self._stop_waiting()
-        self._acceptor.remove(self)
         if self._console is not None:
             self._acceptor.server.remove(self._console)
             text = f"{self.operator} has detached"

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from rsb_bridge.control.folders import Listener
     from rsb_bridge.control.protocol import BridgeInfo
 
-_TURNS_TO_ACCEPT = 10
-"""Turns of the loop: what was accepted last has become a console then, which can be told of the end."""
+_TURNS = 10
+"""Turns of the loop: what was accepted last has become a console then, which can be told of the end, and what was
+aborted is closed."""
 _SAID_WITHIN = 0.25
 _CLOSED_WITHIN = 2.0
 """s that `ControlServer.close` waits for its thread, which ends by itself as soon as it has said so: for a machine that
@@ -58,6 +59,7 @@ class ControlServer:
         self._on_stop = on_stop
         self._consoles: set[Console] = set()
         self._one_less = asyncio.Event()
+        self._at_end: list[Callable[[], None]] = []
         self._ending = ""
         self._ends = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="rsb-control", daemon=True)
@@ -94,6 +96,10 @@ class ControlServer:
         """Why no console is served any more, in words; empty: they are."""
         return self._ending if self._ends.is_set() else ""
 
+    def at_end(self, work: Callable[[], None]) -> None:
+        """Have something done when all consoles have been told of the end. From any thread, before the end."""
+        self._at_end.append(work)
+
     def attached(self) -> int:
         """How many consoles there are, over whatever connection."""
         return len(self._consoles)
@@ -127,7 +133,7 @@ class ControlServer:
         self._ready.set()
         await self._ends.wait()
         self.loop.remove_reader(self._listener.socket)  # a server that is closed while it accepts leaves a socket open
-        for _ in range(_TURNS_TO_ACCEPT):
+        for _ in range(_TURNS):
             await asyncio.sleep(0)
         server.close()
         for console in tuple(self._consoles):
@@ -135,7 +141,11 @@ class ControlServer:
         await self._consoles_gone()
         for console in tuple(self._consoles):
             console.abort()
+        for work in self._at_end:
+            work()
         await self._consoles_gone()
+        for _ in range(_TURNS):
+            await asyncio.sleep(0)
 
     async def _consoles_gone(self) -> None:
         with contextlib.suppress(TimeoutError):
