@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
+from rsb_bridge.access import Access, load_keys
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.arming import EngineArming
 from rsb_bridge.bridge import Bridge
 from rsb_bridge.commands_under_way import CommandsUnderWay, not_running
 from rsb_bridge.config.difference import is_another, kept
-from rsb_bridge.config.keys import KeyFileError
-from rsb_bridge.config.rotation import key_warnings
 from rsb_bridge.config.session_file import SessionError, load
-from rsb_bridge.config.shared_keys import unshared_keys
 from rsb_bridge.config.validation import domain_of, validate
 from rsb_bridge.context import Context
 from rsb_bridge.history.disk import Disk
@@ -71,6 +69,9 @@ class Engine(EngineApi):
         random: for jitter; None: seeded by the system.
         transports: what the links run over; None: the kernel's sockets.
         state: the folder in which events and the time line are kept; None: they are kept in memory only.
+
+    Attributes:
+        access: which operators may attach over a network.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Engine(EngineApi):
         self._random = random or Random()  # noqa: S311 — jitter, no secret
         self._transports = transports or transports_of(session, base, self._random)
         self._events = EventLog(self._clock)
+        self.access = Access(session.name, self._events, self._clock)
         self._starting = threading.Lock()
         """Held by whoever starts or ends the threads."""
         self._stop_wanted = False
@@ -164,8 +166,9 @@ class Engine(EngineApi):
         if not self._session.use_encryption:
             text = "encryption is off: everything crosses in the clear"
             self._events.add(Level.WARNING, EventCode.KEY_UNENCRYPTED, text)
-        keys = _load_keys(self._session, self._base)
-        self._warn_of(keys)
+        keys, granted = load_keys(self._session, self._base)
+        self.access.warn_of(keys, granted)
+        self.access.grant(granted)
         ros = ros_side(self._ros, domain, self._session.name, self._clock)
         try:
             ros.start()
@@ -336,23 +339,25 @@ class Engine(EngineApi):
         if self._session.role != "server":
             raise EngineError("only a server has clients")
         base = self._base if self._file is None else self._file.parent
-        keys = await asyncio.to_thread(_load_keys, msgspec.structs.replace(self._session, clients=(client,)), base)
-        self._warn_of(keys)
+        alone = msgspec.structs.replace(self._session, clients=(client,))
+        keys, _ = await asyncio.to_thread(load_keys, alone, base)
+        self.access.warn_of(keys, {})
         await command(client, keys[client.name])
 
     async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:
         who = operator()
         try:
             path, session, left = await asyncio.to_thread(self._read_again)
-            keys = await asyncio.to_thread(_load_keys, session, path.parent)
+            keys, granted = await asyncio.to_thread(load_keys, session, path.parent)
         except EngineError as error:
             if not dry_run:
                 text = f"not reloaded, nothing is changed: {str(error).replace(chr(10), '; ')}"
                 self._events.add(Level.ERROR, EventCode.ENGINE_RELOAD_FAILED, text, who=who)
             raise
         if not dry_run:
-            self._warn_of(keys)
+            self.access.warn_of(keys, granted)
         done, failed = await bridge.reload(session, keys, dry_run=dry_run)
+        done += self.access.reload(granted, dry_run=dry_run)
         if not dry_run:
             self._session = session
             if not (done or failed or left):
@@ -380,19 +385,3 @@ class Engine(EngineApi):
         if problems := validate(session):  # what is left as it is may not go with what is new
             raise EngineError("; ".join([*left, *map(str, problems)]))
         return self._file, session, left
-
-    def _warn_of(self, keys: Keys) -> None:
-        for warning in key_warnings(keys, self._clock.time_ns() / 1e9):
-            self._events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
-
-
-def _load_keys(session: Session, base: Path) -> Keys:
-    """The key of each client.
-
-    Raises:
-        EngineError: there is none, or two clients have the same.
-    """
-    try:
-        return unshared_keys(session, base)
-    except KeyFileError as error:
-        raise EngineError(str(error)) from None

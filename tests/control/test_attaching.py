@@ -17,7 +17,7 @@ from tests.console.scripted import EVENTS, ScriptedEngine, route
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import bridges, client, folders, protocol, server
+from rsb_bridge.control import bridges, client, console, folders, protocol
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
@@ -277,7 +277,7 @@ def test_what_is_no_console_is_cut_off(machine: Machine, sent: bytes) -> None:
 
 
 def test_who_says_nothing_is_cut_off(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "_HELLO_WITHIN", 0.0)
+    monkeypatch.setattr(console, "_HELLO_WITHIN", 0.0)
     machine.serve()
     with folders.connect(machine.folder / "robot1.sock", 60.0) as connection:
         assert connection.recv(1000) == b""
@@ -327,7 +327,7 @@ def test_a_console_that_takes_nothing_for_long_is_given_up(machine: Machine, mon
     machine.serve(Busy())
     with Stalled(machine).connection:
         eventually(lambda: consoles(machine) == 1)
-        monkeypatch.setattr(server, "_STALLED_FOR", 0.5)
+        monkeypatch.setattr(console, "_STALLED_FOR", 0.5)
         eventually(lambda: consoles(machine) == 0)
 
 

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 from tests.control.test_attaching import Stalled, consoles
@@ -177,12 +177,11 @@ def test_a_console_that_is_stopped_for_30_s_costs_no_message_and_goes_on(traffic
 
 def pass_a_second(machine: Machine) -> None:
     """Let a second pass for the control thread, which does its regular work then."""
-    loop = machine.served[-1]._loop
-    assert loop is not None
+    loop: Any = machine.served[-1].loop
     passed, real = threading.Event(), loop.time
 
     def jump() -> None:
-        loop.time = lambda: real() + 1.0  # type: ignore[method-assign]
+        loop.time = lambda: real() + 1.0
         loop.call_later(0.3, passed.set)  # longer than a tick
 
     loop.call_soon_threadsafe(jump)

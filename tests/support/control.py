@@ -11,6 +11,7 @@ from rsb_bridge.control import bridges
 from rsb_bridge.control.client import RemoteEngine
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from rsb_bridge.control.server import ControlServer
@@ -45,8 +46,12 @@ class Machine:
         """Attach to a socket by its name."""
         remote = RemoteEngine(self.folder / f"{name}.sock", read_only=read_only)
         remote.start()
-        self._resources.callback(remote.stop)
+        self.in_the_end(remote.stop)
         return remote
+
+    def in_the_end(self, work: Callable[[], object]) -> None:
+        """Do something before what was begun until now is ended."""
+        self._resources.callback(work)
 
     def _stop(self) -> None:
         self.stopped += 1

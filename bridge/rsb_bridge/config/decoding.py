@@ -31,6 +31,7 @@ _STAND_INS = {
     "action": "/unnamed",
     "node": "/unnamed",
     "provider": "server",
+    "key_file": "unnamed.key",
 }
 _MEANINGS: Final = {"provider": " (the side whose node answers)"}
 

@@ -29,6 +29,7 @@ NAME_KEYS: Final[dict[str, str]] = {"topics": "topic", "services": "service", "a
 
 NOUNS: Final[dict[str, str]] = {
     "topics": "topic", "services": "service", "actions": "action", "parameters": "parameters of", "clients": "client",
+    "operators": "operator",
 }  # fmt: skip
 """What an entry is called, before its name, by list."""
 

@@ -25,6 +25,7 @@ from rsb_bridge.config.file_form import (
 from rsb_bridge.config.grants import grant_problems, leave_problems
 from rsb_bridge.config.key_files import key_file_problems
 from rsb_bridge.config.keys import conceal
+from rsb_bridge.config.operators import operator_problems
 from rsb_bridge.config.topic_rules import (
     A_KIND,
     name_problems,
@@ -157,6 +158,7 @@ def _session(session: Session) -> Iterator[Problem]:
     if session.domain_id is not None and session.domain_id not in DOMAIN:
         yield Problem("domain_id", f"{session.domain_id} is not a ROS domain: {DOMAIN}")
     yield from key_file_problems(session)
+    yield from operator_problems(session)
     yield from stale_problems(session.stale_after, "stale_after")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")

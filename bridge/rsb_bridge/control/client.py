@@ -1,4 +1,4 @@
-"""An engine in another process of this machine, attached through its control socket."""
+"""An engine in another process, attached through its control socket, or from another machine."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ import threading
 import time
 from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge import __version__
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.control import commands, protocol, requests
 from rsb_bridge.control.arming import RemoteArming
-from rsb_bridge.control.folders import ControlError, NotServedError, try_connect
+from rsb_bridge.control.folders import ControlError, NotServedError
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.requests import Requests
 from rsb_bridge.control.states import Receiver, out_of_reach
+from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -25,10 +27,10 @@ from rsb_bridge.telemetry.event_log import EventLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from rsb_bridge.control.commands import Command
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+    from rsb_bridge.control.ways import Connection, Way
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.peek import PeekedMessage
@@ -40,11 +42,9 @@ T = TypeVar("T")
 ANSWERS_WITHIN = 5.0
 """s in which a bridge welcomes a console, and after which one that is silent counts as unreachable."""
 _RETRY_EVERY = 0.5
-_BUSY_TRIED_EVERY = 0.05
 _COMES_BEFORE_USE = 0.1
 """s: the next state is asked for so long before it is likely to be used."""
 _USED_REGULARLY = 3.0
-_READ_SIZE = 256 << 10
 
 
 class RemoteEngine(EngineApi):
@@ -54,18 +54,19 @@ class RemoteEngine(EngineApi):
     down, and attaches again as soon as that is possible. `stop` detaches; the engine goes on.
 
     Args:
-        path: of its control socket.
+        where: the path of its control socket, or another way to it.
         read_only: have the bridge refuse what would change anything.
         clock: the wall clock; None: the machine's.
 
     Attributes:
-        bridge: who serves the socket, from `start` on.
-        read_only: as given.
+        bridge: who serves it, from `start` on.
+        read_only: whether the bridge refuses what would change anything, from `start` on.
     """
 
-    def __init__(self, path: Path, *, read_only: bool = False, clock: Clock | None = None) -> None:
-        self.path = path
+    def __init__(self, where: Path | Way, *, read_only: bool = False, clock: Clock | None = None) -> None:
         self.read_only = read_only
+        self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
+        self._wants_read_only = read_only
         self.bridge: BridgeInfo
         self._log = EventLog(clock or Clock())
         self._clock = clock or Clock()
@@ -79,7 +80,7 @@ class RemoteEngine(EngineApi):
         self._thread = threading.Thread(target=self._run, name="rsb-attached", daemon=True)
         self._loop: asyncio.AbstractEventLoop
         self._ends = asyncio.Event()
-        self._writer: asyncio.StreamWriter | None = None
+        self._connection: Connection | None = None
         self._requests = Requests()
         self._followed = 0
         self._events_before = 0
@@ -268,10 +269,10 @@ class RemoteEngine(EngineApi):
             except (ControlError, ProtocolError) as error:
                 reason = str(error)
             except TimeoutError:
-                reason = f"{self.path}: the bridge does not answer"
+                reason = f"{self._way.text}: the bridge does not answer"
             except OSError as error:
-                reason = f"{self.path}: {error.strerror or error}"
-            self._writer = None
+                reason = f"{self._way.text}: {error.strerror or error}"
+            self._connection = None
             if not self._started.done():
                 self._started.set_exception(ControlError(reason))
                 return
@@ -280,15 +281,15 @@ class RemoteEngine(EngineApi):
 
     async def _attach(self) -> str:
         """Be attached until the connection ends; gives the reason."""
-        reader, writer = await self._open()
+        connection = await self._way.open(ANSWERS_WITHIN)
         try:
-            self._writer = writer
-            self._send(protocol.Hello(protocol.VERSION, __version__, self.read_only))
+            self._connection = connection
+            self._send(protocol.Hello(protocol.VERSION, __version__, self._wants_read_only))
             frames = protocol.frames_to_console()
             complete = False
             while True:
                 async with asyncio.timeout(None if complete else ANSWERS_WITHIN):
-                    data = await reader.read(_READ_SIZE)
+                    data = await connection.read()
                 if not data:
                     return "the bridge's process has ended, or has closed the connection"
                 for message in frames.feed(data):
@@ -296,26 +297,13 @@ class RemoteEngine(EngineApi):
                         return message.reason
                     complete = self._handle(message) or complete
         finally:
-            writer.transport.abort()
-
-    async def _open(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        """Connect; whatever ends this, no socket is left open.
-
-        The socket is made between two awaits, so that a cancellation cannot come before somebody owns it.
-        """
-        async with asyncio.timeout(ANSWERS_WITHIN):
-            while (connection := try_connect(self.path)) is None:  # noqa: ASYNC110 — the kernel tells of no event
-                await asyncio.sleep(_BUSY_TRIED_EVERY)
-        try:
-            return await asyncio.open_unix_connection(sock=connection)
-        except BaseException:
-            connection.close()
-            raise
+            connection.abort()
 
     def _handle(self, message: ToConsole) -> bool:
         """Take a message; whether it completes a state."""
         match message:
             case protocol.Welcome():
+                self.read_only = message.read_only
                 self._welcome(message.bridge)
             case protocol.State():
                 if self._receiver.take(message):
@@ -371,26 +359,26 @@ class RemoteEngine(EngineApi):
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
 
     def _send(self, message: ToBridge) -> None:
-        if self._writer is not None and not self._writer.is_closing():
-            self._writer.write(protocol.encode(message))
+        if self._connection is not None:
+            self._connection.write(protocol.encode(message))
 
     # --- looking
 
     def _look_soon(self, delay: float) -> None:
-        if not self._look_is_due and self._asked_at is None and self._writer is not None:
+        if not self._look_is_due and self._asked_at is None and self._connection is not None:
             self._look_is_due = True
             self._loop.call_later(max(0.0, delay), self._look)
 
     def _look(self) -> None:
         self._look_is_due = False
-        if self._writer is not None and self._asked_at is None:
+        if self._connection is not None and self._asked_at is None:
             self._asked_at = time.monotonic()
             self._send(protocol.Look())
 
     # --- requests
 
     def _send_request(self, command: Command, answered: Future[object], step: Callable[[str], None] | None) -> None:
-        if self._writer is None:
+        if self._connection is None:
             answered.set_exception(EngineError(f"not attached: {self._lost}"))
             return
         request = self._requests.new(command, answered, step)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.token_bucket import TokenBucket
 
 if TYPE_CHECKING:
-    from rsb_bridge.context import Context
     from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.telemetry.event_log import EventLog
     from rsb_bridge.transport.streams import Stream
 
 _FAILURES = 5
@@ -51,10 +51,23 @@ class _Logged:
         return True
 
 
+class Recording(Protocol):
+    """What refusals are counted on, and recorded in."""
+
+    @property
+    def events(self) -> EventLog:
+        """The engine's."""
+        ...
+
+    def now(self) -> float:
+        """Seconds on a clock that nobody sets."""
+        ...
+
+
 class Refusals:
     """Refusals by host. The addresses of an IPv6 /64, which one machine can have, count as one host."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Recording) -> None:
         self._context = context
         self._failures: dict[str, deque[float]] = {}
         self._logged: dict[tuple[str, str], _Logged] = {}
@@ -71,15 +84,19 @@ class Refusals:
         return _DELAY if len(self._failures.get(network(host), ())) >= _FAILURES else 0.0
 
     def log(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
-        """Log that a stream was rejected: ever more rarely for each host and message, and few messages of a host.
+        """As `log_of`, of a client.
 
         It takes nothing of the quota of the link of that name: whoever calls itself so need not be that client.
         """
-        host = network(stream.host)
+        self.log_of(stream.host, f"a client at {stream.peer}", code, message, name)
+
+    def log_of(self, host: str, who: str, code: EventCode, message: str, name: str = "") -> None:
+        """Log that somebody was rejected: ever more rarely for each host and message, and few messages of a host."""
+        host = network(host)
         if (host, _MANY) in self._logged or self._has_many(host, message):
             message = _MANY
         if self.is_new(host, message):
-            self._context.events.add(Level.WARNING, code, f"rejected a client at {stream.peer}: {message}", link=name)
+            self._context.events.add(Level.WARNING, code, f"rejected {who}: {message}", link=name)
 
     def _has_many(self, host: str, message: str) -> bool:
         return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST

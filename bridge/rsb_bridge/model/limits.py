@@ -71,6 +71,8 @@ ROUTES_PER_LINK = 1000
 ROUTES_PROPOSED_BY_SERVER = 256
 """Of them, those that a server may have a client keep beyond the client's own: each costs a descriptor and endpoints in
 DDS, and the client's own file may list more."""
+OPERATORS = 32
+"""Operators of one session."""
 PORTS_PER_CLIENT = 16
 """Ports of their own that a client's topics may have a server bind, unless its session lists them (`Session.ports`)."""
 

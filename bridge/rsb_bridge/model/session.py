@@ -31,6 +31,7 @@ Identity = tuple[Kind, str, Direction]
 Protocol = Literal["tcp", "udp", "bluetooth", "zenoh", "zenoh-drop"]
 Role = Literal["client", "server"]
 May = Literal["publish", "read", "call", "serve"]
+OperatorMay = Literal["look", "change"]
 
 ZENOH_HOST = "zenoh"
 """The `Session.server_ip` of a link over Zenoh."""
@@ -200,6 +201,20 @@ class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omi
     fleet: str = "fleet"
 
 
+class Operator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Somebody who may attach to this bridge over a network, with a key of their own.
+
+    Attributes:
+        name: what events call them.
+        key_file: their key, which nobody else has: no other operator, and no link.
+        may: ``look`` only, or ``change`` what the bridge does.
+    """
+
+    name: str
+    key_file: str
+    may: OperatorMay = "look"
+
+
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
     """What one bridge process does.
 
@@ -233,6 +248,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
             clients, likewise its client. None: it may not.
         zenoh: the Zenoh network, for links over it, and to be seen in its fleet whatever the links run over; None:
             there is none.
+        operators: those who may attach over a network.
     """
 
     name: str
@@ -258,6 +274,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     profile: ProfileName | None = None
     bench: Leave | None = None
     zenoh: ZenohSettings | None = None
+    operators: tuple[Operator, ...] = ()
 
     @property
     def is_bluetooth(self) -> bool:

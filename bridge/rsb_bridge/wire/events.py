@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
@@ -88,4 +88,26 @@ class Failed:
     reason: str
 
 
-Event: TypeAlias = Established | Received | DataFrame | Attach | Accepted | Refused | Failed
+@dataclass(frozen=True, slots=True)
+class Admitted:
+    """An operator's connection is up, and the peer has proven that it has the operator's key.
+
+    Attributes:
+        operator: on the engine, who it is; this and the rest are empty on the console.
+        host: the machine that they come from, as their console says.
+        key: theirs.
+    """
+
+    operator: str = ""
+    host: str = ""
+    key: bytes = field(default=b"", repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The next bytes came on an operator's connection."""
+
+    content: bytes = field(repr=False)
+
+
+Event: TypeAlias = Established | Received | DataFrame | Attach | Accepted | Refused | Failed | Admitted | Opened

@@ -19,7 +19,8 @@ MESSAGE_LIMIT = 512
 LINK_ID_LENGTH = 8
 
 MAGIC = b"rsb"
-_PREFIX_LENGTH = 5
+PREFIX_LENGTH = 5
+"""Bytes of a preamble frame before its body."""
 _DATA = struct.Struct(f">{LINK_ID_LENGTH}sI")
 
 
@@ -31,6 +32,7 @@ class Kind(IntEnum):
     ACCEPT = 3
     REFUSE = 4
     RETRY = 5
+    OPERATOR = 6
 
 
 class RefusalCode(IntEnum):
@@ -156,7 +158,7 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
         ProtocolError: this is no preamble frame.
         Refusal: the peer speaks another version.
     """
-    if len(frame) < _PREFIX_LENGTH or not frame.startswith(MAGIC):
+    if len(frame) < PREFIX_LENGTH or not frame.startswith(MAGIC):
         raise ProtocolError("the stream does not begin with a preamble: the other side is not an rsb-console")
     version, kind = frame[3], frame[4]
     if version != VERSION:
@@ -167,7 +169,7 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
             f"update rsb-console on {older}, which is older",
         )
     try:
-        return Kind(kind), frame[_PREFIX_LENGTH:]
+        return Kind(kind), frame[PREFIX_LENGTH:]
     except ValueError:
         raise ProtocolError(f"unknown preamble kind {kind}") from None
 
@@ -178,7 +180,7 @@ def parse_control(frame: bytes) -> ControlPreamble:
     Raises:
         ProtocolError: the frame is invalid.
     """
-    body = frame[_PREFIX_LENGTH:]
+    body = frame[PREFIX_LENGTH:]
     if len(body) < 2 or len(body) < 2 + body[1] + FINGERPRINT_LENGTH:
         raise ProtocolError("a CONTROL frame ends before its name or its fingerprint does")
     name_end = 2 + body[1]
@@ -189,7 +191,7 @@ def parse_control(frame: bytes) -> ControlPreamble:
         raise ProtocolError("the name in a CONTROL frame is not UTF-8") from None
     if not is_clean(name):
         raise ProtocolError("the name in a CONTROL frame has unprintable characters")
-    return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: _PREFIX_LENGTH + end], body[end:])
+    return ControlPreamble(parse_suite(body), name, body[name_end:end], frame[: PREFIX_LENGTH + end], body[end:])
 
 
 def parse_data(frame: bytes) -> DataPreamble:
@@ -198,10 +200,10 @@ def parse_data(frame: bytes) -> DataPreamble:
     Raises:
         ProtocolError: the frame is invalid.
     """
-    end = _PREFIX_LENGTH + _DATA.size
+    end = PREFIX_LENGTH + _DATA.size
     if len(frame) < end:
         raise ProtocolError("a DATA frame ends before its route does")
-    link_id, route = _DATA.unpack_from(frame, _PREFIX_LENGTH)
+    link_id, route = _DATA.unpack_from(frame, PREFIX_LENGTH)
     return DataPreamble(link_id, route, frame[:end], frame[end:])
 
 

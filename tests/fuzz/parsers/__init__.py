@@ -18,6 +18,7 @@ FAMILIES = (
     "session_files",
     "kept_files",
     "control_socket",
+    "operators",
     "announcements",
     "bluetooth",
 )

@@ -1,0 +1,98 @@
+"""Which operators may attach over a network: what the engine says, and who serves them asks, on any thread."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import KeyFileError
+from rsb_bridge.config.operators import granted_operators, operator_changes
+from rsb_bridge.config.rotation import key_warnings
+from rsb_bridge.config.shared_keys import unshared_keys
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import operator
+from rsb_bridge.model.snapshot import Level
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from rsb_bridge.config.keys import Key
+    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.model.clock import Clock
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.telemetry.event_log import EventLog
+
+
+class Access:
+    """The operators of one engine.
+
+    Args:
+        name: the engine's, which an operator's console has to mean.
+        events: where it is recorded who attaches, and who is refused.
+        clock: the engine's.
+
+    Attributes:
+        name: as given.
+        events: as given.
+        clock: as given.
+        granted: by the operators' names; replaced as a whole.
+    """
+
+    def __init__(self, name: str, events: EventLog, clock: Clock) -> None:
+        self.name = name
+        self.events = events
+        self.clock = clock
+        self.granted: Mapping[str, Granted] = {}
+        self._watchers: list[Callable[[], None]] = []
+
+    def now(self) -> float:
+        """Seconds on a clock that nobody sets."""
+        return self.clock.steady()
+
+    def watch(self, changed: Callable[[], None]) -> None:
+        """Have a function called whenever `granted` is another, on the engine's thread."""
+        self._watchers.append(changed)
+
+    def grant(self, granted: Mapping[str, Granted]) -> None:
+        """From now on these operators may attach, and no others."""
+        self.granted = granted
+        for changed in self._watchers:
+            changed()
+
+    def reload(self, granted: Mapping[str, Granted], *, dry_run: bool) -> list[str]:
+        """As `grant`, where somebody has changed the session.
+
+        Args:
+            granted: as it is to be.
+            dry_run: only say what would change.
+
+        Returns:
+            What changes, in words.
+        """
+        texts = operator_changes(self.granted, granted)
+        if texts and not dry_run:
+            self.grant(granted)
+            for text in texts:
+                said = f"reload by {operator()}: {text}"
+                self.events.add(Level.INFO, EventCode.OPERATOR_RELOADED, said, who=operator())
+        return texts
+
+    def warn_of(self, keys: Mapping[str, tuple[Key, ...]], granted: Mapping[str, Granted]) -> None:
+        """Record what operators should know of key files, theirs and those of links."""
+        all_keys = {**keys, **{f"operator {name}": (each.key,) for name, each in granted.items()}}
+        for warning in key_warnings(all_keys, self.clock.time_ns() / 1e9):
+            self.events.add(Level.WARNING, EventCode.KEY_WARNING, warning)
+
+
+def load_keys(session: Session, base: Path) -> tuple[dict[str, tuple[Key, ...]], dict[str, Granted]]:
+    """The keys of each client, and what operators may do.
+
+    Raises:
+        EngineError: a key is missing, or two have the same that must not.
+    """
+    try:
+        keys = unshared_keys(session, base)
+        return keys, granted_operators(session, base, keys)
+    except KeyFileError as error:
+        raise EngineError(str(error)) from None

@@ -1,0 +1,287 @@
+"""Serves one console, whatever its connection is: what it asks for, and what it is told."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import TYPE_CHECKING, Protocol
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control import protocol
+from rsb_bridge.control.commands import CHANGING, ArmTopic
+from rsb_bridge.control.performing import perform
+from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.states import EncodedRoutes, Sender
+from rsb_bridge.model.benchmark import Outcome
+from rsb_bridge.model.consoles import on_console
+from rsb_bridge.model.history import HistoryReport
+from rsb_bridge.model.operators import acting
+from rsb_bridge.model.reloaded import Reloaded
+from rsb_bridge.tasks import Tasks
+
+if TYPE_CHECKING:
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.control.performing import Answer
+    from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
+
+_TICK = 0.25
+_HELLO_WITHIN = 5.0
+_STALLED_FOR = 60.0
+"""s for which a console may take nothing, until its connection is given up."""
+_WAITING_BYTES = 4 << 20
+"""Bytes that may wait for one console beyond a state: answers to commands only."""
+_PAUSE = 0.0005
+"""s of rest between two parts of a state, in which the bridge's threads run."""
+_ANSWERED_WITHIN = 2.0
+"""s after which a look is answered though nothing is new: the engine has stopped, the bridge's process has not."""
+
+
+class Connection(Protocol):
+    """What carries one console's bytes, in order, and knows who is at its other end. Belongs to one event loop."""
+
+    @property
+    def operator(self) -> str:
+        """Who it is, in words, as the kernel or a key proves it: ``anna on pts/3``."""
+        ...
+
+    @property
+    def only_looks(self) -> str:
+        """Why it may change nothing, in words, whatever the console asks for; empty: it may."""
+        ...
+
+    @property
+    def buffered(self) -> int:
+        """Bytes that wait to be taken."""
+        ...
+
+    @property
+    def closing(self) -> bool:
+        """Whether nothing can be sent any more."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send, or keep until that is possible."""
+        ...
+
+    def close(self) -> None:
+        """Close once what waits is sent."""
+        ...
+
+    def abort(self) -> None:
+        """Close, and forget what waits."""
+        ...
+
+
+class Served(Protocol):
+    """What all consoles of one engine share.
+
+    Attributes:
+        engine: which.
+        info: who serves it.
+        encoded: what of its state is encoded already.
+    """
+
+    engine: EngineApi
+    info: BridgeInfo
+    encoded: EncodedRoutes
+
+    def stop_process(self) -> None:
+        """Do what `rsb_bridge.control.commands.Stop` asks for."""
+        ...
+
+
+class Console:
+    """One console, from when its connection is made. Whoever has the connection passes on what comes, and the end.
+
+    Args:
+        served: what it is attached to.
+        connection: its own.
+        refusal: why it is refused as soon as it says hello; empty: it is not.
+    """
+
+    def __init__(self, served: Served, connection: Connection, refusal: str = "") -> None:
+        self._served = served
+        self._refusal = refusal
+        self._engine = served.engine
+        self._connection = connection
+        self._frames = protocol.frames_to_bridge()
+        self._loop = asyncio.get_running_loop()
+        self._sender = Sender()
+        self._sending = asyncio.Lock()
+        self._looking = False
+        self._looked_at = 0.0
+        self._after: int | None = None
+        self._may_not = ""
+        self._operator = ""
+        self._welcomed = False
+        self._tasks = Tasks(self._loop, self.abort)
+        self._requests = 0
+        self._has_armed = False
+        self._born = self._taken_at = self._loop.time()
+        self._waiting = 0
+
+        self._tasks.spawn(self._tick())
+
+    def received(self, data: bytes) -> None:
+        """Act on what has come.
+
+        Raises:
+            ProtocolError: it does not keep to the protocol.
+        """
+        for message in self._frames.feed(data):
+            self._handle(message)
+
+    def gone(self) -> None:
+        """The connection has ended."""
+        self._tasks.cancel()
+        if self._has_armed:
+            self._has_armed = False
+            with acting(self._operator), on_console(self):
+                self._engine.arming.release()
+
+    def send(self, message: ToConsole) -> None:
+        """Hand a message to the connection, or keep it until that takes it."""
+        if self._connection.closing:
+            return
+        self._connection.write(protocol.encode(message))
+        if self._buffered > _WAITING_BYTES + protocol.TO_CONSOLE_LIMIT:
+            self.abort()
+
+    def abort(self) -> None:
+        """Close the connection, and forget what waits for it."""
+        self._connection.abort()
+
+    def end(self, reason: str) -> None:
+        """Say the last events, and why this is the end; then close."""
+        self._send_events()
+        self.send(protocol.Goodbye(reason))
+        self._connection.close()
+
+    @property
+    def _buffered(self) -> int:
+        return self._connection.buffered
+
+    # --- what it says
+
+    def _handle(self, message: ToBridge) -> None:
+        if isinstance(message, protocol.Hello):
+            self._greet(message)
+        elif not self._welcomed:
+            raise ProtocolError("no hello")
+        elif isinstance(message, protocol.Look):
+            self._looking = True
+            self._looked_at = self._loop.time()
+            self._tasks.spawn(self._show())
+        elif isinstance(message, protocol.Follow):
+            self._after = message.after
+            self._send_events()
+        else:
+            self._request(message)
+
+    def _greet(self, hello: protocol.Hello) -> None:
+        info = self._served.info
+        versions = protocol.version_problem((protocol.VERSION, info.program), (hello.version, hello.program))
+        if problem := self._refusal or versions:
+            self.send(protocol.Refused(problem))
+            self._connection.close()
+            return
+        self._welcomed = True
+        self._operator = self._connection.operator
+        self._may_not = "attached read-only" if hello.read_only else self._connection.only_looks
+        self.send(protocol.Welcome(info, bool(self._may_not)))
+
+    def _request(self, request: protocol.Request) -> None:
+        if self._may_not and isinstance(request.command, CHANGING):
+            self.send(protocol.Failed(request.id, f"{self._may_not}: nothing can be changed"))
+        elif self._requests >= protocol.REQUESTS_WAITING:
+            self.send(protocol.Failed(request.id, f"{protocol.REQUESTS_WAITING} requests wait for an answer already"))
+        else:
+            self._requests += 1
+            self._has_armed |= isinstance(request.command, ArmTopic)
+            self._tasks.spawn(self._answer(request))
+
+    async def _answer(self, request: protocol.Request) -> None:
+        try:
+            with acting(self._operator), on_console(self):
+                answer = await perform(
+                    request.command,
+                    self._engine,
+                    step=lambda text: self._step(request.id, text),
+                    stop_process=self._served.stop_process,
+                )
+            reply: ToConsole = _reply(request.id, answer)
+        except EngineError as error:
+            reply = protocol.Failed(request.id, str(error))
+        finally:
+            self._requests -= 1
+        if isinstance(request.command, CHANGING) and self._sender.sent is not None and self._buffered == 0:
+            await self._send_state()  # whoever waits for the command wants to see its effect
+        self.send(reply)
+
+    def _step(self, request: int, text: str) -> None:
+        """Tell a step of a restart; called on the engine's thread."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self.send, protocol.Step(request, text))
+
+    # --- what it is told
+
+    async def _tick(self) -> None:
+        """Send what is new, four times a second, for ever."""
+        while True:
+            await asyncio.sleep(_TICK)
+            await self._send_news()
+
+    async def _send_news(self) -> None:
+        """Unless something still waits to be taken; give up on a console that takes nothing."""
+        now = self._loop.time()
+        if not self._welcomed:
+            if now - self._born > _HELLO_WITHIN:
+                self.abort()
+            return
+        waiting = self._buffered
+        if waiting == 0 or waiting != self._waiting:
+            self._taken_at = now
+        self._waiting = waiting
+        if now - self._taken_at > _STALLED_FOR:
+            self.abort()
+        elif waiting == 0:
+            self._send_events()
+            await self._show()
+
+    def _send_events(self) -> None:
+        """Send as many events as are taken at once."""
+        while self._after is not None and self._buffered == 0:
+            events = self._engine.events(self._after)[: protocol.EVENTS_AT_ONCE]
+            if not events:
+                return
+            self._after = events[-1].number
+            self.send(protocol.Events(tuple(events)))
+
+    async def _show(self) -> None:
+        """Send the state if it is a new one; or if it has been looked for long enough to wonder what is wrong."""
+        is_new = self._engine.snapshot() is not self._sender.sent
+        if self._looking and self._buffered == 0 and (is_new or self._loop.time() - self._looked_at > _ANSWERED_WITHIN):
+            self._looking = False
+            await self._send_state()
+
+    async def _send_state(self) -> None:
+        async with self._sending:
+            engine, encoded = self._engine, self._served.encoded
+            snapshot = engine.snapshot()
+            for state in self._sender.differences(
+                snapshot, engine.session, waits_for_operator=engine.waits_for_operator, encoded=encoded
+            ):
+                self.send(state)
+                if state.more:
+                    await asyncio.sleep(_PAUSE)
+            encoded.keep_only(snapshot)
+
+
+def _reply(request: int, answer: Answer) -> protocol.Reply:
+    if isinstance(answer, Reloaded):
+        return protocol.Reply(request, reloaded=answer)
+    if isinstance(answer, HistoryReport):
+        return protocol.Reply(request, history=answer)
+    if isinstance(answer, Outcome):
+        return protocol.Reply(request, bench=answer)
+    return protocol.Reply(request, answer)

@@ -1,0 +1,338 @@
+"""Serves operators who attach over a network: whatever carries the bytes sees them sealed.
+
+Whoever listens makes a stream of each connection that comes, and a protocol for it (`SealedAcceptor.protocol`), both on
+`rsb_bridge.control.server.ControlServer.loop`. The stream is what asyncio calls a transport. It calls
+``connection_made``, ``data_received``, ``eof_received`` and ``connection_lost`` of the protocol, in order and on that
+loop. It has ``write``, ``close``, ``abort``, ``is_closing``, ``pause_reading``, ``get_write_buffer_size`` and
+``get_extra_info``, whose ``"peername"`` says where the connection comes from, as a socket has it or as a text, true or
+not. A stream whose other end is gone has to call ``connection_lost``: nothing in here asks whether it is there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from enum import IntEnum, auto
+from typing import TYPE_CHECKING, cast
+
+from rsb_bridge.control import protocol
+from rsb_bridge.control.console import Console
+from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.link.refusals import Refusals
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.text import sanitize_text
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.wire.connection import Credential
+from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
+from rsb_bridge.wire.operators import OperatorEngine
+from rsb_bridge.wire.preamble import Refusal, RefusalCode
+from rsb_bridge.wire.replay_cache import ReplayCache
+
+if TYPE_CHECKING:
+    from rsb_bridge.access import Access
+    from rsb_bridge.config.operators import Granted
+    from rsb_bridge.control.server import ControlServer
+
+_PLACES = protocol.CONSOLES - 8
+"""Consoles, those of this machine among them, up to which operators get in: this machine's own always find a place."""
+_MOST_WAITING = 32
+"""Connections that have not authenticated."""
+_HANDSHAKE_WITHIN = 5.0
+_TICK = 1.0
+_PEER_LENGTH = 80
+_LINES, _LINES_A_SECOND = 64, 0.2
+"""Of operators who come and go."""
+_CODES = {
+    RefusalCode.WRONG_KEY: EventCode.ATTACH_WRONG_KEY,
+    RefusalCode.UNKNOWN_NAME: EventCode.ATTACH_UNKNOWN_NAME,
+}
+_REMEDIES = {
+    RefusalCode.WRONG_KEY: "copy the operator's key file to both sides",
+    RefusalCode.UNKNOWN_NAME: "the engine's session file lists who may attach, under operators",
+}
+
+
+class _Stage(IntEnum):
+    """How far a connection has come: where there are too many, those of the lowest stage go first."""
+
+    REFUSED = auto()  # and not told so yet
+    WAITING = auto()
+    ACCEPTED = auto()  # its first message opens under the operator's key
+    ATTACHED = auto()
+    GONE = auto()
+
+
+class SealedAcceptor:
+    """Lets the operators of one engine in. All of it but `review` belongs to the server's loop.
+
+    Args:
+        server: serves the engine; it has to be started.
+        access: says who may attach.
+    """
+
+    def __init__(self, server: ControlServer, access: Access) -> None:
+        self.server = server
+        self.access = access
+        self.refusals = Refusals(access)
+        self._lines = TokenBucket(_LINES, _LINES_A_SECOND, access.now())
+        self._present: dict[SealedConsole, None] = {}  # the longest waiting first
+        self._replays: dict[bytes, ReplayCache] = {}  # by key
+        self._ticking = False
+        access.watch(self.review)
+        server.at_end(self._close)
+
+    def protocol(self) -> SealedConsole:
+        """The protocol of a connection that has come, for its stream."""
+        return SealedConsole(self)
+
+    def review(self) -> None:
+        """Detach those who may not attach any more, or may otherwise. From any thread."""
+        loop = self.server.loop
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(self._review)
+
+    # --- on the loop
+
+    def add(self, console: SealedConsole) -> bool:
+        """Count a connection that has come; where too many wait, the one of the lowest stage goes."""
+        if self.server.ending or self.server.attached() >= 2 * protocol.CONSOLES:
+            return False
+        waiting = [each for each in self._present if each.stage < _Stage.ATTACHED]
+        if len(waiting) >= _MOST_WAITING:
+            min(waiting, key=lambda each: each.stage).reject("too many unauthenticated connections")
+        self._present[console] = None
+        if not self._ticking:
+            self._ticking = True
+            self.server.loop.call_later(_TICK, self._tick)
+        return True
+
+    def remove(self, console: SealedConsole) -> None:
+        """A connection has ended."""
+        self._present.pop(console, None)
+
+    def credential(self, name: str) -> Credential:
+        """What an operator of that name has to prove.
+
+        Raises:
+            Refusal: there is none.
+        """
+        granted = self.access.granted.get(name)
+        if granted is None:
+            raise Refusal(RefusalCode.UNKNOWN_NAME, f"no operator {name!r} may attach")
+        secret = granted.key.secret
+        return Credential((secret,), self._replays.setdefault(secret, ReplayCache()))
+
+    def came_or_went(self, code: EventCode, who: str, text: str) -> None:
+        """Record that an operator has attached or detached."""
+        if self._lines.take(1, self.access.now()):
+            self.access.events.add(Level.INFO, code, text, who=who)
+
+    def _close(self) -> None:
+        for console in tuple(self._present):
+            console.abort()
+
+    def _review(self) -> None:
+        granted = self.access.granted
+        valid = {each.key.secret for each in granted.values()}
+        self._replays = {key: replays for key, replays in self._replays.items() if key in valid}
+        for console in tuple(self._present):
+            console.review(granted.get(console.name))
+
+    def _tick(self) -> None:
+        self.refusals.tick()
+        self._ticking = bool(self._present)
+        if self._ticking:
+            self.server.loop.call_later(_TICK, self._tick)
+
+
+class SealedConsole(asyncio.Protocol):
+    """One connection, and who is at its other end: a `rsb_bridge.control.console.Connection`, once that is proven."""
+
+    def __init__(self, acceptor: SealedAcceptor) -> None:
+        self.stage = _Stage.WAITING
+        self.name = ""
+        self.operator = ""
+        self._acceptor = acceptor
+        self._loop = acceptor.server.loop
+        self._machine = OperatorEngine(acceptor.access.name, self._identify)
+        self._peer = self._host = ""
+        self._transport: asyncio.Transport
+        self._deadline: asyncio.TimerHandle | None = None
+        self._refusal = b""
+        self._granted: Granted | None = None
+        self._console: Console | None = None
+
+    # --- what the stream calls
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+        self._host, self._peer = _origin(transport.get_extra_info("peername"))
+        if not self._acceptor.add(self):
+            self.abort()
+            return
+        self._deadline = self._loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
+
+    def data_received(self, data: bytes) -> None:
+        if self.stage in (_Stage.REFUSED, _Stage.GONE):
+            return
+        events = self._machine.receive_data(data)
+        answer = self._machine.data_to_send()
+        if self._machine.accepted:
+            self.stage = max(self.stage, _Stage.ACCEPTED)
+        for event in events:
+            match event:
+                case Admitted():
+                    self._admit(event)
+                case Opened(content):
+                    self._take(content)
+                case Refused(code, message):
+                    text = f"{message}: {remedy}" if (remedy := _REMEDIES.get(code)) else message
+                    self._refuse(_CODES.get(code, EventCode.ATTACH_REJECTED), text, answer)
+                case Failed(reason):
+                    self._fail(reason, answer)
+                case _:
+                    raise AssertionError("an event of links")
+        if not events:
+            self._transport.write(answer)
+
+    def eof_received(self) -> bool:
+        return False  # nobody stays who hears only
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._leave()
+        self._acceptor.remove(self)
+
+    # --- before it is attached
+
+    def reject(self, message: str) -> None:
+        """Refuse a connection that is not attached yet, and close it."""
+        if self.stage is _Stage.REFUSED:
+            self._tell()
+        elif self.stage in (_Stage.WAITING, _Stage.ACCEPTED):
+            self._log(EventCode.ATTACH_REJECTED, message)
+            # Whoever has our answer takes records only.
+            self._refusal = b"" if self._machine.accepted else self._machine.refuse(RefusalCode.BUSY, message)
+            self._tell()
+
+    def review(self, granted: Granted | None) -> None:
+        """The operators are others now; `granted` is what the one of this name may do."""
+        if self._console is None:
+            if self._machine.accepted:
+                self.reject("the operators were changed meanwhile")
+        elif granted is None:
+            self._console.end(f"{self.name} may not attach any more: the bridge's operators were changed")
+        elif granted != self._granted:
+            self._console.end(f"what {self.name} may do, or their key, was changed on the bridge")
+
+    def _identify(self, name: str) -> Credential:
+        credential = self._acceptor.credential(name)
+        self.name = name
+        return credential
+
+    def _admit(self, admitted: Admitted) -> None:
+        self._granted = self._acceptor.access.granted.get(self.name)
+        if self._granted is None or self._granted.key.secret != admitted.key:
+            self.reject("the operators were changed meanwhile")  # and the review of that is still to come
+            return
+        self._stop_waiting()
+        self.stage = _Stage.ATTACHED
+        place = f" from {admitted.host}" if admitted.host else ""
+        self.operator = f"{self.name} (operator key){place}"
+        server = self._acceptor.server
+        self._console = Console(server, self, server.full(_PLACES))
+        server.add(self._console)
+        text = f"{self.operator} has attached, and may {self._granted.operator.may}; by {self._peer}"
+        self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)
+
+    def _refuse(self, code: EventCode, message: str, answer: bytes) -> None:
+        """Somebody failed to authenticate: say so, later where many have failed."""
+        refusals = self._acceptor.refusals
+        refusals.failed(self._host)
+        self._log(code, message)
+        self._stop_waiting()
+        self.stage, self._refusal = _Stage.REFUSED, answer
+        if delay := refusals.delay(self._host):
+            self._deadline = self._loop.call_later(delay, self._tell)
+            self._transport.pause_reading()
+        else:
+            self._tell()
+
+    def _fail(self, reason: str, answer: bytes) -> None:
+        """It broke the format, or what has come is not what its console has sealed."""
+        if self._console is None:
+            self._refuse(EventCode.ATTACH_REJECTED, reason, answer)
+        else:
+            self._log(EventCode.ATTACH_REJECTED, reason)
+            self.abort()
+
+    def _log(self, code: EventCode, message: str) -> None:
+        self._acceptor.refusals.log_of(self._host, f"a console at {self._peer}", code, message)
+
+    def _tell(self) -> None:
+        self._transport.write(self._refusal)
+        self._transport.close()
+        self._leave()
+
+    def _stop_waiting(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _leave(self) -> None:
+        if self.stage is _Stage.GONE:
+            return
+        self.stage = _Stage.GONE
+        self._stop_waiting()
+        if self._console is not None:
+            self._acceptor.server.remove(self._console)
+            text = f"{self.operator} has detached"
+            self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR_LEFT, self.operator, text)
+
+    # --- once it is: the console's connection
+
+    @property
+    def only_looks(self) -> str:
+        """Why the operator may change nothing; empty: they may."""
+        assert self._granted is not None
+        may = self._granted.operator.may
+        return "" if may == "change" else f"{self.name} may look only (may: {may} in the bridge's operators)"
+
+    @property
+    def buffered(self) -> int:
+        """Bytes that wait for the operator's console."""
+        return self._transport.get_write_buffer_size()
+
+    @property
+    def closing(self) -> bool:
+        """Whether nothing can be sent any more."""
+        return self.stage is _Stage.GONE or self._transport.is_closing()
+
+    def write(self, data: bytes) -> None:
+        """Seal and send."""
+        self._transport.write(self._machine.send(data))
+
+    def close(self) -> None:
+        """Close once what waits is sent."""
+        self._transport.close()
+
+    def abort(self) -> None:
+        """Close, and forget what waits."""
+        self._transport.abort()
+        self._leave()
+
+    def _take(self, content: bytes) -> None:
+        if self._console is None or self.closing:  # it was refused, or ends, for what came before this
+            return
+        try:
+            self._console.received(content)
+        except ProtocolError:  # as through the socket: what cannot be read ends it
+            self.abort()
+
+
+def _origin(peername: object) -> tuple[str, str]:
+    """The host that a connection comes from, and with its port, as a stream says; for a log."""
+    if isinstance(peername, tuple) and len(peername) >= 2:
+        host, port = sanitize_text(str(peername[0]), _PEER_LENGTH), sanitize_text(str(peername[1]), _PEER_LENGTH)
+        return host, f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    text = sanitize_text(str(peername or "an unknown place"), _PEER_LENGTH)
+    return text, text

@@ -1,0 +1,70 @@
+"""Operators attach over a network: who gets in, what they may do, and what strangers can do there."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.operators import ANNA, BOB, Reachable, granted
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.codes import EventCode
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+
+    from rsb_bridge.config.keys import Key
+
+
+def test_an_operator_attaches_and_changes(machine: Machine) -> None:
+    robot = Reachable(machine)
+    remote = robot.attach()
+    assert not remote.read_only
+    assert [each.topic for each in remote.snapshot().routes] == [each.topic for each in robot.engine.snapshot().routes]
+    remote.retry().result(60)
+    (came,) = robot.events(EventCode.ATTACH_OPERATOR)
+    assert came.who.startswith("anna (operator key)")
+    remote.stop()
+    eventually(lambda: robot.events(EventCode.ATTACH_OPERATOR_LEFT))
+
+
+def test_who_may_look_changes_nothing(machine: Machine) -> None:
+    robot = Reachable(machine)
+    remote = robot.attach("bob", BOB)
+    assert remote.read_only
+    with pytest.raises(EngineError, match="nothing can be changed"):
+        remote.retry().result(60)
+    with pytest.raises(EngineError, match="nothing can be changed"):
+        remote.stop_bridge().result(60)
+    assert machine.stopped == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "engine", "code"),
+    [
+        ("anna", BOB, "robot1", EventCode.ATTACH_WRONG_KEY),
+        ("carl", ANNA, "robot1", EventCode.ATTACH_UNKNOWN_NAME),
+        ("anna", ANNA, "robot2", EventCode.ATTACH_UNKNOWN_NAME),
+    ],
+)
+def test_who_may_not_is_told_so_on_both_sides(
+    machine: Machine, name: str, key: Key, engine: str, code: EventCode
+) -> None:
+    robot = Reachable(machine)
+    with pytest.raises(EngineError) as refused:
+        robot.attach(name, key, engine=engine)
+    (event,) = robot.events(code)
+    assert repr(name if engine == "robot1" else engine) in str(refused.value)
+    assert repr(name if engine == "robot1" else engine) in event.text
+    assert robot.server.attached() == 0
+
+
+def test_an_operator_who_is_removed_is_detached_at_once(machine: Machine) -> None:
+    robot = Reachable(machine)
+    anna, bob = robot.attach(), robot.attach("bob", BOB)
+    robot.access.grant(granted("bob", BOB, "look"))
+    eventually(lambda: "may not attach any more" in anna.unreachable or "no operator" in anna.unreachable)
+    assert not bob.unreachable
+    with pytest.raises(EngineError, match="nothing can be changed"):
+        bob.retry().result(60)

@@ -1,0 +1,259 @@
+"""What strangers, and operators who do not keep to the rules, can do where operators attach over a network."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.operators import ANNA, BOB, Reachable, Stranger, granted
+from tests.support.waiting import eventually
+from tests.wire.links import make_client
+
+from rsb_bridge.config.keys import Key
+from rsb_bridge.control import commands, console, sealed
+from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, Look, Refused, Request, encode
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.wire import events
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.control import Machine
+
+    from rsb_bridge.config.operators import Granted
+
+TOPIC = Topic("/scan", "transmit")
+CHANGES: tuple[commands.Command, ...] = (
+    commands.AddTopic(TOPIC),
+    commands.EditTopic("key", TOPIC),
+    commands.RemoveTopic("key"),
+    commands.Pause("key", paused=True),
+    commands.ArmTopic("key"),
+    commands.DisarmTopic("key"),
+    commands.AddClient(Client("robot2")),
+    commands.ChangeClient(Client("robot2")),
+    commands.RemoveClient("robot2"),
+    commands.Call("key", "{}"),
+    commands.Retry(),
+    commands.ShutDown(),
+    commands.Restart(),
+    commands.Reload(),
+    commands.Stop(),
+)
+
+
+@pytest.mark.parametrize("read_only", [True, False])
+def test_who_may_look_is_refused_every_change_whatever_their_console_says(machine: Machine, read_only: bool) -> None:
+    assert {type(each) for each in CHANGES} == set(commands.CHANGING)
+    robot = Reachable(machine)
+    with Stranger(robot.port, "bob", BOB) as bob:
+        bob.attach(read_only=read_only)
+        for number, command in enumerate(CHANGES):
+            bob.say(Request(number, command))
+            answer = bob.answer()
+            assert isinstance(answer, Failed)
+            assert answer.id == number
+    assert robot.engine.commands == []
+    assert machine.stopped == 0
+
+
+def test_a_thousand_attempts_leave_a_short_log_and_keep_nobody_out(machine: Machine) -> None:
+    robot = Reachable(machine)
+    remote = robot.attach()
+    for number in range(1000):
+        with Stranger(robot.port, f"guess{number}", Key(number.to_bytes(32, "big"))) as stranger:
+            stranger.send(stranger.console.start())
+    refused = (EventCode.ATTACH_UNKNOWN_NAME, EventCode.ATTACH_WRONG_KEY, EventCode.ATTACH_REJECTED)
+    eventually(lambda: robot.events(*refused))
+    robot.attach("bob", BOB)
+    assert len(robot.events(*refused)) <= 10
+    assert not remote.unreachable
+    remote.retry().result(60)
+
+
+def test_many_failures_are_answered_late(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = Reachable(machine)
+    delays: list[float] = []
+    real = robot.acceptor.refusals.delay
+
+    def delay(host: str) -> float:
+        delays.append(real(host))
+        return delays[-1]
+
+    monkeypatch.setattr(robot.acceptor.refusals, "delay", delay)
+    for _ in range(6):
+        with Stranger(robot.port, key=BOB) as stranger:
+            stranger.send(stranger.console.start())
+            (refused,) = stranger.hear()
+            assert isinstance(refused, events.Refused)
+    assert delays == [0.0] * 4 + [1.0] * 2
+
+
+def test_who_says_nothing_is_closed_in_time(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sealed, "_HANDSHAKE_WITHIN", 0.0)
+    robot = Reachable(machine)
+    with Stranger(robot.port) as silent:
+        assert silent.is_closed()
+    assert robot.events(EventCode.ATTACH_REJECTED)
+
+
+def test_who_has_no_confirmation_is_closed_in_time(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sealed, "_HANDSHAKE_WITHIN", 0.2)
+    robot = Reachable(machine)
+    with Stranger(robot.port) as recorded:
+        recorded.send(recorded.console.start())
+        assert recorded.is_closed()
+    assert robot.server.attached() == 0
+    assert robot.events(EventCode.ATTACH_OPERATOR) == []
+
+
+def test_many_who_say_nothing_keep_nobody_out(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with contextlib.ExitStack() as silent:
+        first = silent.enter_context(Stranger(robot.port))
+        for _ in range(sealed._MOST_WAITING):
+            silent.enter_context(Stranger(robot.port))
+        assert first.is_closed()
+        robot.attach()
+
+
+def test_a_first_message_that_was_recorded_is_refused(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as anna:
+        first = anna.console.start()
+        anna.send(first)
+        assert anna.hear() == [events.Admitted()]
+        with Stranger(robot.port) as replaying:
+            replaying.send(first)
+            assert replaying.is_closed()
+    (refused,) = robot.events(EventCode.ATTACH_REJECTED)
+    assert "anna" in refused.text
+
+
+def test_a_link_s_key_and_first_message_are_of_no_use(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as link:
+        link.send(make_client(key=ANNA.secret).start())
+        assert link.is_closed()
+    assert robot.events(EventCode.ATTACH_REJECTED)
+    assert robot.server.attached() == 0
+
+
+@pytest.mark.parametrize("damage", [lambda record: record[:-1] + bytes(1), lambda record: record + record])
+def test_what_was_changed_on_the_way_ends_the_connection(machine: Machine, damage: Callable[[bytes], bytes]) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as anna:
+        anna.attach()
+        record = anna.console.send(b"\0\0\0\1")
+        anna.send(damage(record))
+        assert anna.is_closed()
+    eventually(lambda: robot.server.attached() == 0)
+    assert robot.events(EventCode.ATTACH_REJECTED)
+
+
+def test_an_operator_who_does_not_speak_the_protocol_is_closed(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as anna:
+        anna.attach()
+        anna.send(anna.console.send(b"\xff\xff\xff\xff"))
+        assert anna.is_closed()
+    eventually(lambda: robot.server.attached() == 0)
+
+
+def test_who_hears_only_is_closed(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as anna:
+        anna.attach()
+        anna.socket.shutdown(socket.SHUT_WR)
+        assert anna.is_closed()
+    eventually(lambda: robot.events(EventCode.ATTACH_OPERATOR_LEFT))
+
+
+def test_operators_leave_places_to_this_machine_s_consoles(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with contextlib.ExitStack() as attached:
+        for _ in range(sealed._PLACES):
+            attached.enter_context(Stranger(robot.port)).attach()
+        one_more = attached.enter_context(Stranger(robot.port))
+        one_more.send(one_more.console.start())
+        assert one_more.hear() == [events.Admitted()]
+        one_more.say(Hello(1, "0.1.0"))
+        assert isinstance(one_more.answer(), Refused)
+        for _ in range(CONSOLES - sealed._PLACES):
+            machine.attach()
+
+
+class Stalled:
+    """A stream that takes nothing."""
+
+    def __init__(self) -> None:
+        self.waits = bytearray()
+        self.aborted = threading.Event()
+
+    def write(self, data: bytes) -> None:
+        self.waits += data
+
+    def get_write_buffer_size(self) -> int:
+        return len(self.waits)
+
+    def get_extra_info(self, name: str) -> str:
+        return f"a stream without a {name}"
+
+    def is_closing(self) -> bool:
+        return self.aborted.is_set()
+
+    def abort(self) -> None:
+        self.aborted.set()
+
+    close = abort
+
+
+def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "_STALLED_FOR", 0.5)
+    robot = Reachable(machine)
+    stream, anna = Stalled(), Stranger(robot.port)
+
+    async def attach() -> None:
+        serving = robot.acceptor.protocol()
+        serving.connection_made(stream)  # type: ignore[arg-type]
+        serving.data_received(anna.console.start())
+        anna.console.receive_data(bytes(stream.waits))
+        stream.waits.clear()
+        serving.data_received(anna.console.data_to_send())
+        for message in (Hello(1, "0.1.0"), Look()):
+            serving.data_received(anna.console.send(encode(message)))
+
+    with anna:
+        asyncio.run_coroutine_threadsafe(attach(), robot.server.loop).result(60)
+        assert stream.aborted.wait(60)
+    eventually(lambda: robot.server.attached() == 0)
+
+
+@pytest.mark.parametrize(
+    "now",
+    [granted("anna", BOB), granted("anna", ANNA, "look"), {}],
+    ids=["another key", "other rights", "removed"],
+)
+def test_a_reload_detaches_whom_it_is_about(machine: Machine, now: dict[str, Granted]) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port) as anna, Stranger(robot.port) as halfway:
+        anna.attach()
+        halfway.send(halfway.console.start())
+        halfway.console.receive_data(halfway.socket.recv(4096))
+        robot.access.grant(now)
+        assert anna.is_closed()
+        assert halfway.is_closed(), "what it proves counts no more"
+    eventually(lambda: robot.server.attached() == 0)
+
+
+def test_who_comes_when_the_bridge_has_ended_is_closed(machine: Machine) -> None:
+    robot = Reachable(machine)
+    remote = robot.attach()
+    robot.close()
+    robot.server.close("the bridge was stopped")
+    eventually(lambda: remote.unreachable == "the bridge was stopped")

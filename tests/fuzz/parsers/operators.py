@@ -1,0 +1,96 @@
+"""Operators over a network: what strangers say to an engine and to a console, and records once both know each other."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from tests.fuzz.editing import behind, edit_bytes
+from tests.fuzz.parser import Parser, check_text
+from tests.wire.test_operators import attached, make_console, make_engine
+
+from rsb_bridge.wire.events import Admitted, Failed, Opened, Refused
+from rsb_bridge.wire.framing import PREAMBLE_LIMIT, pack_frame
+from rsb_bridge.wire.operators import HOST_BYTES, RECORD_CONTENT, OperatorConsole, OperatorEngine
+from rsb_bridge.wire.preamble import MESSAGE_LIMIT, Kind, RefusalCode, preamble_frame, refuse_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.wire.events import Event
+
+End = OperatorConsole | OperatorEngine
+
+_ANSWER = 2 * PREAMBLE_LIMIT
+"""Bytes that a stranger can have this side send at most: an ACCEPT and a REFUSE."""
+
+
+def _read(start: Callable[[], End], data: bytes) -> None:
+    """The first byte says in which pieces it comes."""
+    end, content = start(), data[1:]
+    size = (data[0] if data else 0) or len(content) or 1
+    events: list[Event] = []
+    answer = b""
+    for at in range(0, len(content), size):
+        events += end.receive_data(content[at : at + size])
+        answer += end.data_to_send()
+    assert len(answer) <= _ANSWER
+    _check(events)
+
+
+def _check(events: list[Event]) -> None:
+    ended = [event for event in events if isinstance(event, Failed | Refused)]
+    assert len(ended) <= 1
+    assert not ended or events[-1] is ended[0]
+    for event in events:
+        match event:
+            case Failed(reason):
+                check_text(reason, MESSAGE_LIMIT)
+            case Refused(_, message, _):
+                check_text(message, 2 * MESSAGE_LIMIT)
+            case Admitted(_, host, _):
+                check_text(host, HOST_BYTES)
+            case Opened(content):
+                assert 0 < len(content) <= RECORD_CONTENT
+            case _:
+                raise AssertionError("an event of links")
+
+
+def _started() -> OperatorConsole:
+    console = make_console()
+    console.start()
+    return console
+
+
+def _sealed(data: bytes) -> None:
+    """What both sides have sealed in pieces, as the first byte says, arrives; whatever comes behind it ends it."""
+    console, engine = attached()
+    content, size = data[1:], (data[0] if data else 0) or 1
+    stream = b"".join(console.send(content[at : at + size]) for at in range(0, len(content), size))
+    events = engine.receive_data(stream)
+    assert b"".join(event.content for event in events if isinstance(event, Opened)) == content
+    rest = engine.receive_data(data)
+    assert not any(isinstance(event, Opened | Admitted) for event in rest)
+    _check(rest)
+
+
+_FIRST = make_console().start()
+
+PARSERS = (
+    Parser(
+        "operator_engine",
+        partial(_read, make_engine),
+        (bytes(1) + _FIRST, b"\7" + _FIRST[:60], bytes(1) + _FIRST + pack_frame(bytes(16))),
+        behind(1, edit_bytes),
+    ),
+    Parser(
+        "operator_console",
+        partial(_read, _started),
+        (
+            bytes(1) + pack_frame(refuse_frame(RefusalCode.WRONG_KEY, "the keys of 'anna' differ")),
+            bytes(1) + pack_frame(preamble_frame(Kind.ACCEPT, bytes(48))),
+        ),
+        behind(1, edit_bytes),
+    ),
+    Parser("operator_records", _sealed, (b"\5hello, robot", bytes(1) + pack_frame(bytes(17)), b""), edit_bytes),
+)

@@ -1,0 +1,163 @@
+"""An engine that operators attach to over a network: TCP sockets of this machine stand in for what carries them."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import TYPE_CHECKING, Any, Self
+
+from tests.console.scripted import ScriptedEngine
+
+from rsb_bridge import __version__
+from rsb_bridge.access import Access
+from rsb_bridge.config.keys import Key
+from rsb_bridge.config.operators import Granted
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.protocol import VERSION, Hello, Welcome, encode, frames_to_console
+from rsb_bridge.control.sealed import SealedAcceptor
+from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.session import Operator
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.wire.events import Admitted, Opened
+from rsb_bridge.wire.operators import OperatorConsole
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+
+    from rsb_bridge.control.protocol import ToBridge, ToConsole
+    from rsb_bridge.model.codes import EventCode
+    from rsb_bridge.model.session import OperatorMay
+    from rsb_bridge.model.snapshot import Event
+    from rsb_bridge.wire.events import Event as WireEvent
+
+ANNA, BOB = Key(b"a" * 32), Key(b"b" * 32)
+
+
+def granted(name: str, key: Key, may: OperatorMay = "change") -> dict[str, Granted]:
+    """One operator's entry in `Access.granted`."""
+    return {name: Granted(Operator(name, f"{name}.key", may), key)}
+
+
+class Reachable:
+    """A scripted engine, robot1, that anna may change and bob look at.
+
+    Args:
+        machine: serves it on a control socket, too.
+        engine: another one to serve.
+
+    Attributes:
+        access: says who may attach.
+        server: of this machine's consoles, and of operators.
+        acceptor: lets operators in.
+        port: that it listens on, on 127.0.0.1.
+    """
+
+    def __init__(self, machine: Machine, engine: Any = None) -> None:
+        self.engine = ScriptedEngine() if engine is None else engine
+        self.access = Access("robot1", EventLog(Clock()), Clock())
+        self.access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
+        self.server = machine.serve(self.engine)
+        self.acceptor = SealedAcceptor(self.server, self.access)
+        self.port = asyncio.run_coroutine_threadsafe(self._listen(), self.server.loop).result(60)
+        self._machine = machine
+        self._closed = False
+        machine.in_the_end(self.close)
+
+    def close(self) -> None:
+        """Listen no more; who is attached stays."""
+        if not self._closed:
+            self._closed = True
+            asyncio.run_coroutine_threadsafe(self._close(), self.server.loop).result(60)
+
+    async def _listen(self) -> int:
+        self._listening = await self.server.loop.create_server(self.acceptor.protocol, "127.0.0.1", 0)
+        port: int = self._listening.sockets[0].getsockname()[1]
+        return port
+
+    async def _close(self) -> None:
+        self._listening.close()
+
+    def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> Sealed:
+        """An operator's way to it; or by another port, where somebody is in between."""
+
+        async def connect(protocol: asyncio.Protocol) -> None:
+            await asyncio.get_running_loop().create_connection(lambda: protocol, "127.0.0.1", port or self.port)
+
+        return Sealed(connect, name, key, engine)
+
+    def attach(self, name: str = "anna", key: Key = ANNA, **how: Any) -> RemoteEngine:
+        """Attach as an operator."""
+        remote = RemoteEngine(self.way(name, key, **how))
+        remote.start()
+        self._machine.in_the_end(remote.stop)
+        return remote
+
+    def events(self, *codes: EventCode) -> list[Event]:
+        """What of these codes was recorded of operators."""
+        return [event for event in self.access.events.after(0) if event.code in codes]
+
+
+class Stranger:
+    """A socket to the engine's port, and a console's end of the handshake to use on it.
+
+    Args:
+        port: the engine's.
+        name: of the operator.
+        key: that is tried.
+        engine: that is meant.
+    """
+
+    def __init__(self, port: int, name: str = "anna", key: Key = ANNA, engine: str = "robot1") -> None:
+        self.console = OperatorConsole(name, key.secret, engine, version=VERSION, host="pc")
+        self.socket = socket.create_connection(("127.0.0.1", port), 60.0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.close()
+
+    def send(self, data: bytes) -> None:
+        """Send bytes as they are."""
+        self.socket.sendall(data)
+
+    def hear(self) -> list[WireEvent]:
+        """What comes next, opened; nothing: the engine has closed the connection."""
+        try:
+            data = self.socket.recv(64 << 10)
+        except ConnectionResetError:
+            return []
+        events = self.console.receive_data(data) if data else []
+        if answer := self.console.data_to_send():
+            self.send(answer)
+        return events or (self.hear() if data else [])
+
+    def is_closed(self) -> bool:
+        """Wait for the engine to close the connection, whatever it says before."""
+        try:
+            while self.socket.recv(64 << 10):
+                pass
+        except ConnectionResetError:
+            pass
+        return True
+
+    def attach(self, *, read_only: bool = False) -> None:
+        """Be admitted and welcomed."""
+        self.send(self.console.start())
+        assert self.hear() == [Admitted()]
+        self.say(Hello(VERSION, __version__, read_only))
+        assert isinstance(self.answer(), Welcome)
+
+    def say(self, message: ToBridge) -> None:
+        """Send a message of the control protocol, sealed."""
+        self.send(self.console.send(encode(message)))
+
+    def answer(self) -> ToConsole:
+        """The next message of the control protocol, which comes alone."""
+        frames = frames_to_console()
+        while True:
+            for event in self.hear():
+                assert isinstance(event, Opened)
+                for message in frames.feed(event.content):
+                    return message
