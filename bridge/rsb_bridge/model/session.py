@@ -168,6 +168,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         topics: what the server proposes to it whenever it links, as the client sees them.
         profile: of its link; None: the server's `Session.profile`.
         bench: it may measure the link, and cause so much by that; None: it may not.
+        group: of the fleet, that it belongs to; None: none.
     """
 
     name: str
@@ -179,6 +180,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     topics: tuple[Topic, ...] = ()
     profile: ProfileName | None = None
     bench: Leave | None = None
+    group: str | None = None
 
 
 class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, kw_only=True):
@@ -211,6 +213,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         shared_keys: clients are meant to have the same key, though each may then take the other's name and rights.
         bench: on a client, the server may measure the link, and cause so much by that; on a server without a list of
             clients, likewise its client. None: it may not.
+        group: of the fleet, that its robot belongs to; None: none.
     """
 
     name: str
@@ -235,6 +238,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     shared_keys: bool = False
     profile: ProfileName | None = None
     bench: Leave | None = None
+    group: str | None = None
 
     @property
     def is_bluetooth(self) -> bool:
@@ -244,7 +248,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
         """The clients that a server lets in."""
-        return self.clients or (Client(self.name, bench=self.bench),)
+        return self.clients or (Client(self.name, bench=self.bench, group=self.group),)
 
     @property
     def adapter(self) -> str | None:
