@@ -6,43 +6,41 @@ import asyncio
 import os
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from textual import events, work
-from textual.app import App
+from textual import work
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import Snapshot, State
-from rsb_console.actions.registry import BY_ID, Action, Group, bindings
-from rsb_console.look import themes
-from rsb_console.look.glyphs import AsciiFilter, ControlFilter
+from rsb_console.actions.registry import Group
 from rsb_console.operations.bridge import BridgeOperations
 from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.sessions import SessionOperations
-from rsb_console.preferences import Preferences
 from rsb_console.screens.main import MainScreen
-from rsb_console.screens.palette import ActionsProvider
-from rsb_console.terminal.driver import ConsoleDriver
-from rsb_console.terminal.input_queue import DIALOG, InputQueue
-from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
+from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.terminal.shutdown import ShutdownReason
+from rsb_console.terminal_app import TerminalApp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from concurrent.futures import Future
 
-    from textual.filter import LineFilter
+    from textual import events
     from textual.screen import Screen
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.config.session_file import SessionFile
     from rsb_bridge.control.bridges import RunningBridge
+    from rsb_bridge.control.client import RemoteEngine
     from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
 
     MakeEngine = Callable[[Session, Path], EngineApi]
+    Attach = Callable[[], RemoteEngine]
     Serve = Callable[[EngineApi, Session, Path | None], tuple[ControlServer | None, RunningBridge | None]]
 
 T = TypeVar("T")
@@ -50,7 +48,7 @@ REFRESH_RATES = (0.5, 1.0, 2.0, 4.0, 10.0)  # Hz
 LOCAL_RATE, SSH_RATE = 4.0, 2.0
 
 
-class ConsoleApp(App[None]):
+class ConsoleApp(TerminalApp[None]):
     """Fulfils `rsb_console.console.Console`: owns the engine, the user's preferences, and the main screen.
 
     Args:
@@ -62,14 +60,12 @@ class ConsoleApp(App[None]):
         config: the user's configuration folder; None: the platform's.
         make_engine: makes an engine from a session and the folder of its key files.
         serve: serves an engine on a control socket, or finds the bridge that runs its session already; None: neither.
-        attach_to: the control socket of a bridge to begin with, instead of a session; None: none.
+        attach_to: the control socket of a bridge to begin with, instead of a session, or what attaches to one, and may
+            take some seconds; None: none.
         temporary: the session's file is deleted when the session ends.
     """
 
-    TITLE = "rsb-console"
-    CSS_PATH = "console.tcss"
-    BINDINGS = bindings(Group.CONSOLE)
-    COMMANDS: ClassVar = {ActionsProvider}
+    main_screen: type[MainScreen] = MainScreen
 
     def __init__(
         self,
@@ -82,31 +78,25 @@ class ConsoleApp(App[None]):
         config: Path | None = None,
         make_engine: MakeEngine | None = None,
         serve: Serve | None = None,
-        attach_to: Path | None = None,
+        attach_to: Path | Attach | None = None,
         temporary: bool = False,
     ) -> None:
-        super().__init__(driver_class=ConsoleDriver)
+        super().__init__(
+            readonly=readonly, ascii_only=ascii_only, theme=theme, config=config, dialogs={Group.OPERATE, Group.SESSION}
+        )
         self.engine: EngineApi | None = None
         self.base = Path()
         self.path = path
         self.saved: Session | None = None
         self.file: SessionFile | None = None
         self.temporary = temporary
-        self.readonly = readonly
-        self.ascii_only = ascii_only
         self.note = "no session"
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
-        self.config = themes.config_path() if config is None else config
-        self.preferences = Preferences(self.config, theme)
-        self.shutdown_reason = ShutdownReason.QUIT
-        self.input_queue = InputQueue(self, {Group.OPERATE, Group.SESSION})
         self.deadman = Deadman()
-        self.terminal = 1
-        """File descriptor of the terminal."""
         console: Console = self
         bridge = BridgeOperations(console, lambda: self.main.selected)
         self.sessions = SessionOperations(console, bridge.reload)
-        self.main: MainScreen = MainScreen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
+        self.main: MainScreen = self.main_screen(console, {Group.OPERATE: bridge, Group.SESSION: self.sessions})
         self.attached_to = ""
         self._session = session
         self._attach_to = attach_to
@@ -116,9 +106,6 @@ class ConsoleApp(App[None]):
         self._resources = ExitStack()
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
-        self._forced_end = ForcedEnd(self.stop)
-        self._filters_ascii = AsciiFilter()
-        self._filters_control = ControlFilter()
         self._last_event = 0
 
     # --- start
@@ -126,27 +113,9 @@ class ConsoleApp(App[None]):
     def get_default_screen(self) -> Screen[Any]:
         return self.main
 
-    def get_theme_variable_defaults(self) -> dict[str, str]:
-        """The style sheet's variables that a theme need not define (Textual's)."""
-        return themes.VARIABLES
-
-    def get_line_filters(self) -> Sequence[LineFilter]:
-        filters = [*super().get_line_filters(), self._filters_control]
-        return [*filters, self._filters_ascii] if self.ascii_only else filters
-
-    def on_mount(self) -> None:
-        """Set themes and keys, before the first picture."""
-        for name in self.available_themes:
-            self.unregister_theme(name)
-        for theme in self.preferences.themes.values():
-            self.register_theme(theme)
-        self.theme = self.preferences.theme
-        self.set_keymap(self.preferences.keymap)
-
     def on_ready(self) -> None:
         """Tell what is wrong with the preferences, and start the session, after the first picture."""
-        for title, message in self.preferences.problems:
-            self.notify(message, title=title, severity="warning", markup=False, timeout=15)
+        self.tell_problems()
         self._pulling = self.set_interval(1 / self.refresh_rate, self.pull)
         if self._attach_to is not None:
             self._attach_to_bridge(self._attach_to)
@@ -154,9 +123,6 @@ class ConsoleApp(App[None]):
             self._run_session(self._session, self.path, None, temporary=self.temporary)
         else:
             self.main.run_worker(self.sessions.welcome(), group=Group.SESSION, exclusive=True)
-
-    def key_labels(self, action: Action) -> list[str]:
-        return self.preferences.key_labels(action, ascii_only=self.ascii_only)
 
     # --- the session
 
@@ -230,22 +196,23 @@ class ConsoleApp(App[None]):
         await asyncio.shield(self._attach_to_bridge(path).wait())
 
     @work(group="session")
-    async def _attach_to_bridge(self, path: Path) -> None:
-        from rsb_console.session.attaching import attach  # noqa: PLC0415 -- keeps the start short
+    async def _attach_to_bridge(self, to: Path | Attach) -> None:
+        from rsb_console.session.attaching import at_socket, attached  # noqa: PLC0415 -- keeps the start short
 
+        attach = partial(at_socket, to, read_only=self.readonly) if isinstance(to, Path) else to
         async with self._changing:
             self.note, self._last_event = "attaching", 0
             await asyncio.to_thread(self.stop)
             self._resources, self.engine, self.attached_to, self.temporary = ExitStack(), None, "", False
             self.main.reset()
             try:
-                attached = await asyncio.to_thread(attach, path, read_only=self.readonly)
+                known = attached(await asyncio.to_thread(attach))
             except EngineError as error:
                 self.note = "not attached"
                 self.notify(str(error), title="Not attached", severity="error", markup=False, timeout=30)
                 return
-            self.engine, self.attached_to, self.note = attached.engine, attached.name, ""
-            self.base, self.path, self.file, self.saved = attached.base, attached.path, attached.file, attached.saved
+            self.engine, self.attached_to, self.note = known.engine, known.name, ""
+            self.base, self.path, self.file, self.saved = known.base, known.path, known.file, known.saved
 
     def stop(self) -> None:
         """Stop the engine, or detach from it, and close the session's resources; may take some seconds."""
@@ -318,42 +285,6 @@ class ConsoleApp(App[None]):
 
     # --- actions
 
-    async def ask(self, dialog: Screen[T]) -> T | None:
-        self.input_queue.waits_for(dialog)
-        return await self.push_screen_wait(dialog)
-
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Disable the actions that change something while read-only (Textual's)."""
-        known = BY_ID.get(action)
-        if known is not None and known.changes and self.readonly:
-            return False
-        return super().check_action(action, parameters)
-
-    def action_help(self) -> None:
-        from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
-
-        self.push_screen(HelpScreen(self))
-
-    def action_help_quit(self) -> None:
-        """Ctrl+C: Textual would only explain it; to an operator it means quit."""
-        self.action_quit()
-
-    def action_palette(self) -> None:
-        self.action_command_palette()
-
-    def action_theme(self) -> None:
-        names = sorted(self.available_themes)
-        self.theme = names[(names.index(self.theme) + 1) % len(names)]
-        self.notify(f"theme: {self.theme}", timeout=2)
-
-    def action_mouse(self) -> None:
-        """Leave the mouse to the terminal, or take it back."""
-        if isinstance(self._driver, ConsoleDriver):
-            self._driver.mouse = not self._driver.mouse
-            self.notify(
-                "the mouse is the console's" if self._driver.mouse else "the mouse is the terminal's", timeout=3
-            )
-
     def request_quit(self) -> None:
         self.action_quit()
 
@@ -363,38 +294,6 @@ class ConsoleApp(App[None]):
             self.shut_down(ShutdownReason.QUIT)
 
     async def on_event(self, event: events.Event) -> None:
-        """Handle an event as Textual does, but input only when it is its turn."""
+        """Note that the operator is there (Textual's)."""
         self.deadman.saw(event)
-        if not self.input_queue.takes(event):
-            await super().on_event(event)
-
-    # --- end
-
-    def shut_down(self, reason: ShutdownReason) -> None:
-        """End the app; the engine goes on until `stop`."""
-        self.shutdown_reason = reason
-        self.exit()
-
-    def shut_down_soon(self, reason: ShutdownReason) -> None:
-        """As `shut_down`, from a signal handler or another thread; ends the process if the app hangs."""
-        if not self.is_headless:
-            self._forced_end.begin()
-        self.call_later(self.shut_down, reason)
-
-    def has_ended(self) -> None:
-        """The app has ended by itself, so the process need not be ended."""
-        self._forced_end.cancel()
-
-    def terminal_gone(self) -> None:
-        """The terminal has hung up; called by the driver's thread."""
-        self.shut_down_soon(ShutdownReason.HANGUP)
-
-    def _fatal_error(self) -> None:
-        """Handle an unexpected error: Textual would print it with all local variables, which help no operator."""
-        self.crashed()
-        self._close_messages_no_wait()
-
-    def crashed(self) -> None:
-        """Keep the exception that is being handled, for a report."""
-        self.shutdown_reason = ShutdownReason.CRASH
-        record_crash()
+        await super().on_event(event)

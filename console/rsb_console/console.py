@@ -22,7 +22,41 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Console(Protocol):
+class ConsoleShell(Protocol):
+    """An app in a terminal, and its operator.
+
+    Attributes:
+        readonly: nothing may be changed.
+        preferences: the user's themes and keys.
+        config: the folder that those are in.
+    """
+
+    readonly: bool
+    preferences: Preferences
+    config: Path
+
+    async def ask(self, dialog: Screen[T]) -> T | None:
+        """Show a dialog and wait for its answer. Only from a worker."""
+        ...
+
+    def notify(
+        self,
+        message: str,
+        *,
+        title: str = "",
+        severity: SeverityLevel = "information",
+        timeout: float | None = None,
+        markup: bool = True,
+    ) -> None:
+        """Show a message for a while (Textual's)."""
+        ...
+
+    def key_labels(self, action: Action) -> list[str]:
+        """The keys of an action, as they are written on a keyboard."""
+        ...
+
+
+class Console(ConsoleShell, Protocol):
     """One engine under one session, shown by one app.
 
     Attributes:
@@ -32,12 +66,9 @@ class Console(Protocol):
         saved: the session as the file has it; None: it is in no file.
         file: that file as it was opened, with its comments; None: the session is in no file, or it has changed.
         temporary: the session's file is deleted when the session ends, as the demo's is.
-        readonly: nothing may be changed.
         attached_to: the bridge of another process that is shown; empty: the engine is the console's own.
         note: what the console is doing with the session (``starting``); empty: nothing.
         refresh_rate: Hz.
-        preferences: the user's themes and keys.
-        config: the folder that those are in.
     """
 
     engine: EngineApi | None
@@ -46,12 +77,9 @@ class Console(Protocol):
     saved: Session | None
     file: SessionFile | None
     temporary: bool
-    readonly: bool
     attached_to: str
     note: str
     refresh_rate: float
-    preferences: Preferences
-    config: Path
 
     # --- the session
 
@@ -108,26 +136,6 @@ class Console(Protocol):
         ...
 
     # --- the operator
-
-    async def ask(self, dialog: Screen[T]) -> T | None:
-        """Show a dialog and wait for its answer. Only from a worker."""
-        ...
-
-    def notify(
-        self,
-        message: str,
-        *,
-        title: str = "",
-        severity: SeverityLevel = "information",
-        timeout: float | None = None,
-        markup: bool = True,
-    ) -> None:
-        """Show a message for a while (Textual's)."""
-        ...
-
-    def key_labels(self, action: Action) -> list[str]:
-        """The keys of an action, as they are written on a keyboard."""
-        ...
 
     def pull(self) -> None:
         """Show the engine's present state now."""

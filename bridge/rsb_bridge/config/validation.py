@@ -149,6 +149,7 @@ def _within(location: str, outer: str) -> bool:
 
 def _session(session: Session) -> Iterator[Problem]:
     yield from _name(session.name, "name", use_name=session.use_name and not session.clients)
+    yield from _group(session.group, "group")
     yield from _address(session)
     link = transports.of_link(session.server_ip)
     if not session.server_port and 0 not in link.ports:
@@ -192,6 +193,11 @@ def _name(name: str, location: str, *, use_name: bool) -> Iterator[Problem]:
             f"{show(name)} cannot be a prefix of topic names, which use_name makes it "
             f"(did you mean {well_formed(name)}?)",
         )
+
+
+def _group(group: str | None, location: str) -> Iterator[Problem]:
+    if group is not None:
+        yield from _name(group, location, use_name=False)
 
 
 def _address(session: Session) -> Iterator[Problem]:
@@ -298,6 +304,7 @@ def _clients(session: Session) -> Iterator[Problem]:
     for at, client in enumerate(session.clients):
         location = join("clients", at)
         yield from leave_problems(client.bench, join(location, "bench"))
+        yield from _group(client.group, join(location, "group"))
         use_name = session.use_name if client.use_name is None else client.use_name
         yield from _name(client.name, join(location, "name"), use_name=use_name)
         first = names.setdefault(client.name, at)

@@ -172,6 +172,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
         topics: what the server proposes to it whenever it links, as the client sees them.
         profile: of its link; None: the server's `Session.profile`.
         bench: it may measure the link, and cause so much by that; None: it may not.
+        group: of the fleet, that it belongs to; None: none.
     """
 
     name: str
@@ -183,6 +184,7 @@ class Client(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
     topics: tuple[Topic, ...] = ()
     profile: ProfileName | None = None
     bench: Leave | None = None
+    group: str | None = None
 
 
 class ZenohSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -249,6 +251,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         zenoh: the Zenoh network, for links over it, and to be seen in its fleet whatever the links run over; None:
             there is none.
         operators: those who may attach over a network.
+        group: of the fleet, that its robot belongs to; None: none.
     """
 
     name: str
@@ -275,6 +278,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     bench: Leave | None = None
     zenoh: ZenohSettings | None = None
     operators: tuple[Operator, ...] = ()
+    group: str | None = None
 
     @property
     def is_bluetooth(self) -> bool:
@@ -289,7 +293,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     @property
     def accepted_clients(self) -> tuple[Client, ...]:
         """The clients that a server lets in."""
-        return self.clients or (Client(self.name, bench=self.bench),)
+        return self.clients or (Client(self.name, bench=self.bench, group=self.group),)
 
     @property
     def adapter(self) -> str | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from rsb_console.actions.registry import ACTIONS, BY_ID
+from rsb_console.actions.registry import ACTIONS, BY_ID, FLEET_ACTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -54,12 +54,13 @@ def load_keymap(path: Path) -> dict[str, str]:
 
 
 def _refuse_shared_keys(path: Path, keymap: Mapping[str, str]) -> None:
-    owner: dict[str, str] = {}
-    for action in ACTIONS:
-        for key in split_keys(keymap.get(action.id, action.keys)):
-            if key in owner:
-                raise KeymapError(f"{path}: {key!r} is for both {owner[key]} and {action.id}; give one another key")
-            owner[key] = action.id
+    for actions in (ACTIONS, FLEET_ACTIONS):
+        owner: dict[str, str] = {}
+        for action in actions:
+            for key in split_keys(keymap.get(action.id, action.keys)):
+                if key in owner:
+                    raise KeymapError(f"{path}: {key!r} is for both {owner[key]} and {action.id}; give one another key")
+                owner[key] = action.id
 
 
 def split_keys(keys: str) -> Iterable[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -17,10 +17,12 @@ class Group(StrEnum):
     OPERATE = "Operate"  # the main screen
     SESSION = "Session"  # the main screen
     CONSOLE = "Console"  # the app
+    FLEET = "Fleet"  # the fleet's screen
 
 
 NAMESPACE = {
     Group.MOVE: "focused", Group.VIEW: "screen", Group.OPERATE: "screen", Group.SESSION: "screen", Group.CONSOLE: "app",
+    Group.FLEET: "screen",
 }  # fmt: skip
 
 
@@ -121,9 +123,40 @@ ACTIONS: tuple[Action, ...] = (
            Group.CONSOLE, in_footer=True),
 )  # fmt: skip
 
-BY_ID = {action.id: action for action in ACTIONS}
+_CONSOLE_ACTIONS = {action.id: action for action in ACTIONS}
+_ON_FLEET = {
+    "back": "Drop the filter, the marks",
+    "filter": "Filter: text, or state: robot: group: why:; ! inverts",
+    "next_match": "Next match; without a filter, next fault",
+    "previous_match": "Previous match; without a filter, previous fault",
+    "faults": "Show only robots with something wrong",
+    "sort_left": "Sort by the column to the left",
+    "sort_right": "Sort by the column to the right",
+    "reverse": "Reverse the order",
+    "group": "Keep the robots of a group together",
+    "faster": "Refresh more often",
+    "slower": "Refresh less often",
+    "copy": "Copy the line under the cursor, over SSH too",
+    "quit": "Quit; the bridges go on",
+}
+"""What actions of the console do on the fleet's screen."""
+
+# As `ACTIONS`, of the fleet's screen. An action that both have has one id, and so one key.
+FLEET_ACTIONS: tuple[Action, ...] = (
+    Action("open_robot", "enter", "open", "Open the console on the robot; of a group, fold or unfold it",
+           Group.FLEET, in_footer=True),
+    Action("mark", "space", "mark", "Mark the robot, or all of the group", Group.FLEET, in_footer=True),
+    Action("edit_marked", "e", "edit", "Edit a topic of the marked robots, one after the other",
+           Group.FLEET, changes=True, in_footer=True, also="roll out, max_rate, pause"),
+    Action("dismiss", "d", "dismiss", "Forget a robot that has gone", Group.FLEET, in_footer=True),
+    *(replace(_CONSOLE_ACTIONS[name], help=text) for name, text in _ON_FLEET.items()),
+    *(action for action in ACTIONS
+      if action.group is Group.MOVE or (action.group is Group.CONSOLE and action.id not in _ON_FLEET)),
+)  # fmt: skip
+
+BY_ID = {action.id: action for action in (*FLEET_ACTIONS, *ACTIONS)}
 
 
-def bindings(*groups: Group) -> list[Any]:
+def bindings(*groups: Group, actions: tuple[Action, ...] = ACTIONS) -> list[Any]:
     """Textual's key bindings of the actions in some groups."""
-    return [Binding(a.keys, a.id, a.label, id=a.id, show=False) for a in ACTIONS if a.group in groups]
+    return [Binding(a.keys, a.id, a.label, id=a.id, show=False) for a in actions if a.group in groups]

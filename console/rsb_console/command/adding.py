@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.config.file_form import DIRECTIONS, KEYS, field_of, hints_of, key_of
 from rsb_bridge.model.link_budget import as_report, cost_of, told
 from rsb_console.command.shell import OK, print_line
 from rsb_console.command.target import (
@@ -14,9 +13,9 @@ from rsb_console.command.target import (
     chosen_route,
     done,
     result,
-    suggestion,
 )
-from rsb_console.session.draft import SWITCHES, problems_of, topic_of, values_of
+from rsb_console.session.draft import values_of
+from rsb_console.session.typed_topic import TypedError, suggestion, typed_topic
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -128,23 +127,7 @@ def _topic(values: dict[str, str], keys: list[str], engine: RemoteEngine, replac
     Raises:
         UsageError: something is wrong with it.
     """
-    kind = replaced.kind if replaced is not None else next(kind for kind in KEYS if kind == values["kind"])
-    known = list(KEYS[kind])
-    for text in keys:
-        key, is_pair, value = text.partition("=")
-        if not is_pair:
-            raise UsageError(f"{text}: not KEY=VALUE, as in max_rate=5")
-        if key not in known:
-            hint = hints_of(kind).get(key) or f"unknown key{suggestion(key, known)}"
-            raise UsageError(f"{text}: {hint} (keys: {', '.join(known)})")
-        values[field_of(kind, key)] = _value(key, value)
-    topic = topic_of(values)
-    if problems := problems_of(topic, engine.session, replaced):
-        raise UsageError("; ".join(f"{key_of(kind, field)}: {problem}" for field, problem in problems.items()))
-    return topic
-
-
-def _value(key: str, value: str) -> str:
-    if key == "provider":
-        return DIRECTIONS.get(value, value)
-    return "" if key in SWITCHES and value in ("no", "false") else value
+    try:
+        return typed_topic(values, keys, engine.session, replaced)
+    except TypedError as error:
+        raise UsageError(str(error)) from None

@@ -10,6 +10,7 @@ from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console.command import commands
 from rsb_console.command.bench_arguments import add_bench_command
 from rsb_console.command.call_arguments import add_call_commands
+from rsb_console.command.fleet_arguments import add_fleet_commands
 from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands
 from rsb_console.command.shell import print_line
 from rsb_console.command.values import seconds
@@ -78,6 +79,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
+    add_fleet_commands(command, _complete, _console_options)
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 

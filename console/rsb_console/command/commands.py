@@ -63,7 +63,7 @@ def run(arguments: Namespace) -> int:
             status_every=arguments.status_every,
             control=arguments.control,
         )
-    if not _can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
+    if not can_draw(f"rsb-console run --no-ui {path or 'SESSION'}"):
         return USAGE
     from rsb_console.command.console import run_console  # noqa: PLC0415 (needs Textual)
 
@@ -82,7 +82,7 @@ def attach(arguments: Namespace) -> int:
     """Open the console on a bridge that runs already."""
     from rsb_console.command.target import bridge_to_attach  # noqa: PLC0415 (not needed elsewhere)
 
-    if not _can_draw("rsb-console status"):
+    if not can_draw("rsb-console status"):
         return USAGE
     bridge = bridge_to_attach(arguments)
     if isinstance(bridge, int):
@@ -160,7 +160,7 @@ def service(arguments: Namespace) -> int:
 def demo(arguments: Namespace) -> int:
     """Bridge two domains of this machine."""
     allow_many_descriptors()
-    if not arguments.no_ui and not _can_draw("rsb-console demo --no-ui"):
+    if not arguments.no_ui and not can_draw("rsb-console demo --no-ui"):
         return USAGE
     from rsb_console.command.demo import run_demo  # noqa: PLC0415 (needs ROS)
 
@@ -254,7 +254,7 @@ def _has_hung_up(terminal: int) -> bool:
     return False
 
 
-def _can_draw(instead: str) -> bool:
+def can_draw(instead: str) -> bool:
     """Whether the console has a terminal to draw on; says so where it hasn't."""
     reason = None
     if not (sys.stdin.isatty() and sys.stdout.isatty()):

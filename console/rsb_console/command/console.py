@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.config.session_file import load
 from rsb_bridge.control.identity import identify
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.session import Session
+    from rsb_console.terminal_app import TerminalApp
+
+T = TypeVar("T")
 
 
 def run_console(
@@ -66,14 +69,21 @@ def run_console(
         attach_to=attach_to,
         temporary=temporary,
     )
+    run_app(app, mouse=mouse)
+    return _finish(app, on_hangup)
+
+
+def run_app(app: TerminalApp[T], *, mouse: bool) -> T | None:
+    """Run an app in the terminal; gives what it returns. `TerminalApp.shutdown_reason` says why it has ended."""
     shut_down_on_signals(app.shut_down_soon)
+    returned = None
     try:
         with terminal_to_itself(output_path()) as app.terminal, acting(identify(os.getpid(), os.geteuid())):
-            app.run(mouse=mouse)
+            returned = app.run(mouse=mouse)
     except Exception:  # noqa: BLE001 -- the bridge survives any failure of the app
         app.crashed()
     app.has_ended()
-    return _finish(app, on_hangup)
+    return returned
 
 
 def _serve(

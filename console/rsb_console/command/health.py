@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.health import link_is_wrong, route_is_wrong, route_waits
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.verdict import Cause
 from rsb_console.command.reports import link_fault, of_links_that_are_up, rate_text
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
-
-_NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.OK})
+    from rsb_bridge.model.snapshot import Snapshot
 
 
 def wrong(now: Snapshot) -> list[str]:
@@ -23,28 +21,11 @@ def wrong(now: Snapshot) -> list[str]:
     """
     if not now.running:
         return ["the bridge is stopped"]
-    links = [f"link {link.name} {link_fault(link)}" for link in now.links if _link_is_wrong(link)]
-    return links + [rate_text(route) for route in of_links_that_are_up(now) if _route_is_wrong(route)]
+    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link_is_wrong(link)]
+    return links + [rate_text(route) for route in of_links_that_are_up(now) if route_is_wrong(route)]
 
 
 def waiting(now: Snapshot) -> list[str]:
     """What waits for its first connection or message, each in a sentence."""
     links = [f"link {link.name} {link_fault(link)}" for link in now.links if link.state is State.WAITING]
-    return links + [rate_text(route) for route in of_links_that_are_up(now) if _waits(route)]
-
-
-def _link_is_wrong(link: LinkSnapshot) -> bool:
-    return link.state not in _NOTHING_WRONG or bool(link.warning)
-
-
-def _route_is_wrong(route: RouteSnapshot) -> bool:
-    if route.state is State.UNHEARD:
-        return route.cause != Cause.NO_SUBSCRIBER
-    return route.state not in _NOTHING_WRONG and not _waits(route)
-
-
-def _waits(route: RouteSnapshot) -> bool:
-    """Whether it waits for its first message, for however long; unless its entry says how long is too long."""
-    if route.state is State.STALE:
-        return route.age is None and not route.spec.stale_after
-    return route.state is State.WAITING
+    return links + [rate_text(route) for route in of_links_that_are_up(now) if route_waits(route)]

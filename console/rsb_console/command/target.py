@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.api import EngineError
@@ -14,6 +13,7 @@ from rsb_bridge.control.folders import ControlError, hidden_services
 from rsb_bridge.model.text import join_first
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
+from rsb_console.session.typed_topic import suggestion
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -105,9 +105,12 @@ def _answering(bridge: RunningBridge) -> RunningBridge:
 
 @contextlib.contextmanager
 def attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[RemoteEngine]:
-    """Be attached to the bridge that the arguments mean."""
-    engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
-    engine.start()
+    """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives."""
+    if (attach := getattr(arguments, "attach", None)) is not None:
+        engine = attach(read_only=read_only)
+    else:
+        engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
+        engine.start()
     try:
         yield engine
     finally:
@@ -195,9 +198,3 @@ def check_link(engine: RemoteEngine, name: str) -> None:
     known = [link.name for link in engine.snapshot().links]
     if name and name not in known:
         raise UsageError(f"{engine.bridge.name} has no link {name!r}, only {', '.join(known) or 'none'}")
-
-
-def suggestion(name: str, known: Sequence[str]) -> str:
-    """A hint at the most similar name; empty: none is similar."""
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean {near[0]}?" if near else ""

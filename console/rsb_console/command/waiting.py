@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import rate_text
 from rsb_console.command.shell import FAILURE
-from rsb_console.command.target import UsageError, attached, check_link, done, failed, named, suggestion
+from rsb_console.command.target import UsageError, attached, check_link, done, failed, named
+from rsb_console.session.typed_topic import suggestion
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, ClassVar
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
-from rsb_console.actions.registry import ACTIONS, Group
+from rsb_console.actions.registry import Group
 from rsb_console.widgets.lines import Line, LiveLines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from textual.app import ComposeResult
 
-    from rsb_console.console import Console
+    from rsb_console.actions.registry import Action
+    from rsb_console.console import ConsoleShell
 
 KEYS_WIDTH, ID_WIDTH = 13, 15  # cells
 
@@ -52,20 +53,25 @@ class KeyList(LiveLines, can_focus=True):
 
 
 class HelpScreen(ModalScreen[None]):
-    """Every key; any of escape, q, ? and enter leaves."""
+    """Every key; any of escape, q, ? and enter leaves.
+
+    Args:
+        console: whose keys they are.
+        actions: what they do.
+    """
 
     BINDINGS: ClassVar = [Binding("escape,q,question_mark,enter", "dismiss", show=False)]
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: ConsoleShell, actions: Sequence[Action]) -> None:
         super().__init__()
-        self.console = console
+        self.console, self._actions = console, actions
 
     def compose(self) -> ComposeResult:
         yield KeyList(self._lines)
 
     def _lines(self, width: int) -> Iterator[Line]:
         room = max(20, width - KEYS_WIDTH - ID_WIDTH)
-        shown = [action for action in ACTIONS if not (action.changes and self.console.readonly)]
+        shown = [action for action in self._actions if not (action.changes and self.console.readonly)]
         order = list(Group)
         for group, actions in groupby(sorted(shown, key=lambda a: order.index(a.group)), key=lambda a: a.group):
             yield ((group.value, "head"),)

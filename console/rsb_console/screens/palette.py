@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from textual.command import DiscoveryHit, Hit, Provider
 
-from rsb_console.actions.registry import ACTIONS, NAMESPACE
+from rsb_console.actions.registry import NAMESPACE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from textual.command import Hits
 
@@ -19,7 +19,13 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class LabelsKeys(Protocol):
-    """An app that knows the keys of actions, as `rsb_console.console.Console` does."""
+    """An app that knows the keys of actions, as `rsb_console.console.Console` does.
+
+    Attributes:
+        actions: all that it has.
+    """
+
+    actions: Sequence[Action]
 
     def key_labels(self, action: Action) -> list[str]:
         """The keys of an action, as they are written on a keyboard."""
@@ -30,7 +36,8 @@ class ActionsProvider(Provider):
     """Finds the actions that are possible now, and shows their keys."""
 
     def _possible(self) -> Iterator[Action]:
-        return (action for action in ACTIONS if self.screen.check_action(action.id, ()))
+        assert isinstance(self.app, LabelsKeys)
+        return (action for action in self.app.actions if self.screen.check_action(action.id, ()))
 
     async def discover(self) -> Hits:
         for action in self._possible():

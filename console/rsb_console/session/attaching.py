@@ -33,7 +33,7 @@ class Attached(NamedTuple):
     saved: Session | None
 
 
-def attach(socket: Path, *, read_only: bool) -> Attached:
+def at_socket(socket: Path, *, read_only: bool) -> RemoteEngine:
     """Attach to a bridge by its control socket; may take some seconds.
 
     Raises:
@@ -41,6 +41,11 @@ def attach(socket: Path, *, read_only: bool) -> Attached:
     """
     engine = RemoteEngine(socket, read_only=read_only)
     engine.start()
+    return engine
+
+
+def attached(engine: RemoteEngine) -> Attached:
+    """What the console is to know of an engine that it has attached to."""
     bridge = engine.bridge
     path = None if bridge.file is None else Path(bridge.file)
     file = None

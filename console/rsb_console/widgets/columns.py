@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
@@ -12,10 +12,11 @@ from rsb_console.look.glyphs import ARMED, ARMED_WORD, IN, OUT, STATE_SIGN, STAT
 from rsb_console.look.kinds import SHORT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rsb_bridge.model.snapshot import RouteSnapshot
 
+R = TypeVar("R")
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
@@ -23,14 +24,14 @@ _BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes bes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Column:
-    """One column of the table.
+class Column(Generic[R]):
+    """One column of a table.
 
     Attributes:
         title: its heading.
         width: cells; 0: all that the other columns leave.
-        text: a route's cell.
-        order: sort key of a route.
+        text: the cell of a route, or whatever else a line shows.
+        order: its sort key.
         right: whether cells are aligned to the right.
         from_width: cells; in a narrower table the column is left out.
         beside_calls: likewise, where the table has more than topics; None: as `from_width`.
@@ -39,8 +40,8 @@ class Column:
 
     title: str
     width: int
-    text: Callable[[RouteSnapshot], str]
-    order: Callable[[RouteSnapshot], Any]
+    text: Callable[[R], str]
+    order: Callable[[R], Any]
     right: bool = True
     from_width: int = 0
     beside_calls: int | None = None
@@ -106,7 +107,7 @@ def _last_failure(route: RouteSnapshot) -> str:
     return "" if route.calls is None else route.calls.last_failure
 
 
-COLUMNS = (
+COLUMNS: tuple[Column[RouteSnapshot], ...] = (
     Column("STATE", 10, _state, lambda r: (r.state.rank, r.topic), right=False, from_width=WIDE),
     Column("", 2, _sign, lambda r: (r.state.rank, r.topic), right=False),
     Column(
@@ -164,7 +165,9 @@ STATE, SIGN, TOPIC, PEER, HISTORY_COLUMN = (
 
 
 @cache
-def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = False) -> tuple[tuple[Column, int], ...]:
+def layout(
+    width: int, *, peers: bool, grouped: bool = False, calls: bool = False
+) -> tuple[tuple[Column[RouteSnapshot], int], ...]:
     """The columns that fit, each with its width in cells.
 
     Args:
@@ -179,5 +182,10 @@ def layout(width: int, *, peers: bool, grouped: bool = False, calls: bool = Fals
         shown.insert(0, PEER)
         if width < TOTAL_FROM and shown[-1] is HISTORY_COLUMN:
             shown.pop()  # the names need its room
-    rest = max(8, width - 1 - sum(column.width + 1 for column in shown))
-    return tuple((column, column.width or rest) for column in shown)
+    return filled(shown, width - 1)
+
+
+def filled(columns: Sequence[Column[R]], width: int) -> tuple[tuple[Column[R], int], ...]:
+    """Columns with their widths in cells: one of width 0 gets what the others leave of `width`, a blank behind each."""
+    rest = max(8, width - sum(column.width + 1 for column in columns))
+    return tuple((column, column.width or rest) for column in columns)

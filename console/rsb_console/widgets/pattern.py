@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-COLUMNS = ("state", "kind", "topic", "robot", "via", "type", "why")
+COLUMNS = ("state", "kind", "topic", "robot", "group", "via", "type", "why")
 _COLUMN = re.compile(rf"(?<!\S)({'|'.join(COLUMNS)}):(\S*)\s*", re.IGNORECASE)
 
 

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 
 
 class Prompt(Horizontal):
-    """``/`` and an input. What is typed filters at once; enter keeps it, escape takes it back."""
+    """``/`` and an input. What is typed filters at once; enter keeps it, escape takes it back.
+
+    Args:
+        columns: those by whose name one may look, as a hint.
+    """
 
     BINDINGS: ClassVar = [Binding("escape", "cancel", show=False)]
 
@@ -30,17 +34,16 @@ class Prompt(Horizontal):
     class Closed(Message):
         """The operator is done with it."""
 
-    def __init__(self) -> None:
+    def __init__(self, columns: str = "state: kind: robot: type: via: why:") -> None:
         super().__init__(id="prompt")
+        self._columns = columns
         self.display = False
         self._before = ""
 
     def compose(self) -> ComposeResult:
         """The slash, the input, and room for what is wrong."""
         yield Static(" /", id="sign")
-        yield Input(
-            id="pattern", placeholder="text, or state: kind: robot: type: via: why:; ! first: what does not match"
-        )
+        yield Input(id="pattern", placeholder=f"text, or {self._columns}; ! first: what does not match")
         yield Static("", id="problem", classes="problem")
 
     def open(self, text: str) -> None:

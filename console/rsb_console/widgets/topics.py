@@ -129,10 +129,10 @@ class TopicsTable(SelectableList):
         return (edge, *(_cell(column, route, width) for column, width in self._layout))
 
     @property
-    def _layout(self) -> tuple[tuple[Column, int], ...]:
+    def _layout(self) -> tuple[tuple[Column[RouteSnapshot], int], ...]:
         return layout(self.width, peers=self._peers, grouped=self.grouped, calls=self._calls)
 
-    def _heading(self, column: Column, width: int) -> tuple[str, str]:
+    def _heading(self, column: Column[RouteSnapshot], width: int) -> tuple[str, str]:
         arrow = ("▲" if self.reversed else "▼") if column is self.sort_column else ""
         title = clip(column.title + arrow, width)
         return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
@@ -149,7 +149,7 @@ class TopicsTable(SelectableList):
                 return
 
 
-def _cell(column: Column, route: RouteSnapshot, width: int) -> tuple[str, str]:
+def _cell(column: Column[RouteSnapshot], route: RouteSnapshot, width: int) -> tuple[str, str]:
     text = column.text(route)
     if len(text) > width:
         text = fit_middle(text, width) if column is TOPIC else text[: width - 1] + "…"

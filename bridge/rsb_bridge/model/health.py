@@ -1,0 +1,32 @@
+"""What of an engine's state is a fault, for whoever sums it up: `rsb-console status`, a fleet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
+
+_NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.OK})
+
+
+def link_is_wrong(link: LinkSnapshot) -> bool:
+    """Whether a link has a fault, be it up or down. One that waits for its first connection has none."""
+    return link.state not in _NOTHING_WRONG or bool(link.warning)
+
+
+def route_is_wrong(route: RouteSnapshot) -> bool:
+    """Whether a route has a fault: not what nobody has begun to use, and not what an operator wants."""
+    if route.state is State.UNHEARD:
+        return route.cause != Cause.NO_SUBSCRIBER
+    return route.state not in _NOTHING_WRONG and not route_waits(route)
+
+
+def route_waits(route: RouteSnapshot) -> bool:
+    """Whether it waits for its first message, for however long; unless its entry says how long is too long."""
+    if route.state is State.STALE:
+        return route.age is None and not route.spec.stale_after
+    return route.state is State.WAITING

@@ -1,0 +1,393 @@
+"""One robot of a fleet in a few figures: worked out of a server's snapshot for each client, or by an engine of itself.
+
+Every figure is the robot's, whoever works it out: `from_robot` is what it sends, `to_robot` what it gets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.model.health import link_is_wrong, route_is_wrong
+from rsb_bridge.model.limits import TEXT_LENGTH
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import plural, sanitize_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from rsb_bridge.model.session import Session
+    from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot
+
+WHY_LENGTH = 200
+"""Characters of a reason: a line of a screen. The robot's own screen has the rest."""
+SUMMARY_BYTES = 4096
+"""Of a summary that comes from elsewhere."""
+LOSS_SPAN = 60.0
+"""s that a figure of loss is about, once it is known for so long."""
+
+_MEANT = frozenset({"already published", "would loop", "thinned", "paused", "disarmed"})
+"""Causes of drops that an operator or the bridge wants: no loss."""
+_MARK_EVERY = 1.0
+_COUNT = 1 << 31
+_FIGURE = 1e15
+
+
+class RobotState(StrEnum):
+    """The state of a robot, the worst first."""
+
+    MISSING = "missing"
+    """It was there, and is not any more."""
+    FAULT = "fault"
+    """A topic or a service carries nothing, though it should; or of an engine itself, a link is down."""
+    WARN = "warn"
+    """Too little crosses, or not to everybody; or a link has a warning."""
+    WAITING = "waiting"
+    """It has not been there yet."""
+    OK = "ok"
+
+    @property
+    def rank(self) -> int:
+        """0 for the worst."""
+        return _RANKS[self]
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether somebody should look."""
+        return self.rank <= _RANKS[RobotState.WARN]
+
+    @classmethod
+    def _missing_(cls, value: object) -> RobotState | None:
+        """A state that only a newer version has: somebody should look."""
+        return cls.WARN
+
+
+_RANKS = {state: rank for rank, state in enumerate(RobotState)}
+
+
+class Battery(NamedTuple):
+    """A battery, as its robot published it last.
+
+    Attributes:
+        charge: 0 to 1.
+        time: s since the epoch, when it was published here.
+    """
+
+    charge: float
+    time: float
+
+
+class Loss(NamedTuple):
+    """Messages that did not arrive.
+
+    Attributes:
+        share: of those whose end is known, 0 to 1, both ways together.
+        span: s that this is about, until now.
+    """
+
+    share: float
+    span: float
+
+
+class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One robot.
+
+    Attributes:
+        name: its session's.
+        group: the group that it belongs to; empty: none.
+        state: its state.
+        why: the worst verdict in words, and how many more there are; empty: there is nothing to say.
+        since: s since the epoch, when what `why` says began; without a reason, when the state did.
+        seen: s since the epoch, when it was last there; None: it has not been.
+        host: where it is: the address of its link, or its machine's name.
+        version: of its rsb-console; empty: not known.
+        links_up: links that are up.
+        links: all links.
+        flowing: topics, services and the like that carry something.
+        routes: all of them.
+        messages_from_robot: Hz, of all topics that it sends.
+        messages_to_robot: Hz, likewise.
+        bytes_from_robot: a second, on the wire of its links.
+        bytes_to_robot: likewise.
+        loss: of its messages; None: no message has ended yet.
+        battery: None: no topic says.
+    """
+
+    name: str
+    group: str = ""
+    state: RobotState = RobotState.WAITING
+    why: str = ""
+    since: float = 0.0
+    seen: float | None = None
+    host: str = ""
+    version: str = ""
+    links_up: int = 0
+    links: int = 0
+    flowing: int = 0
+    routes: int = 0
+    messages_from_robot: float = 0.0
+    messages_to_robot: float = 0.0
+    bytes_from_robot: float = 0.0
+    bytes_to_robot: float = 0.0
+    loss: Loss | None = None
+    battery: Battery | None = None
+
+
+class _Mark(NamedTuple):
+    time: float
+    lost: int
+    settled: int
+
+
+class LossWindow:
+    """How many messages were lost lately, over each link, as the ledgers of successive snapshots tell."""
+
+    def __init__(self) -> None:
+        self._marks: dict[str, deque[_Mark]] = {}
+
+    def take(self, snapshot: Snapshot) -> dict[str, Loss]:
+        """Take a snapshot, newer than the one before; gives the loss of each link that has a figure."""
+        now = snapshot.time
+        lost, settled, since = Counter[str](), Counter[str](), dict[str, float]()
+        marks, self._marks = self._marks, {}
+        for route in snapshot.routes:
+            if route.calls is None:
+                self._marks[route.key] = marks.get(route.key) or deque()
+                first = self._first_mark(route, now)
+                total = _lost(route.ledger)
+                lost[route.link] += max(0, total - first.lost)
+                settled[route.link] += total + route.ledger.delivered - first.settled
+                since[route.link] = min(first.time, since.get(route.link, now))
+        return {link: Loss(lost[link] / count, now - since[link]) for link, count in settled.items() if count}
+
+    def _first_mark(self, route: RouteSnapshot, now: float) -> _Mark:
+        """What had been counted of a route at the beginning of the window."""
+        marks, lost = self._marks[route.key], _lost(route.ledger)
+        settled = lost + route.ledger.delivered
+        if marks and (settled < marks[-1].settled or now < marks[-1].time):
+            marks.clear()  # counted anew
+        if not marks or now - marks[-1].time >= _MARK_EVERY:
+            marks.append(_Mark(now, lost, settled))
+        while len(marks) > 1 and now - marks[1].time >= LOSS_SPAN:
+            marks.popleft()
+        return marks[0]
+
+
+def _lost(ledger: Ledger) -> int:
+    return ledger.expired + sum(count for cause, count in ledger.dropped.items() if cause not in _MEANT)
+
+
+def of_clients(
+    snapshot: Snapshot, session: Session, losses: Mapping[str, Loss], batteries: Mapping[str, Battery]
+) -> list[RobotSummary]:
+    """The clients of a server, one for each link.
+
+    Args:
+        snapshot: the server's.
+        session: likewise; says which groups its clients belong to.
+        losses: of each link, by its name, as `LossWindow.take` gives them.
+        batteries: of each link, by its name.
+    """
+    groups = {client.name: client.group or "" for client in session.accepted_clients}
+    routes: dict[str, list[RouteSnapshot]] = {link.name: [] for link in snapshot.links}
+    for route in snapshot.routes:
+        routes.get(route.link, []).append(route)
+    return [
+        msgspec.structs.replace(
+            _summary(
+                link.name, snapshot, [link], routes[link.name], lambda route: route.spec.topic, from_robot_is_sent=False
+            ),
+            group=groups.get(link.name, ""),
+            seen=_seen(link, snapshot.time),
+            host=sanitize_text(link.peer, TEXT_LENGTH),
+            version=sanitize_text(link.peer_version, TEXT_LENGTH),
+            loss=losses.get(link.name),
+            battery=batteries.get(link.name),
+        )
+        for link in snapshot.links
+    ]
+
+
+def of_engine(
+    snapshot: Snapshot,
+    session: Session,
+    *,
+    host: str,
+    version: str,
+    losses: Mapping[str, Loss],
+    battery: Battery | None,
+) -> RobotSummary:
+    """An engine itself, as it announces itself.
+
+    Args:
+        snapshot: its own.
+        session: likewise.
+        host: its machine's name.
+        version: of its rsb-console.
+        losses: as in `of_clients`; the worst of its links counts.
+        battery: of its robot.
+    """
+    summary = _summary(
+        snapshot.name, snapshot, snapshot.links, snapshot.routes, lambda route: route.topic, from_robot_is_sent=True
+    )
+    if summary.state is RobotState.MISSING and snapshot.running:  # it is there: the other side is not
+        summary = msgspec.structs.replace(summary, state=RobotState.FAULT)
+    return msgspec.structs.replace(
+        summary,
+        group=session.group or "",
+        seen=snapshot.time,
+        host=sanitize_text(host, TEXT_LENGTH),
+        version=version,
+        loss=max(losses.values(), default=None),
+        battery=battery,
+    )
+
+
+def _summary(
+    name: str,
+    snapshot: Snapshot,
+    links: Sequence[LinkSnapshot],
+    routes: Sequence[RouteSnapshot],
+    called: Callable[[RouteSnapshot], str],
+    *,
+    from_robot_is_sent: bool,
+) -> RobotSummary:
+    """What both kinds have in common.
+
+    Args:
+        name: the robot's.
+        snapshot: that the links and routes are of.
+        links: the robot's.
+        routes: likewise.
+        called: gives what the robot calls the topic of a route.
+        from_robot_is_sent: the engine that made the snapshot is the robot's own.
+    """
+    state, why, since = _state(snapshot, links, routes, called)
+    up = {link.name for link in links if link.state is State.OK}
+    sent, received = (
+        sum(_rate(route) for route in routes if route.link in up and route.outgoing is outgoing)
+        for outgoing in (True, False)
+    )
+    tx, rx = sum(link.tx_bytes_per_second for link in links), sum(link.rx_bytes_per_second for link in links)
+    if not from_robot_is_sent:
+        sent, received, tx, rx = received, sent, rx, tx
+    return RobotSummary(
+        name=name,
+        state=state,
+        why=sanitize_text(why, WHY_LENGTH),
+        since=since,
+        links_up=len(up),
+        links=len(links),
+        flowing=sum(route.state.flows and route.link in up for route in routes),
+        routes=len(routes),
+        messages_from_robot=sent,
+        messages_to_robot=received,
+        bytes_from_robot=tx,
+        bytes_to_robot=rx,
+    )
+
+
+def _rate(route: RouteSnapshot) -> float:
+    """Messages a second; a topic that has stopped has none, and calls are no messages."""
+    return route.rate if route.state.flows and route.calls is None else 0.0
+
+
+def _state(
+    snapshot: Snapshot,
+    links: Sequence[LinkSnapshot],
+    routes: Sequence[RouteSnapshot],
+    called: Callable[[RouteSnapshot], str],
+) -> tuple[RobotState, str, float]:
+    """The state, why, and since when."""
+    if not snapshot.running and not any(link.state is State.DOWN for link in links):
+        return RobotState.MISSING, "the bridge is stopped", snapshot.time
+    if down := [link for link in links if link.state is State.DOWN]:
+        first = min(down, key=lambda link: link.since)
+        return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
+    wrong = [route for route in routes if route_is_wrong(route)]
+    stopped = [route for route in wrong if not route.state.flows]
+    if stopped:
+        return RobotState.FAULT, *_worst(stopped, len(wrong), called)
+    if warned := [link for link in links if link_is_wrong(link)]:
+        return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
+    if wrong:
+        return RobotState.WARN, *_worst(wrong, len(wrong), called)
+    if links and all(link.state is State.WAITING for link in links):
+        return RobotState.WAITING, links[0].reason, links[0].since
+    return RobotState.OK, "", max((link.since for link in links if link.state is State.OK), default=snapshot.time)
+
+
+def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:
+    """The worst of some routes in words, and since when; of equals, the first by name."""
+    worst = min(routes, key=lambda route: (route.state.rank, called(route)))
+    return _and_more(f"{called(worst)} {worst.state.upper()}: {worst.reason}", count), worst.since
+
+
+def _and_more(text: str, count: int) -> str:
+    """A text, cut so that the number of others fits behind it."""
+    if count < 2:
+        return text
+    more = f" (and {count - 1} more {plural(count - 1, 'fault')})"
+    return text[: WHY_LENGTH - len(more)] + more
+
+
+def _seen(link: LinkSnapshot, now: float) -> float | None:
+    if link.state is State.OK:
+        return now
+    return link.since if link.state is State.DOWN and link.peer_domain is not None else None
+
+
+# --- summaries from elsewhere
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(RobotSummary)
+
+
+def encode(summary: RobotSummary) -> bytes:
+    """A summary as bytes, for `decode` of this version or another."""
+    return _encoder.encode(summary)
+
+
+def decode(data: bytes) -> RobotSummary:
+    """A summary that somebody else has made: its texts are made fit for a screen, and its figures brought within sense.
+
+    Raises:
+        ValueError: it is none, or too long.
+    """
+    if len(data) > SUMMARY_BYTES:
+        raise ValueError(f"a summary of {len(data):,} bytes; at most {SUMMARY_BYTES:,} are allowed")
+    try:
+        summary = _decoder.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"no summary of a robot: {error}") from None
+    if not summary.name.strip():
+        raise ValueError("a summary without a name")
+    loss, battery = summary.loss, summary.battery
+    return msgspec.structs.replace(
+        summary,
+        name=sanitize_text(summary.name, TEXT_LENGTH),
+        group=sanitize_text(summary.group, TEXT_LENGTH),
+        why=sanitize_text(summary.why, WHY_LENGTH),
+        host=sanitize_text(summary.host, TEXT_LENGTH),
+        version=sanitize_text(summary.version, TEXT_LENGTH),
+        since=_within(summary.since),
+        seen=None if summary.seen is None else _within(summary.seen),
+        links_up=int(_within(summary.links_up, _COUNT)),
+        links=int(_within(summary.links, _COUNT)),
+        flowing=int(_within(summary.flowing, _COUNT)),
+        routes=int(_within(summary.routes, _COUNT)),
+        messages_from_robot=_within(summary.messages_from_robot),
+        messages_to_robot=_within(summary.messages_to_robot),
+        bytes_from_robot=_within(summary.bytes_from_robot),
+        bytes_to_robot=_within(summary.bytes_to_robot),
+        loss=None if loss is None else Loss(_within(loss.share, 1.0), _within(loss.span)),
+        battery=None if battery is None else Battery(_within(battery.charge, 1.0), _within(battery.time)),
+    )
+
+
+def _within(figure: float, most: float = _FIGURE) -> float:
+    return max(0.0, min(figure, most)) if math.isfinite(figure) else 0.0

@@ -1,0 +1,330 @@
+"""`rsb-console fleet`: all robots of some servers, a command for some of them, a change from robot to robot."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import sys
+import time
+from functools import partial
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.robot_summary import RobotState
+from rsb_console.command.fleet_arguments import ALLOWED
+from rsb_console.command.reports import json_line
+from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
+from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, reported
+from rsb_console.fleet.fleet import Fleet, UnknownRobotError
+from rsb_console.fleet.memory import Memory, memory_path
+from rsb_console.fleet.rolling import Rollout
+from rsb_console.fleet.servers import ServerFleet
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable, Iterator, Sequence
+
+    from rsb_console.fleet.fleet import Robot
+    from rsb_console.fleet.rolling import Outcome, Step
+    from rsb_console.fleet.source import FleetSource
+
+_LOOK_EVERY = 0.5
+
+
+def run(name: str, arguments: Namespace) -> int:
+    """Run one of the commands. Returns the exit code."""
+    return reported(_COMMANDS[name], arguments)
+
+
+def sources_of(arguments: Namespace) -> list[FleetSource]:
+    """What the robots are known from: the server that is named, else all servers that run here.
+
+    Raises:
+        NoBridgeError: none does.
+        UsageError: the bridge that is named is no server.
+    """
+    if arguments.bridge is not None or arguments.control is not None:
+        named = chosen_bridge(arguments)
+        if named.info is not None and named.info.role != "server":
+            raise UsageError(f"{named.name} is a client: it has no robots. Its server has")
+        return [ServerFleet(named.name, named.path)]
+    servers = [bridge for bridge in running_bridges() if bridge.info is not None and bridge.info.role == "server"]
+    if not servers:
+        raise NoBridgeError("no server runs here that you may attach to; `rsb-console status` names what does")
+    names: dict[str, int] = {}
+    for server in servers:
+        names[server.name] = names.get(server.name, 0) + 1
+    return [
+        ServerFleet(server.name if names[server.name] == 1 else str(server.path), server.path) for server in servers
+    ]
+
+
+@contextlib.contextmanager
+def _fleet(arguments: Namespace) -> Iterator[Fleet]:
+    """The robots that the arguments are about, as long as they are needed."""
+    fleet = Fleet(sources_of(arguments), Memory(memory_path()), Clock())
+    fleet.start()
+    try:
+        yield fleet
+    except UnknownRobotError as error:
+        raise UsageError(str(error)) from None
+    finally:
+        fleet.stop()
+
+
+# --- looking
+
+
+def _show(arguments: Namespace) -> int:
+    if arguments.json:
+        return _print(arguments)
+    from rsb_console.command.commands import can_draw  # noqa: PLC0415 -- it imports what reads keys, not needed else
+
+    if not can_draw("rsb-console fleet --json"):
+        return USAGE
+    from rsb_console.command.fleet_console import run_fleet  # noqa: PLC0415 (needs Textual)
+
+    with _fleet(arguments) as fleet:
+        return run_fleet(
+            fleet,
+            readonly=arguments.readonly,
+            ascii_only=arguments.ascii,
+            theme=arguments.theme,
+            mouse=not arguments.no_mouse,
+        )
+
+
+def _print(arguments: Namespace) -> int:
+    with _fleet(arguments) as fleet:
+        deadline = time.monotonic() + arguments.seconds
+        robots = fleet.robots()
+        while time.monotonic() < deadline:
+            time.sleep(min(_LOOK_EVERY, arguments.seconds))
+            robots = fleet.robots()
+    wrong = [robot for robot in robots if robot.summary.state.is_wrong]
+    states = [robot.summary.state for robot in robots]
+    summary = {"robots": len(robots), "states": {state: states.count(state) for state in RobotState}}
+    print_line(json_line({"ok": not wrong, "time": time.time(), "summary": summary, "robots": [*map(_report, robots)]}))
+    return FAILURE if wrong else OK
+
+
+def _report(robot: Robot) -> dict[str, object]:
+    """A robot for a program: all figures, those too that are at their defaults."""
+    summary = robot.summary
+    figures: dict[str, object] = msgspec.structs.asdict(summary)
+    loss, battery = summary.loss, summary.battery
+    figures["loss"] = None if loss is None else {"share": round(loss.share, 4), "span": round(loss.span, 1)}
+    figures["battery"] = None if battery is None else {"charge": round(battery.charge, 3), "time": battery.time}
+    for name, value in figures.items():
+        if isinstance(value, float):
+            figures[name] = round(value, 3)
+    return {**figures, "server": robot.source.name, "gone": robot.gone}
+
+
+# --- a command for some robots
+
+
+def _exec(arguments: Namespace) -> int:
+    words: list[str] = arguments.words
+    if not words:
+        raise UsageError("no command: rsb-console fleet exec NAME ... -- COMMAND ..., as in -- pause /camera")
+    if words[0] not in ALLOWED:
+        raise UsageError(f"{words[0]}: no command that runs for a robot; these do: {', '.join(ALLOWED)}")
+    command = _parsed(words)
+    with _fleet(arguments) as fleet:
+        robots = _chosen(fleet, arguments)
+        codes, outputs = [], {}
+        for robot in robots:
+            code, lines = _run_on(robot, command, as_json=arguments.json)
+            codes.append(code)
+            if arguments.json:
+                outputs[robot.key] = {"robot": robot.summary.name, "server": robot.source.name, "code": code,
+                                      "output": [_plain(line) for line in lines]}  # fmt: skip
+            else:
+                for line in lines or ["done" if code == OK else f"not done (exit code {code})"]:
+                    print_line(f"{robot.summary.name}: {line}")
+                sys.stdout.flush()
+    failed = [code for code in codes if code != OK]
+    if arguments.json:
+        print_line(json_line({"ok": not failed, "robots": [*outputs.values()]}))
+    elif failed:
+        print_error(f"not done for {len(failed)} of {len(codes)} robots")
+    return FAILURE if failed else OK
+
+
+def _parsed(words: Sequence[str]) -> Namespace:
+    """A command's arguments. What is wrong with them is said as always, and ends the process."""
+    from rsb_console.command.arguments import parser_and_commands  # noqa: PLC0415 -- it imports this one's arguments
+
+    parsed = parser_and_commands()[0].parse_args([*words])
+    if words[0] == "events" and parsed.follow:
+        raise UsageError("events --follow does not end: follow one robot's server at a time")
+    if words[0] == "echo" and not parsed.once and parsed.count is None:
+        raise UsageError("echo does not end: give --once, or --count N")
+    if words[0] in ("echo", "wait") and parsed.timeout is None:
+        raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
+    if parsed.bridge is not None or parsed.control is not None or (getattr(parsed, "link", None) or ""):
+        raise UsageError("which robot the command is for is said before --")
+    return parsed
+
+
+def _run_on(robot: Robot, command: Namespace, *, as_json: bool) -> tuple[int, list[str]]:
+    """Run a command on a robot. Gives its exit code, and the lines that it has printed."""
+    command.attach = partial(robot.source.open, robot.summary.name)
+    command.json = command.json or as_json
+    printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="\n")
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        code: int = command.command(command)
+    printed.flush()
+    text = printed.buffer.getvalue().decode()
+    return code, [line.removeprefix("rsb-console: ") for line in text.splitlines()]
+
+
+def _plain(line: str) -> object:
+    """A line that a command has printed for programs; what is no JSON stands as it is."""
+    try:
+        parsed: object = json.loads(line)
+    except ValueError:
+        return line
+    return parsed
+
+
+def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
+    """The robots that the arguments name.
+
+    Raises:
+        UsageError: none.
+    """
+    robots = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone)
+    if not robots:
+        raise UsageError("which robots? Give their names, --group GROUP, or --all")
+    return robots
+
+
+# --- a change from robot to robot
+
+
+def _edit(arguments: Namespace) -> int:
+    words: list[str] = arguments.names
+    topics = [word for word in words if word.startswith("/")]
+    keys = [word for word in words if "=" in word and not word.startswith("/")]
+    arguments.names = [word for word in words if word not in topics and word not in keys]
+    if len(topics) != 1 or not keys:
+        raise UsageError(
+            "which topic, and what to change? For example: rsb-console fleet edit robot1 /camera max_rate=5"
+        )
+    if arguments.json and not (arguments.yes or arguments.dry_run):
+        raise UsageError("--json does not ask: give --yes, or --dry-run")
+    with _fleet(arguments) as fleet:
+        robots = _chosen(fleet, arguments)
+        rollout = Rollout(fleet, robots, topics[0], keys, arguments.settle, now=time.monotonic, sleep=time.sleep)
+        steps = rollout.plan()
+        if not arguments.json:
+            for step in steps:
+                print_line(f"{step.name}: {said(step)}")
+        wanted = [step for step in steps if step.new is not None]
+        problems = [step for step in steps if step.problem]
+        if arguments.dry_run or not wanted:
+            if arguments.json:
+                print_line(json_line({"ok": not problems, "plan": [*map(_planned, steps)]}))
+            return FAILURE if problems else OK
+        if not arguments.yes and not _agreed(f"Change {len(wanted)} of {len(steps)} robots, one after the other?"):
+            print_error("nothing is changed")
+            return FAILURE
+        outcome = rollout.run(steps, _silent if arguments.json else _told)
+        return _ended(arguments, rollout, outcome, steps)
+
+
+def said(step: Step) -> str:
+    """What a step would change, in words."""
+    return step.problem or ", ".join(step.changes) or "nothing to change"
+
+
+def _planned(step: Step) -> dict[str, object]:
+    return {"robot": step.name, "server": step.robot.source.name, "changes": step.changes, "problem": step.problem}
+
+
+def _told(step: Step, what: str) -> None:
+    print_line(f"{step.name}: {what}")
+    sys.stdout.flush()
+
+
+def _silent(_: Step, __: str) -> None:
+    pass
+
+
+def _agreed(question: str) -> bool:
+    """Whether an operator says yes.
+
+    Raises:
+        UsageError: nobody is there to ask.
+    """
+    if not sys.stdin.isatty():
+        raise UsageError("nobody is there to ask: give --yes, or --dry-run")
+    print_line(f"{question} [y/N] ".rstrip("\n"))
+    sys.stdout.flush()
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequence[Step]) -> int:
+    """Say how far it has come, and go back if that is wanted. Returns the exit code."""
+    stopped = outcome.failed is not None or bool(outcome.left)
+    lines = list(report(rollout, outcome)) if stopped else []
+    for line in () if arguments.json else lines:
+        print_error(line)
+    kept: list[tuple[Step, str]] = []
+    undone = False
+    if stopped and outcome.changed:
+        undone = arguments.undo or (
+            not arguments.yes and _agreed(f"Put back what was before on {_names(outcome.changed)}?")
+        )
+        if undone:
+            kept = rollout.undo(outcome, _silent if arguments.json else _told)
+    if arguments.json:
+        failed = outcome.failed
+        print_line(json_line({
+            "ok": not stopped, "plan": [*map(_planned, steps)], "done": [step.name for step in outcome.done],
+            "failed": None if failed is None else {"robot": failed.name, "why": outcome.why},
+            "left": [step.name for step in outcome.left], "undone": undone,
+            "not_undone": [{"robot": step.name, "why": why} for step, why in kept],
+        }))  # fmt: skip
+    elif undone:
+        for step, why in kept:
+            print_error(f"{step.name}: not put back: {why}")
+    elif stopped:
+        for line in way_back(rollout, outcome):
+            print_error(line)
+    else:
+        print_line(f"done on {len(outcome.done)} {'robot' if len(outcome.done) == 1 else 'robots'}")
+    return FAILURE if stopped else OK
+
+
+def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
+    """Where a change has stopped, and why; what is done, and what is not."""
+    if outcome.failed is not None:
+        has_it = f"it has {' '.join(rollout.keys)}" if outcome.was_changed else "it is as it was"
+        yield f"stopped at {outcome.failed.name}: {outcome.why} ({has_it})"
+    else:
+        yield f"stopped: {outcome.why}"
+    yield f"done: {_names(outcome.done) or 'none'}"
+    yield f"not begun: {_names(outcome.left) or 'none'}"
+
+
+def way_back(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
+    """The commands that put back what was before."""
+    by_keys: dict[str, list[str]] = {}
+    for step in outcome.changed:
+        by_keys.setdefault(" ".join(step.back(rollout.keys)), []).append(step.name)
+    for keys, names in by_keys.items():
+        yield f"to go back: rsb-console fleet edit {' '.join(names)} {rollout.topic} {keys}"
+
+
+def _names(steps: Sequence[Step]) -> str:
+    return ", ".join(step.name for step in steps)
+
+
+_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "exec": _exec, "edit": _edit}

@@ -1,0 +1,95 @@
+"""The batteries of a server's robots, read from the messages of topics that the server bridges anyway."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import DescriptionError, read_description
+from rsb_bridge.model.robot_summary import Battery
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.peek import PeekedMessage
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+
+TOPIC: Final = "/battery_state"
+TYPE: Final = "sensor_msgs/msg/BatteryState"
+EVERY = 30.0
+"""s between two messages of one robot that are looked at."""
+AT_ONCE = 4
+"""Robots whose next message is waited for: other consoles look at messages, too."""
+
+
+class Batteries:
+    """Looks at a message of each robot's battery now and then; never waits.
+
+    Args:
+        engine: that bridges them.
+
+    Attributes:
+        known: the newest of each link, by its name.
+    """
+
+    def __init__(self, engine: EngineApi) -> None:
+        self.known: dict[str, Battery] = {}
+        self._engine = engine
+        self._looking: dict[str, Future[PeekedMessage | None]] = {}
+        self._due: dict[str, float] = {}
+        self._described: dict[str, Future[str]] = {}
+
+    def tick(self, now: Snapshot) -> None:
+        """Take what has come, and look at whatever is due."""
+        routes = {route.link: route for route in now.routes if _is_battery(route)}
+        for link, future in list(self._looking.items()):
+            if future.done() and (link not in routes or self._take(link, future, routes[link])):
+                del self._looking[link]
+        self.known = {link: battery for link, battery in self.known.items() if link in routes}
+        self._due = {link: self._due.get(link, 0.0) for link in routes}
+        waiting = sorted(
+            (due, link) for link, due in self._due.items() if due <= now.time and link not in self._looking
+        )
+        for _, link in waiting[: AT_ONCE - len(self._looking)]:
+            route = routes[link]
+            self._due[link] = now.time + EVERY
+            self._looking[link] = self._engine.peek(route.key, kept=link not in self.known)
+
+    def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
+        """Read a message; False: what its type is has been asked first."""
+        try:
+            peeked = future.result()
+            if peeked is None:
+                return True
+            description = self._described.get(peeked.type_hash)
+            if description is None:
+                description = self._described[peeked.type_hash] = self._engine.describe(route.key)
+            if not description.done():
+                return False
+            charge = charge_of(description.result(), peeked)
+        except (EngineError, DescriptionError):  # asked again when it is due
+            self._described.clear()
+            return True
+        if charge is not None:
+            self.known[link] = Battery(charge, peeked.time)
+        return True
+
+
+def charge_of(description: str, peeked: PeekedMessage) -> float | None:
+    """The charge that a message says, 0 to 1; None: it says none.
+
+    Raises:
+        DescriptionError: the description is none.
+    """
+    read = decode(read_description(description, peeked.type_hash), peeked.payload, items=0)
+    charge = read.message.get("percentage")
+    if not isinstance(charge, float) or not math.isfinite(charge) or charge < 0:  # NaN: not measured
+        return None
+    return min(1.0, charge / 100 if charge > 1 else charge)  # some drivers publish 0 to 100
+
+
+def _is_battery(route: RouteSnapshot) -> bool:
+    return not route.outgoing and route.state.flows and route.spec.topic.endswith(TOPIC) and route.type_name == TYPE

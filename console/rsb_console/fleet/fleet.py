@@ -1,0 +1,190 @@
+"""All robots of some sources, those too that have gone."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.model.robot_summary import RobotState, RobotSummary
+from rsb_bridge.model.text import join_first
+from rsb_console.fleet.memory import Remembered
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from rsb_bridge.model.clock import Clock
+    from rsb_console.fleet.memory import Memory
+    from rsb_console.fleet.source import FleetSource
+
+HISTORY = 12
+"""s of message rates that are kept of each robot."""
+_SAVED_EVERY = 60.0
+_SAMPLED_EVERY = 1.0
+
+
+class UnknownRobotError(ValueError):
+    """There is no such robot, or no such group; the message says which there are."""
+
+
+class Robot(NamedTuple):
+    """A robot of a fleet.
+
+    Attributes:
+        source: that knows it.
+        summary: the robot itself.
+        gone: the source knows it no more; it is only remembered.
+    """
+
+    source: FleetSource
+    summary: RobotSummary
+    gone: bool = False
+
+    @property
+    def key(self) -> str:
+        """Tells it from all others, also of other sources."""
+        return f"{self.source.name}/{self.summary.name}"
+
+
+class Fleet:
+    """The robots of some sources.
+
+    Args:
+        sources: of different names.
+        memory: of robots that were there.
+        clock: the wall clock.
+    """
+
+    def __init__(self, sources: Sequence[FleetSource], memory: Memory, clock: Clock) -> None:
+        self.sources = sources
+        self._memory = memory
+        self._clock = clock
+        self._rates: dict[str, deque[float]] = {}
+        self._sampled_at = self._saved_at = float("-inf")
+        self._known: set[str] = set()
+
+    def start(self) -> None:
+        """Begin to know robots.
+
+        Raises:
+            EngineError: of one of the sources nothing can be known.
+        """
+        with contextlib.ExitStack() as started:
+            for source in self.sources:
+                source.start()
+                started.callback(source.stop)
+            started.pop_all()
+
+    def stop(self) -> None:
+        """End it, and keep what is known for the next time."""
+        self._memory.save()
+        for source in self.sources:
+            source.stop()
+
+    def robots(self) -> list[Robot]:
+        """All robots as they are now, the worst first; those that are equally well by name."""
+        found = [robot for source in self.sources for robot in self._of(source)]
+        self._remember(found)
+        return sorted(found, key=lambda robot: (robot.summary.state.rank, robot.summary.name, robot.source.name))
+
+    def _of(self, source: FleetSource) -> list[Robot]:
+        robots = [Robot(source, self._with_memory(source, summary)) for summary in source.robots()]
+        names = {robot.summary.name for robot in robots}
+        return robots + [
+            Robot(source, _gone(each), gone=True) for each in self._memory.of(source.name) if each.name not in names
+        ]
+
+    def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:
+        """A robot that waits for its first connection is missing, if it was there before its server began."""
+        if summary.seen is not None or (before := self._memory.get(source.name, summary.name)) is None:
+            return summary
+        state = RobotState.MISSING if summary.state is RobotState.WAITING else summary.state
+        return msgspec.structs.replace(
+            summary,
+            state=state,
+            seen=before.seen,
+            since=before.seen,
+            host=summary.host or before.host,
+            version=summary.version or before.version,
+        )
+
+    def _remember(self, robots: Sequence[Robot]) -> None:
+        now = self._clock.time_ns() / 1e9
+        if sampled := now - self._sampled_at >= _SAMPLED_EVERY or now < self._sampled_at:
+            self._sampled_at = now
+            self._rates = {robot.key: self._rates.get(robot.key, deque(maxlen=HISTORY)) for robot in robots}
+        for robot in robots if sampled else ():
+            summary = robot.summary
+            self._rates[robot.key].append(summary.messages_from_robot + summary.messages_to_robot)
+            if not robot.gone and summary.seen is not None:
+                self._memory.saw(
+                    Remembered(
+                        robot.source.name, summary.name, summary.seen, summary.group, summary.host, summary.version
+                    )
+                )
+        known = {robot.key for robot in robots}
+        if known != self._known or not 0 <= now - self._saved_at < _SAVED_EVERY:
+            self._known, self._saved_at = known, now
+            self._memory.save()
+
+    def rates(self, robot: Robot) -> Sequence[float]:
+        """Messages a second, both ways, in each of the last seconds, the oldest first."""
+        return tuple(self._rates.get(robot.key, ()))
+
+    def dismiss(self, robot: Robot) -> bool:
+        """Forget a robot that has gone; whether it had."""
+        if robot.gone:
+            self._memory.forget(robot.source.name, robot.summary.name)
+            self._memory.save()
+        return robot.gone
+
+    def chosen(self, names: Collection[str], group: str = "", *, everyone: bool = False) -> list[Robot]:
+        """The robots that are named, or in a group, by name.
+
+        Args:
+            names: as an operator calls them: ``robot1``, or with the source where several have one, ``control/robot1``.
+            group: all of this group; empty: none.
+            everyone: all robots.
+
+        Raises:
+            UnknownRobotError: one of them is not there, or is not clear.
+        """
+        robots = sorted((robot for robot in self.robots() if not robot.gone), key=lambda robot: robot.key)
+        found: dict[str, Robot] = {}
+        for robot in robots:
+            if everyone or (group and robot.summary.group == group):
+                found[robot.key] = robot
+        if group and not any(robot.summary.group == group for robot in robots):
+            groups = sorted({robot.summary.group for robot in robots} - {""})
+            raise UnknownRobotError(f"no robot is in a group {group!r}; groups: {', '.join(groups) or 'none'}")
+        for name in names:
+            meant = [robot for robot in robots if name in (robot.summary.name, robot.key)]
+            if not meant:
+                raise UnknownRobotError(_unknown(name, [robot.summary.name for robot in robots]))
+            if len(meant) > 1:
+                keys = ", ".join(robot.key for robot in meant)
+                raise UnknownRobotError(f"several robots are called {name}; say which: {keys}")
+            found[meant[0].key] = meant[0]
+        return sorted(found.values(), key=lambda robot: robot.key)
+
+
+def _gone(robot: Remembered) -> RobotSummary:
+    return RobotSummary(
+        name=robot.name,
+        group=robot.group,
+        state=RobotState.MISSING,
+        why=f"it is no robot of {robot.source} any more",
+        since=robot.seen,
+        seen=robot.seen,
+        host=robot.host,
+        version=robot.version,
+    )
+
+
+def _unknown(name: str, known: Sequence[str]) -> str:
+    if near := difflib.get_close_matches(name, known, n=1):
+        return f"no robot is called {name}; did you mean {near[0]}?"
+    return f"no robot is called {name}; there are {join_first(known, 10) or 'none'}"

@@ -1,0 +1,230 @@
+"""One change of a topic for many robots: first what it would be, then robot after robot, until one gets worse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.difference import changes
+from rsb_console.session.draft import values_of
+from rsb_console.session.typed_topic import TypedError, suggestion, typed_topic
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.model.robot_summary import RobotSummary
+    from rsb_bridge.model.session import Topic
+    from rsb_console.fleet.fleet import Fleet, Robot
+
+ANSWERED_WITHIN = 60.0
+PATIENCE = 30.0
+"""s beyond the time to settle that a robot has to get as well as before."""
+_LOOK_EVERY = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What is to change on one robot.
+
+    Attributes:
+        robot: which.
+        key: of the route; empty: there is none.
+        old: its topic; None: there is none.
+        new: what it becomes; None: nothing changes.
+        changes: the fields that differ, in words.
+        problem: why nothing can change; empty: it can, or nothing differs.
+    """
+
+    robot: Robot
+    key: str = ""
+    old: Topic | None = None
+    new: Topic | None = None
+    changes: tuple[str, ...] = ()
+    problem: str = ""
+
+    @property
+    def name(self) -> str:
+        """The robot's."""
+        return self.robot.summary.name
+
+    def back(self, keys: Sequence[str]) -> list[str]:
+        """The ``KEY=VALUE`` that undo those of the change."""
+        values = {} if self.old is None else values_of(self.old)
+        names = [key.partition("=")[0] for key in keys]
+        return [f"{name}={values.get(name, '')}" for name in names]
+
+
+@dataclass
+class Outcome:
+    """How far a change has come.
+
+    Attributes:
+        done: robots that it is done on, and that are as well as before.
+        failed: the robot at which it stopped; None: none.
+        why: it stopped.
+        was_changed: that robot has the change.
+        left: robots that it was not begun on.
+    """
+
+    done: list[Step] = field(default_factory=list)
+    failed: Step | None = None
+    why: str = ""
+    was_changed: bool = False
+    left: list[Step] = field(default_factory=list)
+
+    @property
+    def changed(self) -> list[Step]:
+        """The robots that have the change, the last one first."""
+        return [*([self.failed] if self.failed is not None and self.was_changed else []), *reversed(self.done)]
+
+
+class Rollout:
+    """A change of one topic of some robots. Every method may wait; none is for an app's thread.
+
+    Args:
+        fleet: started.
+        robots: of it.
+        topic: as the robots call it.
+        keys: ``KEY=VALUE`` each.
+        settle: s that a robot has to be as well as before.
+        now: a clock, s.
+        sleep: waits so many s.
+    """
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        robots: Sequence[Robot],
+        topic: str,
+        keys: Sequence[str],
+        settle: float,
+        *,
+        now: Callable[[], float],
+        sleep: Callable[[float], None],
+    ) -> None:
+        self.topic, self.keys = topic, list(keys)
+        self._fleet, self._robots = fleet, robots
+        self._settle, self._now, self._sleep = settle, now, sleep
+        self.cancelled = False
+        """To be set on another thread: no further robot is begun."""
+
+    def plan(self) -> list[Step]:
+        """What would change on each robot; nothing does."""
+        return [self._planned(robot) for robot in self._robots]
+
+    def _planned(self, robot: Robot) -> Step:
+        try:
+            engine = robot.source.open(robot.summary.name, read_only=True)
+        except EngineError as error:
+            return Step(robot, problem=str(error))
+        try:
+            return self._step(robot, engine)
+        except (TypedError, EngineError) as error:
+            return Step(robot, problem=str(error))
+        finally:
+            engine.stop()
+
+    def _step(self, robot: Robot, engine: EngineApi) -> Step:
+        routes = [route for route in engine.snapshot().routes if self.topic in (route.spec.topic, route.topic)]
+        if not routes:
+            known = [route.spec.topic for route in engine.snapshot().routes]
+            return Step(robot, problem=f"{self.topic} is not bridged{suggestion(self.topic, known)}")
+        if len(routes) > 1:
+            return Step(robot, problem=f"{self.topic} is bridged {len(routes)} times: edit it on the robot itself")
+        old = routes[0].spec
+        new = typed_topic(values_of(old), self.keys, engine.session, old)
+        differs = tuple(changes(old, new))
+        return Step(robot, routes[0].key, old, new if differs else None, differs)
+
+    def run(self, steps: Sequence[Step], tell: Callable[[Step, str], None]) -> Outcome:
+        """Change one robot after the other, and stop at the first that gets worse.
+
+        Args:
+            steps: of `plan`; those without a change are left out.
+            tell: is told of each robot what is being done.
+        """
+        left = [step for step in steps if step.new is not None]
+        outcome = Outcome()
+        while left:
+            if self.cancelled:
+                outcome.why, outcome.left = "stopped by the operator", left
+                break
+            step = left.pop(0)
+            tell(step, "changing")
+            before = self._summary(step.robot)
+            try:
+                self._apply(step, step.new)
+            except (EngineError, TimeoutError) as error:
+                outcome.failed, outcome.why, outcome.left = step, str(error) or "the bridge does not answer", left
+                break
+            tell(step, "settling")
+            if why := self._worse(step, before):
+                outcome.failed, outcome.why, outcome.left = step, why, left
+                outcome.was_changed = True
+                break
+            outcome.done.append(step)
+            tell(step, "done")
+        return outcome
+
+    def undo(self, outcome: Outcome, tell: Callable[[Step, str], None]) -> list[tuple[Step, str]]:
+        """Put back what was before, the last robot first. Gives those of which it could not be, and why."""
+        failed = []
+        for step in outcome.changed:
+            tell(step, "putting back")
+            try:
+                self._apply(step, step.old)
+            except (EngineError, TimeoutError) as error:
+                failed.append((step, str(error) or "the bridge does not answer"))
+        return failed
+
+    def _apply(self, step: Step, topic: Topic | None) -> None:
+        """Have a robot's route do what a topic says.
+
+        Raises:
+            EngineError: the bridge refuses.
+            TimeoutError: it does not answer.
+        """
+        assert topic is not None
+        engine = step.robot.source.open(step.name, read_only=False)
+        try:
+            routes = [route for route in engine.snapshot().routes if route.spec.identity == topic.identity]
+            if not routes:
+                raise EngineError(f"{self.topic} is not bridged any more")
+            engine.edit_topic(routes[0].key, topic).result(ANSWERED_WITHIN)
+        finally:
+            engine.stop()
+
+    def _worse(self, step: Step, before: RobotSummary) -> str:
+        """Wait until a robot has been as well as before for long enough; else why it is not."""
+        assert step.old is not None
+        assert step.new is not None
+        held = (step.new.paused, step.new.arm) != (step.old.paused, step.old.arm)
+        flowing = before.flowing - held  # what is paused on purpose flows no more
+        began = self._now()
+        well_since = bad_since = None
+        while True:
+            self._sleep(min(_LOOK_EVERY, self._settle))
+            now, summary = self._now(), self._summary(step.robot)
+            worse = summary.state.rank < before.state.rank
+            if worse or summary.flowing < flowing:
+                well_since = None
+                bad_since = (now if bad_since is None else bad_since) if worse else None
+            else:
+                well_since, bad_since = now if well_since is None else well_since, None
+            if well_since is not None and now - well_since >= self._settle:
+                return ""
+            if bad_since is not None and now - bad_since >= self._settle:
+                return f"{summary.state.upper()}, was {before.state.upper()}: {summary.why}"
+            if now - began >= self._settle + PATIENCE:
+                return (
+                    f"{summary.flowing} of {summary.routes} topics flow, {before.flowing} did before"
+                    if summary.flowing < flowing
+                    else f"it does not settle: {summary.why or 'its state changes all the time'}"
+                )
+
+    def _summary(self, robot: Robot) -> RobotSummary:
+        """A robot as it is now."""
+        found = (each.summary for each in self._fleet.robots() if each.key == robot.key)
+        return next(found, robot.summary)

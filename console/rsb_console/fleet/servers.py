@@ -1,0 +1,132 @@
+"""The clients of a server as a fleet, seen through the server's control socket."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.model.robot_summary import LossWindow, of_clients
+from rsb_console.fleet.batteries import Batteries
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from rsb_bridge.model.reloaded import Reloaded
+    from rsb_bridge.model.robot_summary import Loss, RobotSummary
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.snapshot import Event, Snapshot
+
+
+class ServerFleet:
+    """Fulfils `rsb_console.fleet.source.FleetSource`: one robot for each client of a server.
+
+    Args:
+        name: of the server.
+        path: its control socket.
+    """
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name = name
+        self._path = path
+        self._engine = RemoteEngine(path, read_only=True)
+        self._losses = LossWindow()
+        self._batteries = Batteries(self._engine)
+        self._shown: Snapshot | None = None
+        self._robots: list[RobotSummary] = []
+        self._loss: dict[str, Loss] = {}
+
+    @property
+    def problem(self) -> str:
+        return self._engine.unreachable
+
+    def start(self) -> None:
+        self._engine.start()
+
+    def stop(self) -> None:
+        self._engine.stop()
+
+    def robots(self) -> list[RobotSummary]:
+        now = self._engine.snapshot()
+        if now is not self._shown:
+            self._shown = now
+            if now.running:
+                self._loss = self._losses.take(now)
+                self._batteries.tick(now)
+            self._robots = of_clients(now, self._engine.session, self._loss, self._batteries.known)
+        return self._robots
+
+    def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
+        engine = RobotEngine(self._path, robot, read_only=read_only)
+        engine.start()
+        return engine
+
+
+class RobotEngine(RemoteEngine):
+    """A server's engine as far as it concerns one of its clients: the others are neither seen nor changed.
+
+    Args:
+        path: of the server's control socket.
+        robot: the client's name.
+        read_only: have the bridge refuse what would change anything.
+    """
+
+    def __init__(self, path: Path, robot: str, *, read_only: bool = False) -> None:
+        super().__init__(path, read_only=read_only)
+        self._robot = robot
+        self._whole: Snapshot | None = None
+        self._part: Snapshot
+
+    def snapshot(self) -> Snapshot:
+        whole = super().snapshot()
+        if whole is not self._whole:
+            self._whole, robot = whole, self._robot
+            self._part = replace(
+                whole,
+                links=tuple(link for link in whole.links if link.name == robot),
+                routes=tuple(route for route in whole.routes if route.link == robot),
+            )
+        return self._part
+
+    def events(self, after: int = 0) -> list[Event]:
+        return self._own(super().events(after))
+
+    def wait_for_events(self, after: int, timeout: float) -> list[Event]:
+        return self._own(super().wait_for_events(after, timeout))
+
+    def remembered_events(self, timeout: float) -> list[Event]:
+        return self._own(super().remembered_events(timeout))
+
+    def _own(self, events: list[Event]) -> list[Event]:
+        return [event for event in events if event.link in ("", self._robot)]
+
+    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
+        return super().add_topic(topic, link or self._robot)
+
+    def retry(self, link: str = "") -> Future[None]:
+        return super().retry(link or self._robot)
+
+    # --- what would concern the other robots, too
+
+    def shut_down(self) -> Future[None]:
+        return self._concerns_all("shutting down")
+
+    def restart(self, step: Callable[[str], None] | None = None) -> Future[None]:
+        return self._concerns_all("restarting")
+
+    def reload(self, *, dry_run: bool = False) -> Future[Reloaded]:
+        return self._concerns_all("reading the session file again")
+
+    def stop_bridge(self) -> Future[None]:
+        return self._concerns_all("stopping")
+
+    def _concerns_all(self, what: str) -> Future[Any]:
+        refused: Future[Any] = Future()
+        server = self.bridge.name
+        refused.set_exception(
+            EngineError(f"{what} concerns all robots of {server}, not only {self._robot}: rsb-console attach {server}")
+        )
+        return refused

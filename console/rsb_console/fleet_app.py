@@ -1,0 +1,101 @@
+"""The apps of a fleet: the screen of all robots, and the console on one of them."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from rsb_console.actions.registry import FLEET_ACTIONS
+from rsb_console.app import LOCAL_RATE, REFRESH_RATES, SSH_RATE, ConsoleApp
+from rsb_console.screens.fleet import FleetScreen
+from rsb_console.screens.main import MODES, MainScreen
+from rsb_console.terminal.shutdown import ShutdownReason
+from rsb_console.terminal_app import TerminalApp
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from textual.screen import Screen
+
+    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.widgets.fleet import FleetView
+
+
+class FleetApp(TerminalApp["Robot"]):
+    """Shows the robots of a fleet until the operator opens one, which it returns, or quits.
+
+    Args:
+        fleet: started already; it outlives the app.
+        view: what the operator has made of the table so far.
+        readonly: nothing may be changed.
+        ascii_only: draw only ASCII.
+        theme: its name; None: the one that suits the terminal.
+        config: the user's configuration folder; None: the platform's.
+    """
+
+    actions = FLEET_ACTIONS
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        view: FleetView,
+        *,
+        readonly: bool = False,
+        ascii_only: bool = False,
+        theme: str | None = None,
+        config: Path | None = None,
+    ) -> None:
+        super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
+        self.main = FleetScreen(self, fleet, view, self._open, self._change_rate)
+        self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else min(LOCAL_RATE, 2.0)
+
+    def get_default_screen(self) -> Screen[Any]:
+        return self.main
+
+    def on_ready(self) -> None:
+        self.tell_problems()
+        self._pulling = self.set_interval(1 / self.refresh_rate, self._pull)
+        self._pull()
+
+    def _pull(self) -> None:
+        if self.screen_stack:
+            self.main.show()
+
+    def _change_rate(self, step: int) -> None:
+        index = REFRESH_RATES.index(self.refresh_rate) + step
+        self.refresh_rate = REFRESH_RATES[max(0, min(len(REFRESH_RATES) - 1, index))]
+        self._pulling.stop()
+        self._pulling = self.set_interval(1 / self.refresh_rate, self._pull)
+
+    def _open(self, robot: Robot) -> None:
+        self.exit(robot)
+
+    async def action_quit(self) -> None:
+        self.shut_down(ShutdownReason.QUIT)
+
+    def stop(self) -> None:
+        """The fleet is not this app's to stop."""
+
+
+class RobotScreen(MainScreen):
+    """The main screen of one robot of a fleet: where there is nothing to close, escape goes back to the fleet."""
+
+    def action_back(self) -> None:
+        """Close what is open, or drop the filters; else go back to the fleet."""
+        nothing_open = not any(self.has_class(mode) for mode in MODES) and self.topics.has_focus
+        if nothing_open and self.topics.pattern is None and not self.topics.faults_only:
+            self.console.request_quit()
+        else:
+            super().action_back()
+
+
+class RobotApp(ConsoleApp):
+    """The console on one robot. It ends without a question: nothing else does, and the fleet comes back."""
+
+    main_screen = RobotScreen
+
+    def request_quit(self) -> None:
+        self.shut_down(ShutdownReason.QUIT)
+
+    async def action_quit(self) -> None:  # type: ignore[override]  # ConsoleApp's is a worker, because it asks
+        self.request_quit()

@@ -1,0 +1,248 @@
+"""The fleet's screen: one line a robot, those with something wrong first."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+from textual.screen import Screen
+
+from rsb_console.actions.registry import BY_ID, FLEET_ACTIONS, Group, bindings
+from rsb_console.terminal.clipboard import copy
+from rsb_console.widgets.fleet import FleetStatus, FleetTable, FleetView, RobotDetail
+from rsb_console.widgets.keybar import KeyBar, KeyEntry
+from rsb_console.widgets.prompt import Prompt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from textual import events
+    from textual.app import ComposeResult
+
+    from rsb_console.console import ConsoleShell
+    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.widgets.selectable_list import SelectableList
+
+
+class FleetScreen(Screen[None]):
+    """All robots, live.
+
+    Args:
+        console: the app.
+        fleet: whose robots.
+        view: what the operator has made of the table, here or on a screen before.
+        open_robot: opens the console on one.
+        change_rate: refreshes faster or slower by so many steps.
+    """
+
+    BINDINGS = bindings(Group.FLEET, Group.VIEW, actions=FLEET_ACTIONS)
+    AUTO_FOCUS = "#fleet"
+    VERTICAL_BREAKPOINTS = [(0, "-tiny"), (14, "-short")]  # noqa: RUF012 -- Textual says it is no ClassVar
+
+    def __init__(
+        self,
+        console: ConsoleShell,
+        fleet: Fleet,
+        view: FleetView,
+        open_robot: Callable[[Robot], None],
+        change_rate: Callable[[int], None],
+    ) -> None:
+        super().__init__()
+        self.console, self.fleet, self.view = console, fleet, view
+        self._open, self._change_rate = open_robot, change_rate
+        self.status, self.table, self.detail = FleetStatus(), FleetTable(view), RobotDetail()
+        self.prompt, self.key_bar = Prompt("state: robot: group: why:"), KeyBar()
+        self._keys_shown_for: tuple[object, ...] = ()
+
+    def compose(self) -> ComposeResult:
+        yield self.status
+        yield self.table
+        yield self.detail
+        yield self.prompt
+        yield self.key_bar
+
+    # -- what is shown ------------------------------------------------------------------------------------------------
+
+    def show(self) -> None:
+        """Show the robots as they are now."""
+        self.table.show(self.fleet, time.time())
+        self.table.explain(self._why_empty())
+        self.status.show(self.table, self.fleet, readonly=self.console.readonly)
+        self._show_detail()
+        self._show_title()
+        self._show_keys()
+
+    def _why_empty(self) -> str:
+        if self.table.rows:
+            return f"No robot matches. {self._key('back')} shows all of them."
+        return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
+
+    def _show_detail(self) -> None:
+        self.detail.show(self.table.rows.get(self.table.cursor_key or ""))
+
+    def _show_title(self) -> None:
+        view, parts = self.view, ["Robots"]
+        if view.faults_only:
+            parts.append("faults only")
+        if view.pattern is not None:
+            parts.append(f"/{view.pattern.text}")
+        if len(parts) > 1:
+            parts.append(f"{self.table.shown} of {len(self.table.rows)}")
+        if view.marked:
+            parts.append(f"{len(view.marked)} marked")
+        self.table.entitle(f" {' ▸ '.join(parts)} ")
+
+    def _show_keys(self) -> None:
+        """Show the keys that do something now, if those have changed."""
+        here, marked, gone = self.app.screen is self, len(self.view.marked), self._gone
+        depends_on = (here, marked, gone, self.table.selected_group, self.table.cursor_key is None)
+        if depends_on == self._keys_shown_for:
+            return
+        self._keys_shown_for = depends_on
+        group = self.table.selected_group
+        labels = {
+            "open_robot": "open" if group is None else "unfold" if group in self.view.folded else "fold",
+            "edit_marked": f"edit {marked} marked" if marked else "edit",
+        }
+        self.key_bar.show(
+            [
+                KeyEntry(
+                    self.console.key_labels(action)[0],
+                    labels.get(action.id, action.label),
+                    f"{'app' if action.group is Group.CONSOLE else 'screen'}.{action.id}",
+                    0 if action.id in ("help", "quit") else 1,
+                )
+                for action in FLEET_ACTIONS
+                if here and action.in_footer and self.check_action(action.id, ())
+            ]
+        )
+
+    @property
+    def _gone(self) -> bool:
+        robot = self.table.selected
+        return robot is not None and robot.gone
+
+    def _key(self, action: str) -> str:
+        return self.console.key_labels(BY_ID[action])[0]
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now (Textual's)."""
+        if action == "dismiss" and not self._gone:
+            return False
+        if action in ("open_robot", "mark", "edit_marked") and self.table.cursor_key is None:
+            return None
+        return self.app.check_action(action, parameters)
+
+    def on_screen_suspend(self) -> None:
+        self._show_keys()
+
+    def on_screen_resume(self) -> None:
+        self._show_keys()
+
+    def on_selectable_list_cursor_moved(self, event: SelectableList.CursorMoved) -> None:
+        """Detail follows the cursor."""
+        self._moved()
+
+    def _moved(self) -> None:
+        self.view.cursor = self.table.cursor_key
+        self._show_detail()
+        self._show_keys()
+
+    def on_selectable_list_chosen(self, event: SelectableList.Chosen) -> None:
+        """A second click opens."""
+        self.action_open_robot()
+
+    def on_resize(self, event: events.Resize) -> None:
+        """Lines may be wrapped otherwise."""
+        self.call_after_refresh(self._show_detail)
+
+    # -- actions ------------------------------------------------------------------------------------------------------
+
+    def action_open_robot(self) -> None:
+        """Open the console on the robot; of a group, fold or unfold it."""
+        robot = self.table.selected
+        if robot is None:
+            self.table.fold()
+            self._moved()
+        elif robot.gone:
+            self.notify(f"{robot.summary.name} is only remembered: there is nothing to open", markup=False, timeout=4)
+        else:
+            self._open(robot)
+
+    def action_mark(self) -> None:
+        """Mark the robot, or take the mark away."""
+        self.table.mark()
+        self._show_title()
+        self._show_keys()
+
+    def action_dismiss(self) -> None:  # type: ignore[override]  # Textual's closes a screen, which this one never does
+        """Forget a robot that has gone."""
+        robot = self.table.selected
+        if robot is not None and self.fleet.dismiss(robot):
+            self.notify(f"{robot.summary.name} is forgotten", markup=False, timeout=3)
+            self.show()
+
+    def action_filter(self) -> None:
+        self.prompt.open("" if self.view.pattern is None else self.view.pattern.text)
+
+    def on_prompt_changed(self, event: Prompt.Changed) -> None:
+        self.view.pattern = event.pattern
+        self._relist()
+
+    def on_prompt_closed(self) -> None:
+        self.set_focus(self.table)
+
+    def _relist(self) -> None:
+        self.table.relist()
+        self.table.explain(self._why_empty())
+        self._show_title()
+        self._moved()
+
+    def action_back(self) -> None:
+        """Drop the filters; else the marks."""
+        view = self.view
+        if view.pattern is not None or view.faults_only:
+            view.pattern, view.faults_only = None, False
+        else:
+            view.marked.clear()
+        self._relist()
+
+    def action_faults(self) -> None:
+        """Faults only, or all."""
+        self.view.faults_only = not self.view.faults_only
+        self._relist()
+
+    def action_group(self) -> None:
+        """Group, or not."""
+        self.view.grouped = not self.view.grouped
+        self._relist()
+
+    def action_next_match(self) -> None:
+        self.table.next_match(1)
+
+    def action_previous_match(self) -> None:
+        self.table.next_match(-1)
+
+    def action_sort_left(self) -> None:
+        """Sort by the column to the left."""
+        self.table.sort_by(-1)
+
+    def action_sort_right(self) -> None:
+        """Sort by the column to the right."""
+        self.table.sort_by(1)
+
+    def action_reverse(self) -> None:
+        self.table.reverse()
+
+    def action_faster(self) -> None:
+        self._change_rate(1)
+
+    def action_slower(self) -> None:
+        self._change_rate(-1)
+
+    def action_copy(self) -> None:
+        """Copy the robot's name and why it is as it is."""
+        if (robot := self.table.selected) is not None:
+            summary = robot.summary
+            text = f"{summary.name} {summary.state.upper()}{f': {summary.why}' if summary.why else ''}"
+            self.notify(copy(self.app, text), timeout=3, markup=False)

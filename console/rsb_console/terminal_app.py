@@ -1,0 +1,171 @@
+"""What every app in a terminal has: themes, keys, help, the order of input, and an end that restores the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, TypeVar
+
+from textual.app import App, ReturnType
+
+from rsb_console.actions.registry import ACTIONS, BY_ID, Action, Group, bindings
+from rsb_console.look import themes
+from rsb_console.look.glyphs import AsciiFilter, ControlFilter
+from rsb_console.preferences import Preferences
+from rsb_console.screens.palette import ActionsProvider
+from rsb_console.terminal.driver import ConsoleDriver
+from rsb_console.terminal.input_queue import InputQueue
+from rsb_console.terminal.shutdown import ForcedEnd, ShutdownReason, record_crash
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+    from pathlib import Path
+
+    from textual import events
+    from textual.filter import LineFilter
+    from textual.screen import Screen
+
+T = TypeVar("T")
+
+
+class TerminalApp(App[ReturnType]):
+    """Fulfils `rsb_console.console.ConsoleShell`.
+
+    Args:
+        readonly: nothing may be changed.
+        ascii_only: draw only ASCII.
+        theme: its name; None: the one that suits the terminal.
+        config: the user's configuration folder; None: the platform's.
+        dialogs: groups of the workers that may open a dialog.
+    """
+
+    TITLE = "rsb-console"
+    CSS_PATH = "console.tcss"
+    BINDINGS = bindings(Group.CONSOLE)
+    COMMANDS: ClassVar = {ActionsProvider}
+    actions: Sequence[Action] = ACTIONS
+
+    def __init__(
+        self,
+        *,
+        readonly: bool,
+        ascii_only: bool,
+        theme: str | None,
+        config: Path | None,
+        dialogs: Collection[str] = (),
+    ) -> None:
+        super().__init__(driver_class=ConsoleDriver)
+        self.readonly = readonly
+        self.ascii_only = ascii_only
+        self.config = themes.config_path() if config is None else config
+        self.preferences = Preferences(self.config, theme)
+        self.shutdown_reason = ShutdownReason.QUIT
+        self.input_queue = InputQueue(self, dialogs)
+        self.terminal = 1
+        """File descriptor of the terminal."""
+        self._forced_end = ForcedEnd(self.stop)
+        self._filters_ascii = AsciiFilter()
+        self._filters_control = ControlFilter()
+
+    def stop(self) -> None:
+        """Close what must not stay open; may take some seconds, on any thread."""
+        raise NotImplementedError
+
+    # --- start
+
+    def get_theme_variable_defaults(self) -> dict[str, str]:
+        """The style sheet's variables that a theme need not define (Textual's)."""
+        return themes.VARIABLES
+
+    def get_line_filters(self) -> Sequence[LineFilter]:
+        filters = [*super().get_line_filters(), self._filters_control]
+        return [*filters, self._filters_ascii] if self.ascii_only else filters
+
+    def on_mount(self) -> None:
+        """Set themes and keys, before the first picture."""
+        for name in self.available_themes:
+            self.unregister_theme(name)
+        for theme in self.preferences.themes.values():
+            self.register_theme(theme)
+        self.theme = self.preferences.theme
+        self.set_keymap(self.preferences.keymap)
+
+    def tell_problems(self) -> None:
+        """Tell what is wrong with the preferences."""
+        for title, message in self.preferences.problems:
+            self.notify(message, title=title, severity="warning", markup=False, timeout=15)
+
+    def key_labels(self, action: Action) -> list[str]:
+        return self.preferences.key_labels(action, ascii_only=self.ascii_only)
+
+    # --- actions
+
+    async def ask(self, dialog: Screen[T]) -> T | None:
+        self.input_queue.waits_for(dialog)
+        return await self.push_screen_wait(dialog)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Disable the actions that change something while read-only (Textual's)."""
+        known = BY_ID.get(action)
+        if known is not None and known.changes and self.readonly:
+            return False
+        return super().check_action(action, parameters)
+
+    def action_help(self) -> None:
+        from rsb_console.screens.help import HelpScreen  # noqa: PLC0415 -- keeps the start short
+
+        self.push_screen(HelpScreen(self, self.actions))
+
+    async def action_help_quit(self) -> None:  # type: ignore[override]  # Textual's waits for nothing
+        """Ctrl+C: Textual would only explain it; to an operator it means quit."""
+        await self.run_action("app.quit")
+
+    def action_palette(self) -> None:
+        self.action_command_palette()
+
+    def action_theme(self) -> None:
+        names = sorted(self.available_themes)
+        self.theme = names[(names.index(self.theme) + 1) % len(names)]
+        self.notify(f"theme: {self.theme}", timeout=2)
+
+    def action_mouse(self) -> None:
+        """Leave the mouse to the terminal, or take it back."""
+        if isinstance(self._driver, ConsoleDriver):
+            self._driver.mouse = not self._driver.mouse
+            self.notify(
+                "the mouse is the console's" if self._driver.mouse else "the mouse is the terminal's", timeout=3
+            )
+
+    async def on_event(self, event: events.Event) -> None:
+        """Handle an event as Textual does, but input only when it is its turn."""
+        if not self.input_queue.takes(event):
+            await super().on_event(event)
+
+    # --- end
+
+    def shut_down(self, reason: ShutdownReason) -> None:
+        """End the app; what it shows goes on until `stop`."""
+        self.shutdown_reason = reason
+        self.exit()
+
+    def shut_down_soon(self, reason: ShutdownReason) -> None:
+        """As `shut_down`, from a signal handler or another thread; ends the process if the app hangs."""
+        if not self.is_headless:
+            self._forced_end.begin()
+        self.call_later(self.shut_down, reason)
+
+    def has_ended(self) -> None:
+        """The app has ended by itself, so the process need not be ended."""
+        self._forced_end.cancel()
+
+    def terminal_gone(self) -> None:
+        """The terminal has hung up; called by the driver's thread."""
+        self.shut_down_soon(ShutdownReason.HANGUP)
+
+    def _fatal_error(self) -> None:
+        """Handle an unexpected error: Textual would print it with all local variables, which help no operator."""
+        self.crashed()
+        self._close_messages_no_wait()
+
+    def crashed(self) -> None:
+        """Keep the exception that is being handled, for a report."""
+        self.shutdown_reason = ShutdownReason.CRASH
+        record_crash()

@@ -1,0 +1,365 @@
+"""The table of robots, and what is to be said of the one under its cursor."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.robot_summary import RobotState
+from rsb_console.look import formats
+from rsb_console.widgets import fleet_columns
+from rsb_console.widgets.fleet_columns import ROBOT_LOOK, ROBOT_SIGN, ROBOT_WORD, STATE, Row, percent
+from rsb_console.widgets.lines import LiveLines, clip, fit, fit_middle
+from rsb_console.widgets.selectable_list import SelectableList
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.widgets.columns import Column
+    from rsb_console.widgets.lines import Line
+    from rsb_console.widgets.pattern import Pattern
+
+_GROUP = "\0"
+"""Before a group's name: the key of its heading."""
+_MARKED, _FOLDED, _UNFOLDED = "✓", "▸", "▾"
+_EDGE = 2  # cells: the cursor, and the mark
+
+
+@dataclass
+class FleetView:
+    """What the operator has made of the table. It outlives the screen, which closes while a robot's console is open.
+
+    Attributes:
+        cursor: the key under the cursor; None: it has not been moved.
+        pattern: the filter.
+        faults_only: show only what is wrong.
+        grouped: keep the robots of a group together.
+        folded: groups of which only the heading is shown.
+        marked: keys of robots.
+        sort_column: by which it is sorted.
+        reversed: the other way round.
+    """
+
+    cursor: str | None = None
+    pattern: Pattern | None = None
+    faults_only: bool = False
+    grouped: bool = True
+    folded: set[str] = field(default_factory=set)
+    marked: set[str] = field(default_factory=set)
+    sort_column: Column[Row] = STATE
+    reversed: bool = False
+
+
+class FleetTable(SelectableList):
+    """One line a robot, and one for each group. The cursor stays on its robot when the order changes.
+
+    Args:
+        view: what the operator has made of it.
+    """
+
+    sticky = 1
+    begins_at_top = True
+
+    def __init__(self, view: FleetView) -> None:
+        super().__init__(id="fleet", classes="pane")
+        self.view = view
+        self.rows: dict[str, Row] = {}
+        self._groups: dict[str, list[Row]] = {}
+        self._servers = False
+        self._empty: list[str] = []
+        self._begun = False
+
+    # -- what is listed -----------------------------------------------------------------------------------------------
+
+    def show(self, fleet: Fleet, now: float) -> None:
+        """Show the robots as they are now.
+
+        Args:
+            fleet: of them.
+            now: s since the epoch.
+        """
+        self.rows = {robot.key: Row(robot, fleet.rates(robot), now) for robot in fleet.robots()}
+        self._servers = len(fleet.sources) > 1
+        self.view.marked.intersection_update(self.rows)
+        self.relist()
+        if not self._begun and self.view.cursor in self.keys:
+            self._begun = True
+            self.move_to(self.keys.index(self.view.cursor))
+
+    def relist(self) -> None:
+        view = self.view
+        shown = [row for row in self.rows.values() if self._wanted(row)]
+        shown.sort(key=view.sort_column.order, reverse=view.reversed)
+        self._groups = {}
+        if self.grouped:
+            for row in shown:
+                self._groups.setdefault(row.robot.summary.group, []).append(row)
+            # A group stands where it is sought, whatever happens to its robots; those of no group stand last.
+            keys = []
+            for group in sorted(self._groups, key=lambda name: (not name, name)):
+                keys.append(f"{_GROUP}{group}")
+                if group not in view.folded:
+                    keys += [row.robot.key for row in self._groups[group]]
+        else:
+            keys = [row.robot.key for row in shown]
+        self.show_keys(keys)
+
+    @property
+    def grouped(self) -> bool:
+        """Whether there are headings: if that is wanted, and any robot is in a group."""
+        return self.view.grouped and any(row.robot.summary.group for row in self.rows.values())
+
+    def _wanted(self, row: Row) -> bool:
+        summary, pattern = row.robot.summary, self.view.pattern
+        if self.view.faults_only and not summary.state.is_wrong:
+            return False
+        return pattern is None or pattern.matches(
+            {
+                "robot": summary.name,
+                "group": summary.group,
+                "state": ROBOT_WORD[summary.state],
+                "why": summary.why,
+                "": f"{summary.host} {summary.version} {row.robot.source.name}",
+            }
+        )
+
+    @property
+    def shown(self) -> int:
+        """Robots that the filter leaves, folded or not."""
+        return sum(map(len, self._groups.values())) if self.grouped else len(self.keys)
+
+    def explain(self, empty: str) -> None:
+        """Set the text shown while the table is empty: why it is, and what to do."""
+        lines = textwrap.wrap(empty, max(20, self.size.width - 4))
+        if lines != self._empty:
+            self._empty = lines
+            self.sync()
+
+    # -- what is selected ---------------------------------------------------------------------------------------------
+
+    @property
+    def selected(self) -> Robot | None:
+        """The robot under the cursor."""
+        row = self.rows.get(self.cursor_key or "")
+        return None if row is None else row.robot
+
+    @property
+    def selected_group(self) -> str | None:
+        """The group whose heading is under the cursor."""
+        key = self.cursor_key
+        return key.removeprefix(_GROUP) if key is not None and key.startswith(_GROUP) else None
+
+    @property
+    def meant(self) -> list[Robot]:
+        """The robots that an action is about: those that are marked, else the one under the cursor, or its group's."""
+        if self.view.marked:
+            return [row.robot for row in self.rows.values() if row.robot.key in self.view.marked]
+        if (group := self.selected_group) is not None:
+            return [row.robot for row in self._groups.get(group, ())]
+        return [] if self.selected is None else [self.selected]
+
+    def mark(self) -> None:
+        """Mark what is under the cursor, or take the mark away; of a group, of all that are shown."""
+        if (group := self.selected_group) is not None:
+            keys = {row.robot.key for row in self._groups.get(group, ())}
+        else:
+            keys = {self.cursor_key} - {None} if self.selected is not None else set()  # type: ignore[assignment]
+        if keys <= self.view.marked:
+            self.view.marked -= keys
+        else:
+            self.view.marked |= keys
+        if group is None:
+            self.move_to(self.position + 1)
+        self.sync()
+
+    def fold(self) -> None:
+        """Fold the group under the cursor, or unfold it."""
+        if (group := self.selected_group) is not None:
+            self.view.folded ^= {group}
+            self.relist()
+
+    def sort_by(self, step: int) -> None:
+        """Sort by the column `step` places to the right."""
+        columns = [column for column, _ in self._layout]
+        at = columns.index(self.view.sort_column) if self.view.sort_column in columns else 0
+        self.view.sort_column = columns[(at + step) % len(columns)]
+        self.relist()
+
+    def reverse(self) -> None:
+        self.view.reversed = not self.view.reversed
+        self.relist()
+
+    def next_match(self, step: int) -> None:
+        """Move to the next match, or without a filter to the next robot with something wrong."""
+        count = len(self.keys)
+        for distance in range(1, count + 1):
+            position = (self.position + step * distance) % count
+            row = self.rows.get(self.keys[position])
+            if row is not None and (self.view.pattern is not None or row.robot.summary.state.is_wrong):
+                self.move_to(position)
+                return
+
+    def heading_clicked(self, x: int) -> None:
+        """Sort by the column at `x`; if the table is sorted by it already, reverse the order."""
+        edge = _EDGE
+        for column, width in self._layout:
+            edge += width + 1
+            if x < edge:
+                self.view.reversed = column is self.view.sort_column and not self.view.reversed
+                self.view.sort_column = column
+                self.relist()
+                return
+
+    # -- how it looks -------------------------------------------------------------------------------------------------
+
+    @property
+    def line_count(self) -> int:
+        """The heading and a line a robot or a group, or the lines that say why there is none."""
+        return self.sticky + (len(self.keys) or len(self._empty))
+
+    def is_cursor(self, index: int) -> bool:
+        """Whether the cursor is on a line; an empty table has none."""
+        return bool(self.keys) and super().is_cursor(index)
+
+    @property
+    def _layout(self) -> tuple[tuple[Column[Row], int], ...]:
+        return fleet_columns.layout(self.width - _EDGE, servers=self._servers, grouped=self.grouped)
+
+    def line(self, index: int) -> Line:
+        if index == 0:
+            return (("  ", ""), *(self._heading(column, width) for column, width in self._layout))
+        if not self.keys:
+            return ((f"  {self._empty[index - 1]}", "dim"),)
+        key = self.keys[index - 1]
+        cursor = "▌" if self.is_cursor(index) else " "
+        row = self.rows.get(key)
+        if row is None:
+            group = key.removeprefix(_GROUP)
+            return ((cursor, "key"), *self._group(group))
+        look = ROBOT_LOOK[row.robot.summary.state]
+        mark = _MARKED if key in self.view.marked else " "
+        return ((cursor, look), (mark, "key"), *(_cell(column, row, width) for column, width in self._layout))
+
+    def _heading(self, column: Column[Row], width: int) -> tuple[str, str]:
+        arrow = ("▲" if self.view.reversed else "▼") if column is self.view.sort_column else ""
+        title = clip(column.title + arrow, width)
+        return (f"{title:>{width}} " if column.right else f"{title:<{width}} "), "head"
+
+    def _group(self, group: str) -> Line:
+        rows = self._groups.get(group, [])
+        marked = sum(row.robot.key in self.view.marked for row in rows)
+        pieces = [
+            (f"{_FOLDED if group in self.view.folded else _UNFOLDED} {group or 'no group'}", "strong"),
+            (f"  {formats.counted(len(rows), 'robot')}", "dim"),
+            *state_counts(row.robot for row in rows),
+        ]
+        if marked:
+            pieces.append((f"  {_MARKED} {marked}", "key"))
+        return fit(tuple(pieces), self.width - 1)
+
+
+def _cell(column: Column[Row], row: Row, width: int) -> tuple[str, str]:
+    text = column.text(row)
+    if len(text) > width:
+        text = fit_middle(text, width) if column is fleet_columns.NAME else f"{text[: width - 1]}…"
+    look = fleet_columns.cell(column, row, text)
+    return (f"{text:>{width}} " if column.right else f"{text:<{width}} "), look
+
+
+def state_counts(robots: Iterable[Robot]) -> Line:
+    """How many are in each state, the worst first."""
+    counts = Counter(robot.summary.state for robot in robots)
+    return tuple(
+        (f"  {counts[state]} {ROBOT_SIGN[state]} {ROBOT_WORD[state]}", ROBOT_LOOK[state])
+        for state in RobotState
+        if counts[state]
+    )
+
+
+class FleetStatus(LiveLines):
+    """How many robots there are, and how they are; below it, each source of which nothing is known."""
+
+    can_focus = False
+
+    def __init__(self) -> None:
+        super().__init__(id="fleet-status")
+        self._lines: Sequence[Line] = ()
+
+    @property
+    def line_count(self) -> int:
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return fit(self._lines[index], self.width)
+
+    def show(self, table: FleetTable, fleet: Fleet, *, readonly: bool) -> None:
+        """Show the state of all robots, whatever filter the table has."""
+        robots = [row.robot for row in table.rows.values()]
+        names = ", ".join(source.name for source in fleet.sources)
+        rx = sum(robot.summary.bytes_from_robot for robot in robots)
+        tx = sum(robot.summary.bytes_to_robot for robot in robots)
+        first: Line = (
+            (" fleet ", "head"),
+            (f" {names} ", "strong"),
+            (f" {formats.counted(len(robots), 'robot')}", ""),
+            *state_counts(robots),
+            (f" │ from {formats.byte_rate(rx)} │ to {formats.byte_rate(tx)}", "dim"),
+            *((("  READ-ONLY", "waiting"),) if readonly else ()),
+        )
+        problems = [
+            (("  ✗ ", "down"), (f"{source.name}: {source.problem}", "")) for source in fleet.sources if source.problem
+        ]
+        self._lines = [first, *problems]
+        self.styles.height = len(self._lines)
+        self.sync()
+
+
+class RobotDetail(LiveLines):
+    """What has no room in the table: why, and whose the figures are."""
+
+    can_focus = False
+    LINES = 4
+
+    def __init__(self) -> None:
+        super().__init__(id="robot-detail", classes="pane")
+        self._lines: list[Line] = []
+
+    @property
+    def line_count(self) -> int:
+        return len(self._lines)
+
+    def line(self, index: int) -> Line:
+        return fit(self._lines[index], self.width)
+
+    def show(self, row: Row | None) -> None:
+        """Show a robot; None: none is under the cursor."""
+        self._lines = [] if row is None else list(_detail(row, max(20, self.size.width)))
+        self.entitle("" if row is None else f" {row.robot.summary.name} ")
+        self.sync()
+
+
+def _detail(row: Row, width: int) -> Iterator[Line]:
+    summary = row.robot.summary
+    sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]} ", ROBOT_LOOK[summary.state])
+    why = summary.why or ("it has not been here yet" if summary.seen is None else "nothing is wrong")
+    since = f"for {formats.clock(row.now - summary.since)}: " if summary.since else ""
+    wrapped = textwrap.wrap(f"{since}{why}", max(10, width - len(sign[0]) - 1), max_lines=2, placeholder=" …")
+    for number, text in enumerate(wrapped or [""]):
+        yield (sign if not number else (" " * len(sign[0]), ""), (text, ""))
+    seen = "not yet" if summary.seen is None else "now"
+    if summary.seen is not None and not fleet_columns.is_there(row):
+        seen = f"{formats.age(row.now - summary.seen)} ago, {formats.time_of_day(summary.seen)}"
+    facts = [f"seen {seen}", f"at {summary.host}" if summary.host else "", f"server {row.robot.source.name}"]
+    facts += [f"links {summary.links_up}/{summary.links}", f"rsb-console {summary.version}" if summary.version else ""]
+    yield ((f" {' · '.join(filter(None, facts))}", "dim"),)
+    figures = [f"from it {summary.messages_from_robot:.1f} msg/s, to it {summary.messages_to_robot:.1f} msg/s"]
+    if summary.loss is not None:
+        figures.append(f"lost {percent(summary.loss.share)} in {summary.loss.span:.0f} s")
+    if summary.battery is not None:
+        figures.append(f"battery {summary.battery.charge:.0%}, {formats.age(row.now - summary.battery.time)} ago")
+    if row.robot.gone:
+        figures = ["it is only remembered: dismiss it, or wait for it"]
+    yield ((f" {' · '.join(figures)}", "dim"),)

@@ -1,0 +1,237 @@
+"""A robot in a few figures: whose each of them is, and since when."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import pytest
+from tests.console.scripted import LINK, NOW, route
+
+from rsb_bridge.model import robot_summary
+from rsb_bridge.model.robot_summary import (
+    LOSS_SPAN,
+    SUMMARY_BYTES,
+    WHY_LENGTH,
+    Battery,
+    Loss,
+    LossWindow,
+    RobotState,
+    RobotSummary,
+    decode,
+    encode,
+    of_clients,
+    of_engine,
+)
+from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.verdict import Cause, LinkCause
+
+SERVER = Session(
+    name="control", role="server", server_ip="0.0.0.0", server_port=7060,
+    clients=(Client("robot1", group="hall"), Client("robot2")),
+)  # fmt: skip
+UP = replace(LINK, state=State.OK, since=NOW - 100.0, reason="", cause="", warning="")
+DOWN = replace(UP, state=State.DOWN, cause=LinkCause.LOST, reason="the peer is silent")
+
+
+def on_server(*routes: RouteSnapshot, link: LinkSnapshot = UP, running: bool = True) -> RobotSummary:
+    """Of robot1, as its server sees it."""
+    links = (link, replace(UP, name="robot2"))
+    now = Snapshot(NOW, "control", "server", "0.0.0.0", 1, running=running, links=links, routes=routes)
+    first, second = of_clients(now, SERVER, {}, {})
+    assert (first.name, first.group, second.name, second.group) == ("robot1", "hall", "robot2", "")
+    return first
+
+
+def a(topic: str, state: State = State.OK, **changes: Any) -> RouteSnapshot:
+    """A topic of robot1, as its server sees it."""
+    spec = Topic(topic, "receive" if changes.get("outgoing") else "transmit")
+    return route(f"/robot1{topic}", state, spec=spec, since=NOW - 5.0, **changes)
+
+
+def test_all_is_well() -> None:
+    summary = on_server(a("/scan"), a("/goal", outgoing=True, rate=2.0), a("/map", State.WAITING, rate=0.0))
+    assert (summary.state, summary.why, summary.since, summary.seen) == (RobotState.OK, "", UP.since, NOW)
+    assert (summary.links_up, summary.links, summary.flowing, summary.routes) == (1, 1, 2, 3)
+    assert (summary.messages_from_robot, summary.messages_to_robot) == (10.0, 2.0)
+    assert (summary.bytes_from_robot, summary.bytes_to_robot) == (UP.rx_bytes_per_second, UP.tx_bytes_per_second)
+    assert (summary.host, summary.version) == (UP.peer, UP.peer_version)
+
+
+def test_what_an_engine_says_of_itself() -> None:
+    """It sends what its server gets."""
+    session = msgspec.structs.replace(SERVER, name="robot1", role="client", clients=(), group="yard")
+    now = Snapshot(NOW, "robot1", "client", "10.0.0.20", 1, running=True, links=(UP,), routes=(a("/scan"),))
+    battery = Battery(0.5, NOW)
+    losses = {"a": Loss(0.1, 9.0), "b": Loss(0.2, 5.0)}
+    summary = of_engine(now, session, host="arm7", version="1.2", losses=losses, battery=battery)
+    assert (summary.messages_from_robot, summary.messages_to_robot) == (0.0, 10.0)
+    assert (summary.bytes_from_robot, summary.bytes_to_robot) == (UP.tx_bytes_per_second, UP.rx_bytes_per_second)
+    assert (summary.group, summary.host, summary.version) == ("yard", "arm7", "1.2")
+    assert (summary.battery, summary.loss) == (battery, Loss(0.2, 5.0))
+    down = of_engine(replace(now, links=(DOWN,)), session, host="arm7", version="1.2", losses={}, battery=None)
+    assert (down.state, down.since, down.seen) == (RobotState.FAULT, DOWN.since, NOW)  # it is there, and says so
+    off = of_engine(replace(now, running=False), session, host="arm7", version="1.2", losses={}, battery=None)
+    assert off.state is RobotState.MISSING
+
+
+@pytest.mark.parametrize(
+    ("state", "cause", "expected"),
+    [
+        (State.DOWN, Cause.REFUSED, RobotState.FAULT),
+        (State.STALE, Cause.SILENT, RobotState.FAULT),
+        (State.STOPPED, Cause.PUBLISHER_GONE, RobotState.FAULT),
+        (State.SLOW, Cause.SLOW, RobotState.WARN),
+        (State.UNHEARD, Cause.QOS_INCOMPATIBLE, RobotState.WARN),
+        (State.UNHEARD, Cause.NO_SUBSCRIBER, RobotState.OK),
+        (State.PAUSED, Cause.PAUSED, RobotState.OK),
+        (State.DISARMED, Cause.DISARMED, RobotState.OK),
+        (State.WAITING, Cause.NO_PUBLISHER, RobotState.OK),
+    ],
+)
+def test_the_worst_topic_decides(state: State, cause: Cause, expected: RobotState) -> None:
+    summary = on_server(a("/map"), a("/scan", state, cause=cause, reason="it is broken"))
+    assert summary.state is expected
+    if expected.is_wrong:
+        assert summary.why.startswith("/scan ")  # as the robot calls it
+        assert "it is broken" in summary.why
+        assert summary.since == NOW - 5.0
+    else:
+        assert (summary.why, summary.since) == ("", UP.since)
+
+
+def test_what_has_stopped_has_no_rate() -> None:
+    assert on_server(a("/scan", State.STOPPED, rate=7.0)).messages_from_robot == 0.0
+
+
+def test_several_faults() -> None:
+    long = "x" * 400
+    summary = on_server(*(a(f"/t{number}", State.DOWN, reason=long) for number in range(3)), a("/u", State.SLOW))
+    assert summary.why.startswith("/t0 ")
+    assert "3 more" in summary.why
+    assert len(summary.why) == WHY_LENGTH
+
+
+def test_a_warning_of_a_link() -> None:
+    summary = on_server(a("/scan", State.SLOW, reason="slow"), link=replace(UP, warning="two robot1"))
+    assert summary.state is RobotState.WARN
+    assert summary.why.startswith("two robot1")
+    assert summary.since == UP.since
+
+
+def test_a_link_that_is_down() -> None:
+    summary = on_server(a("/scan", State.DOWN, reason="no link"), link=DOWN)
+    assert (summary.state, summary.why, summary.since, summary.seen) == (
+        RobotState.MISSING, "the peer is silent", DOWN.since, DOWN.since,
+    )  # fmt: skip
+    assert (summary.links_up, summary.flowing, summary.messages_from_robot) == (0, 0, 0.0)
+    never = on_server(link=replace(DOWN, peer_domain=None))
+    assert (never.state, never.seen) == (RobotState.MISSING, None)
+
+
+def test_a_link_that_waits() -> None:
+    link = replace(UP, state=State.WAITING, cause=LinkCause.NOT_YET, reason="not connected yet", peer_domain=None)
+    summary = on_server(link=link)
+    assert (summary.state, summary.why, summary.seen) == (RobotState.WAITING, "not connected yet", None)
+
+
+def test_a_server_that_is_stopped() -> None:
+    assert on_server(running=False).state is RobotState.MISSING
+
+
+# --- loss
+
+
+def ledgers(time: float, *counts: tuple[int, dict[str, int]], expired: int = 0) -> Snapshot:
+    """Topics ``/0``, ``/1`` and so on, with what was delivered and dropped of each."""
+    routes = tuple(
+        route(f"/{number}", ledger=Ledger(delivered=delivered, dropped=dropped, expired=expired))
+        for number, (delivered, dropped) in enumerate(counts)
+    )
+    return Snapshot(time, "control", "server", "0.0.0.0", 1, running=True, links=(UP,), routes=routes)
+
+
+def test_loss_is_of_the_last_minute() -> None:
+    window = LossWindow()
+    assert window.take(ledgers(NOW, (100, {"queue full": 900}))) == {}  # before this console looked
+    assert window.take(ledgers(NOW + 5, (200, {"queue full": 900}))) == {"robot1": Loss(0.0, 5.0)}
+    assert window.take(
+        ledgers(
+            NOW + 10,
+            (
+                275,
+                {"queue full": 900},
+            ),
+            expired=25,
+        )
+    ) == {"robot1": Loss(25 / 200, 10.0)}
+    for second in range(11, 200):
+        loss = window.take(ledgers(NOW + second, (275 + second, {"queue full": 900}), expired=25))
+    assert loss == {"robot1": Loss(0.0, LOSS_SPAN)}
+
+
+def test_loss_counts_what_nobody_wants_only() -> None:
+    window = LossWindow()
+    window.take(ledgers(NOW, (0, {}), (0, {})))
+    took = window.take(
+        ledgers(NOW + 1, (50, {"thinned": 30, "paused": 9}), (30, {"lost on the way": 20, "disarmed": 1}))
+    )
+    assert took == {"robot1": Loss(0.2, 1.0)}
+
+
+def test_loss_of_a_topic_that_counts_anew_or_is_gone() -> None:
+    window = LossWindow()
+    window.take(ledgers(NOW, (500, {"queue full": 10})))
+    assert window.take(ledgers(NOW + 1, (5, {}))) == {}
+    assert window.take(ledgers(NOW + 2, (9, {"queue full": 1}))) == {"robot1": Loss(1 / 5, 1.0)}
+    assert window.take(ledgers(NOW + 3)) == {}
+    assert window.take(ledgers(NOW + 4, (900, {"queue full": 1}))) == {}
+
+
+# --- from elsewhere
+
+
+def test_there_and_back() -> None:
+    summary = msgspec.structs.replace(
+        on_server(a("/scan", State.SLOW, reason="größer")), loss=Loss(0.1, 30.0), battery=Battery(0.5, NOW)
+    )
+    assert decode(encode(summary)) == summary
+
+
+def test_what_another_says_is_bounded() -> None:
+    made = RobotSummary(
+        name="r\x1b[2J" + "x" * 300, group="\u202e", why="y" * 900, host="h\n", version="v" * 300, seen=math.nan,
+        since=-1.0, links=-4, routes=1 << 60, messages_to_robot=math.inf, loss=Loss(7.0, 1.0),
+        battery=Battery(-1.0, 2.0),
+    )  # fmt: skip
+    got = decode(encode(made))
+    assert "\x1b" not in got.name
+    assert (len(got.name), len(got.why), len(got.version), got.group, got.host) == (255, 200, 255, "\ufffd", "h\ufffd")
+    assert (got.seen, got.since, got.links, got.messages_to_robot) == (0.0, 0.0, 0, 0.0)
+    assert got.routes == 1 << 31
+    assert (got.loss, got.battery) == (Loss(1.0, 1.0), Battery(0.0, 2.0))
+
+
+def test_a_newer_version() -> None:
+    """Its states and its further figures harm nobody."""
+    data = msgspec.msgpack.encode({"name": "robot9", "state": "melted", "temperature": 900})
+    assert decode(data) == RobotSummary(name="robot9", state=RobotState.WARN)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\x93\x01\x02\x03", msgspec.msgpack.encode({"name": " "}), msgspec.msgpack.encode({"group": "hall"}),
+     msgspec.msgpack.encode({"name": "robot1", "why": "x" * SUMMARY_BYTES})],
+)  # fmt: skip
+def test_what_is_no_summary(data: bytes) -> None:
+    with pytest.raises(ValueError, match="summary"):
+        decode(data)
+
+
+def test_states_are_ordered() -> None:
+    assert sorted(RobotState, key=lambda state: state.rank) == list(RobotState)
+    assert [state for state in RobotState if state.is_wrong] == [RobotState.MISSING, RobotState.FAULT, RobotState.WARN]
+    assert robot_summary.RobotState("ok") is RobotState.OK
