@@ -72,6 +72,7 @@ class Engine(EngineApi):
 
     Attributes:
         access: which operators may attach over a network.
+        network: the Zenoh network in which it announces itself; None: none.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Engine(EngineApi):
         self._clock = clock or Clock()
         self._random = random or Random()  # noqa: S311 — jitter, no secret
         self._transports = transports or transports_of(session, base, self._random)
+        self.network = self._transports.network
         self._events = EventLog(self._clock)
         self.access = Access(session.name, self._events, self._clock)
         self._starting = threading.Lock()

@@ -33,10 +33,11 @@ def zenoh_problems(session: Session) -> Iterator[Problem]:
             message = "missing: server_ip is zenoh; give the routers' endpoints, {connect: [tls/hub:7447]}"
             yield Problem("zenoh", message)
         return
-    yield from _settings(session.zenoh, "zenoh")
+    yield from settings_problems(session.zenoh, "zenoh")
 
 
-def _settings(settings: ZenohSettings, location: str) -> Iterator[Problem]:
+def settings_problems(settings: ZenohSettings, location: str) -> Iterator[Problem]:
+    """Mistakes in how a network is reached."""
     if not (settings.connect or settings.listen or settings.config):
         yield Problem(location, "says no endpoint: give connect: [tls/hub:7447], or a config that does")
     for key, endpoints in (("connect", settings.connect), ("listen", settings.listen)):

@@ -151,6 +151,10 @@ def serve(
     listener = _claim(info, environ) if control is None else _claim_path(control)
     server = ControlServer(engine, listener, info, on_stop or _terminate)
     server.start()
+    if session.zenoh is not None:
+        from rsb_bridge.control.over_zenoh import announce  # noqa: PLC0415 -- commands that only ask start sooner
+
+        announce(engine, server)
     return server
 
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 class Transports:
     """Transports by name.
 
+    Attributes:
+        network: the Zenoh network that they are in; None: none.
+
     A test makes one of its own, for example ``Transports(SimulatedTcp(network), SimulatedUdp(network))``, and passes it
     to `rsb_bridge.engine.Engine`.
     """
@@ -29,6 +32,7 @@ class Transports:
     def __init__(self, *transports: Transport) -> None:
         """Register transports; for an address that several carry links to, the first is used."""
         self._by_name: dict[str, Transport] = {transport.name: transport for transport in transports}
+        self.network: Network | None = None
 
     def __getitem__(self, name: str) -> Transport:
         return self._by_name[name]
@@ -62,5 +66,8 @@ def transports_of(session: Session, base: Path, random: Random) -> Transports:
     """
     if session.zenoh is None:
         return default_transports()
-    links = Links(Network(session.zenoh, base, random.random()), session.name)
-    return Transports(Rfcomm(), Zenoh(links), ZenohDrop(links), Tcp(), Udp())
+    network = Network(session.zenoh, base, random.random())
+    links = Links(network, session.name)
+    found = Transports(Rfcomm(), Zenoh(links), ZenohDrop(links), Tcp(), Udp())
+    found.network = network
+    return found

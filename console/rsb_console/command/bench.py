@@ -45,7 +45,7 @@ _LOOK_EVERY = 0.1
 
 def run(_: str, arguments: Namespace) -> int:
     """Measure, and print what came of it. Returns the exit code."""
-    here = arguments.bridge is None and arguments.control is None
+    here = arguments.bridge is None and arguments.control is None and arguments.fleet is None
     if problem := _plot_problem(arguments.plot) or _misplaced(arguments, here=here):
         return failed(arguments, problem, USAGE)
     try:

@@ -80,11 +80,11 @@ def run(arguments: Namespace) -> int:
 
 def attach(arguments: Namespace) -> int:
     """Open the console on a bridge that runs already."""
-    from rsb_console.command.target import bridge_to_attach  # noqa: PLC0415 (not needed elsewhere)
+    from rsb_console.command.target import what_to_attach  # noqa: PLC0415 (not needed elsewhere)
 
     if not can_draw("rsb-console status"):
         return USAGE
-    bridge = bridge_to_attach(arguments)
+    bridge = what_to_attach(arguments)
     if isinstance(bridge, int):
         return bridge
     from rsb_console.command.console import run_console  # noqa: PLC0415 (needs Textual)
@@ -96,7 +96,7 @@ def attach(arguments: Namespace) -> int:
         theme=arguments.theme,
         on_hangup="stop",
         mouse=not arguments.no_mouse,
-        attach_to=bridge.path,
+        attach_to=bridge,
     )
 
 

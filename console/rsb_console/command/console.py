@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.session import Session
+    from rsb_console.command.target import Attach
     from rsb_console.terminal_app import TerminalApp
 
 T = TypeVar("T")
@@ -34,7 +35,7 @@ def run_console(
     theme: str | None,
     on_hangup: str,
     control: Path | None = None,
-    attach_to: Path | None = None,
+    attach_to: Path | Attach | None = None,
     session: Session | None = None,
     mouse: bool = True,
     temporary: bool = False,
@@ -48,7 +49,7 @@ def run_console(
         theme: its name; None: the one that suits the terminal.
         on_hangup: ``stop`` or ``continue``: what the bridge does when the terminal hangs up.
         control: the control socket that the engine is served on; None: one in the user's folder.
-        attach_to: the control socket of a bridge to attach to; None: none.
+        attach_to: the control socket of a bridge to attach to, or what attaches to one; None: none.
         session: runs if there is no `path`.
         mouse: take the mouse from the terminal.
         temporary: the session file is deleted when the console ends, as the demo's is.

@@ -18,7 +18,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.command.fleet_arguments import ALLOWED
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
-from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, reported
+from rsb_console.command.target import NoBridgeError, UsageError, chosen_bridge, fleet_file, reported
 from rsb_console.fleet.fleet import Fleet, UnknownRobotError
 from rsb_console.fleet.memory import Memory, memory_path
 from rsb_console.fleet.rolling import Rollout
@@ -47,6 +47,10 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
         NoBridgeError: none does.
         UsageError: the bridge that is named is no server.
     """
+    if arguments.fleet is not None:
+        from rsb_console.fleet.zenoh import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
+
+        return [ZenohFleet(fleet_file(arguments))]
     if arguments.bridge is not None or arguments.control is not None:
         named = chosen_bridge(arguments)
         if named.info is not None and named.info.role != "server":

@@ -190,6 +190,8 @@ def bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json:
     which = "the bridge, by the name that `status` prints; needed where several run"
     complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
     parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
+    over = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
+    complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
     if json:
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.topic_rules import A_KIND
+from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError, hidden_services
@@ -19,13 +22,16 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from concurrent.futures import Future
+    from pathlib import Path
 
+    from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import RouteSnapshot
 
 ANSWERED_WITHIN = 60.0
+Attach: TypeAlias = "Callable[[], RemoteEngine]"
 
 T = TypeVar("T")
 
@@ -38,9 +44,18 @@ class NoBridgeError(Exception):
     """No bridge runs, or not this one; the message says which do."""
 
 
-def bridge_to_attach(arguments: Namespace) -> RunningBridge | int:
-    """The bridge that the arguments mean; or the exit code, after saying why there is none."""
-    return reported(chosen_bridge, arguments)
+def what_to_attach(arguments: Namespace) -> Path | Attach | int:
+    """The control socket of the bridge that the arguments mean, or what attaches to it in its fleet.
+
+    Or else the exit code, after saying why there is none.
+    """
+    if arguments.fleet is None:
+        found = reported(chosen_bridge, arguments)
+        return found if isinstance(found, int) else found.path
+    file = reported(fleet_file, arguments)
+    if isinstance(file, int):
+        return file
+    return partial(attach_in_fleet, arguments, read_only=arguments.readonly)
 
 
 def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
@@ -108,6 +123,8 @@ def attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[Remot
     """Be attached to the bridge that the arguments mean; of a command for a fleet's robot, to what `attach` gives."""
     if (attach := getattr(arguments, "attach", None)) is not None:
         engine = attach(read_only=read_only)
+    elif getattr(arguments, "fleet", None) is not None:
+        engine = attach_in_fleet(arguments, read_only=read_only)
     else:
         engine = RemoteEngine(chosen_bridge(arguments).path, read_only=read_only)
         engine.start()
@@ -115,6 +132,34 @@ def attached(arguments: Namespace, *, read_only: bool = False) -> Iterator[Remot
         yield engine
     finally:
         engine.stop()
+
+
+def attach_in_fleet(arguments: Namespace, *, read_only: bool) -> RemoteEngine:
+    """Attach to a bridge of the fleet that the arguments name.
+
+    Raises:
+        EngineError: that cannot be done.
+        UsageError: the file that says how has mistakes.
+    """
+    from rsb_bridge.control.over_zenoh import FleetWay  # noqa: PLC0415 -- not needed elsewhere
+
+    engine = RemoteEngine(FleetWay(fleet_file(arguments), arguments.bridge or ""), read_only=read_only)
+    engine.start()
+    return engine
+
+
+def fleet_file(arguments: Namespace) -> FleetFile:
+    """The file by which the arguments reach a fleet.
+
+    Raises:
+        UsageError: it has mistakes.
+    """
+    from rsb_bridge.config.fleet_file import load_fleet  # noqa: PLC0415 -- not needed elsewhere
+
+    try:
+        return load_fleet(arguments.fleet)
+    except (SessionError, KeyFileError) as error:
+        raise UsageError(str(error)) from None
 
 
 def ask_history(arguments: Namespace, seconds: float) -> HistoryReport:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.batteries import Batteries
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.robot_summary import LossWindow, of_clients
-from rsb_console.fleet.batteries import Batteries
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -102,16 +102,23 @@ class Network:
         return endpoint
 
     def close(self) -> None:
-        """Leave the network, from any thread; endpoints are to be closed before."""
+        """Leave the network once the last endpoint is closed; it may be now. From any thread."""
         with self._lock:
             self._closed = True
-            session, self._session = self._session, None
-        if session is not None:
-            session.close()  # type: ignore[no-untyped-call]
+        self._leave()
 
     def _left(self, endpoint: Endpoint) -> None:
         with self._lock:
             self._endpoints.remove(endpoint)
+        self._leave()
+
+    def _leave(self) -> None:
+        with self._lock:
+            if not self._closed or self._endpoints:
+                return
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
 
     # --- in a thread
 

@@ -1,4 +1,4 @@
-"""The batteries of a server's robots, read from the messages of topics that the server bridges anyway."""
+"""The batteries of robots, read from the messages of topics that an engine bridges anyway."""
 
 from __future__ import annotations
 
@@ -30,21 +30,23 @@ class Batteries:
 
     Args:
         engine: that bridges them.
+        of_own_robot: the engine runs on the robot, and sends them; else it receives those of others.
 
     Attributes:
         known: the newest of each link, by its name.
     """
 
-    def __init__(self, engine: EngineApi) -> None:
+    def __init__(self, engine: EngineApi, *, of_own_robot: bool = False) -> None:
         self.known: dict[str, Battery] = {}
         self._engine = engine
+        self._outgoing = of_own_robot
         self._looking: dict[str, Future[PeekedMessage | None]] = {}
         self._due: dict[str, float] = {}
         self._described: dict[str, Future[str]] = {}
 
     def tick(self, now: Snapshot) -> None:
         """Take what has come, and look at whatever is due."""
-        routes = {route.link: route for route in now.routes if _is_battery(route)}
+        routes = {route.link: route for route in now.routes if self._is_battery(route)}
         for link, future in list(self._looking.items()):
             if future.done() and (link not in routes or self._take(link, future, routes[link])):
                 del self._looking[link]
@@ -57,6 +59,10 @@ class Batteries:
             route = routes[link]
             self._due[link] = now.time + EVERY
             self._looking[link] = self._engine.peek(route.key, kept=link not in self.known)
+
+    def _is_battery(self, route: RouteSnapshot) -> bool:
+        of_robot = route.outgoing == self._outgoing and route.type_name == TYPE
+        return of_robot and route.state.flows and route.spec.topic.endswith(TOPIC)
 
     def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:
         """Read a message; False: what its type is has been asked first."""
@@ -89,7 +95,3 @@ def charge_of(description: str, peeked: PeekedMessage) -> float | None:
     if not isinstance(charge, float) or not math.isfinite(charge) or charge < 0:  # NaN: not measured
         return None
     return min(1.0, charge / 100 if charge > 1 else charge)  # some drivers publish 0 to 100
-
-
-def _is_battery(route: RouteSnapshot) -> bool:
-    return not route.outgoing and route.state.flows and route.spec.topic.endswith(TOPIC) and route.type_name == TYPE

@@ -1,0 +1,61 @@
+"""The file by which an operator's console reaches a fleet: its Zenoh network, who the operator is, and their key."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from rsb_bridge.config.decoding import read
+from rsb_bridge.config.keys import Key, key_path, read_key
+from rsb_bridge.config.session_file import read_text
+from rsb_bridge.config.yaml_text import SessionError, read_yaml
+from rsb_bridge.config.zenoh_rules import settings_problems
+from rsb_bridge.model.session import Problem, ZenohSettings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class FleetFile(NamedTuple):
+    """What such a file says.
+
+    Attributes:
+        zenoh: where the fleet is.
+        operator: as its engines' sessions name them.
+        key: the operator's.
+        base: the folder that the files it names are relative to.
+    """
+
+    zenoh: ZenohSettings
+    operator: str
+    key: Key
+    base: Path
+
+
+class _Written(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    zenoh: ZenohSettings = ZenohSettings()
+    operator: str = ""
+    key_file: str = ""
+
+
+def load_fleet(path: Path) -> FleetFile:
+    """Read such a file.
+
+    Raises:
+        SessionError: it can't be read, or has mistakes.
+        KeyFileError: the key can't be read.
+    """
+    document = read_yaml(read_text(path), path)
+    problems = list(document.problems)
+    written = read(document.data, _Written, problems)
+    if not problems:
+        problems += settings_problems(written.zenoh, "zenoh")
+        if not written.operator.strip():
+            problems.append(Problem("operator", "missing: give a name that the engines' sessions have under operators"))
+        if not written.key_file.strip():
+            problems.append(Problem("key_file", "missing: give the file of the operator's key"))
+    if problems:
+        raise SessionError(path, [document.locate(problem) for problem in problems])
+    base = path.parent
+    return FleetFile(written.zenoh, written.operator, read_key(key_path(base, written.key_file)), base)

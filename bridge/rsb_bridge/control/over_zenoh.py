@@ -1,0 +1,224 @@
+"""A fleet over Zenoh: engines announce themselves; operators' consoles find them, and attach sealed from end to end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.sealed import SealedAcceptor
+from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.engine import Engine
+from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.transport.zenoh.network import Network
+from rsb_bridge.transport.zenoh.outbox import LINK_RANK
+from rsb_bridge.transport.zenoh.pipe import Pipe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rsb_bridge.access import Access
+    from rsb_bridge.api import EngineApi
+    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.control.server import ControlServer
+    from rsb_bridge.control.ways import Connection
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Header, Seen
+
+ENGINE, CONSOLE = "engine", "console"
+"""The services by which engines and consoles announce themselves."""
+
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
+
+
+class Member(NamedTuple):
+    """An engine of a fleet, as it announces itself: anybody in the network may, under any name.
+
+    Attributes:
+        name: its session's.
+        role: ``client`` or ``server``.
+        version: of its rsb-console.
+        address: of its endpoint, new in each of its lives.
+    """
+
+    name: str
+    role: str
+    version: str
+    address: str
+
+
+def announce(engine: EngineApi, server: ControlServer) -> None:
+    """Announce an engine to the fleet of its session, and let its operators in, until its server closes.
+
+    Args:
+        engine: nothing happens unless it runs in this process, in a Zenoh network.
+        server: serves it; it has been started.
+    """
+    if isinstance(engine, Engine) and engine.network is not None:
+        _Announcement(server, engine.access, engine.network)
+
+
+class _Announcement:
+    """Belongs to the server's loop, but for its beginning."""
+
+    def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
+        self._acceptor = SealedAcceptor(server, access)
+        self._network = network
+        self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, Random())  # noqa: S311 -- jitter, no secret
+        info = server.info
+        self._label = f"{info.role} {info.program} {info.name}"
+        self._endpoint: Endpoint | None = None
+        self._task: asyncio.Task[None]
+        server.at_end(self._close)
+        server.loop.call_soon_threadsafe(self._begin)
+
+    def _begin(self) -> None:
+        self._task = asyncio.get_running_loop().create_task(self._announce())
+
+    async def _announce(self) -> None:
+        """Join the network; while it is not reached, the links say so."""
+        while self._endpoint is None:
+            try:
+                self._endpoint = await self._network.endpoint(ENGINE, self._label, (CONSOLE,))
+            except OSError:
+                await asyncio.sleep(self._backoff.next())
+        self._endpoint.on_stream = self._accept
+
+    def _accept(self, sender: str, stream: str, header: Header) -> Pipe:
+        assert self._endpoint is not None
+        return Pipe(self._endpoint, sender, stream, header.rank, self._acceptor.protocol())
+
+    def _close(self) -> None:
+        self._task.cancel()
+        if self._endpoint is not None:
+            self._endpoint.close()
+
+
+class FleetPresence:
+    """A console's place in a fleet, on the loop that runs when it is made. Joined once.
+
+    Args:
+        file: names the fleet, and the operator.
+
+    Attributes:
+        members: the engines that are there, by address; from `join` on.
+        changed: called when one comes (True) or goes.
+    """
+
+    def __init__(self, file: FleetFile) -> None:
+        self.members: dict[str, Member] = {}
+        self.changed: Callable[[Member, bool], None] = _nobody
+        self._file = file
+        self._network = Network(file.zenoh, file.base)
+        self._endpoint: Endpoint | None = None
+
+    async def join(self) -> None:
+        """Be in the network, and know who is there.
+
+        Raises:
+            OSError: it is not reached; the message says why.
+        """
+        endpoint = self._endpoint = await self._network.endpoint(CONSOLE, self._file.operator, (ENGINE,))
+        for seen in await endpoint.ask(ENGINE):
+            self._seen(seen, comes=True)
+        endpoint.on_seen = lambda seen, comes: self._seen(seen, comes=comes)
+        for seen in tuple(endpoint.seen.values()):
+            self._seen(seen, comes=True)
+
+    @property
+    def problem(self) -> str:
+        """Why nothing gets through; empty: the network is there."""
+        return "" if self._network.connected else f"{self._network.place}: the Zenoh router is lost; Zenoh looks for it"
+
+    def sealed(self, member: Member) -> Sealed:
+        """A way to an engine, with the operator's key, as long as this is joined."""
+
+        async def connect(protocol: asyncio.Protocol) -> None:
+            assert self._endpoint is not None
+            Pipe(self._endpoint, member.address, os.urandom(8).hex(), LINK_RANK, protocol)
+
+        return Sealed(connect, self._file.operator, self._file.key, member.name)
+
+    def close(self) -> None:
+        """Leave the network."""
+        if self._endpoint is not None:
+            self._endpoint.close()
+            self._endpoint = None
+        self._network.close()
+
+    def _seen(self, seen: Seen, *, comes: bool) -> None:
+        role, _, rest = seen.label.partition(" ")
+        version, _, name = rest.partition(" ")
+        if not name:
+            return
+        member = Member(name, role, version, seen.address)
+        if not comes:
+            self.members.pop(seen.address, None)
+        elif seen.address not in self.members:
+            self.members[seen.address] = member
+        else:
+            return
+        self.changed(member, comes)
+
+
+class FleetWay:
+    """A way to the engine of a name in a fleet, by a place in the network of its own: see `rsb_bridge.control.ways`.
+
+    Args:
+        file: names the fleet, and the operator.
+        engine: the name of its session; empty: the only one that there is.
+    """
+
+    def __init__(self, file: FleetFile, engine: str) -> None:
+        self._file = file
+        self._engine = engine
+
+    @property
+    def text(self) -> str:
+        return self._engine or f"the fleet {self._file.zenoh.fleet}"
+
+    async def open(self, within: float) -> Connection:
+        """Find it, and connect."""
+        presence = FleetPresence(self._file)
+        try:
+            await presence.join()
+            connection = await presence.sealed(self._chosen(presence)).open(within)
+        except BaseException:
+            presence.close()
+            raise
+        return _Leaving(connection, presence)
+
+    def _chosen(self, presence: FleetPresence) -> Member:
+        fleet, engine = self._file.zenoh.fleet, self._engine
+        names = sorted(member.name for member in presence.members.values())
+        known = f"; there are {', '.join(names)}" if names else "; nobody is there"
+        found = [member for member in presence.members.values() if engine in ("", member.name)]
+        if not found:
+            raise ControlError(f"no engine {engine!r} is in the fleet {fleet}{known}")
+        if len(found) > 1:
+            what = f"several engines are called {engine!r}" if engine else "several engines are there: say which"
+            raise ControlError(f"the fleet {fleet}: {what}{known}")
+        return found[0]
+
+
+class _Leaving:
+    """A connection that leaves the network when it is over."""
+
+    def __init__(self, connection: Connection, presence: FleetPresence) -> None:
+        self._connection = connection
+        self._presence = presence
+
+    async def read(self) -> bytes:
+        return await self._connection.read()
+
+    def write(self, data: bytes) -> None:
+        self._connection.write(data)
+
+    def abort(self) -> None:
+        self._connection.abort()
+        self._presence.close()
+
+
+def _nobody(_: Member, __: bool) -> None:
+    """Nobody watches."""

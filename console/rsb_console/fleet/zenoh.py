@@ -1,0 +1,189 @@
+"""The engines of a fleet over Zenoh, seen through the summaries that each of them gives to an operator."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+import threading
+import time
+from concurrent.futures import Future
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge import __version__
+from rsb_bridge.api import EngineError
+from rsb_bridge.control import protocol
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.over_zenoh import FleetPresence, FleetWay
+from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.robot_summary import RobotState, RobotSummary, decode
+
+if TYPE_CHECKING:
+    from rsb_bridge.config.fleet_file import FleetFile
+    from rsb_bridge.control.over_zenoh import Member
+
+ANSWERED_WITHIN = 10.0
+SILENT_FOR = 4 * protocol.SUMMARY_EVERY
+"""s after which an engine that says nothing is not well, though its connection stands."""
+MOST = 2000
+"""Engines that are watched; anybody in the network may announce any number of them."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
+_AT_ONCE = 16
+"""Connections that are being made: 200 handshakes would take a core for a moment."""
+
+
+class ZenohFleet:
+    """Fulfils `rsb_console.fleet.source.FleetSource`: one robot for each engine that announces itself.
+
+    Args:
+        file: names the fleet, and the operator.
+    """
+
+    def __init__(self, file: FleetFile) -> None:
+        self.name = file.zenoh.fleet
+        self._file = file
+        self._robots: dict[str, RobotSummary] = {}
+        self._presence: FleetPresence | None = None
+        self._watches: dict[str, asyncio.Task[None]] = {}
+        self._names: dict[str, str] = {}  # by address
+        self._problem = ""
+        self._may_connect = asyncio.Semaphore(_AT_ONCE)
+        self._random = random.Random()  # noqa: S311 -- jitter
+        self._loop = asyncio.new_event_loop()
+        self._started: Future[None] = Future()
+        self._ends = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="rsb-fleet", daemon=True)
+
+    # --- from any thread
+
+    @property
+    def problem(self) -> str:
+        presence = self._presence
+        return presence.problem if presence is not None else "not in the Zenoh network"
+
+    def start(self) -> None:
+        self._thread.start()
+        self._started.result()
+
+    def stop(self) -> None:
+        with contextlib.suppress(RuntimeError):  # it has ended by itself
+            self._loop.call_soon_threadsafe(self._ends.set)
+        if self._thread.is_alive():
+            self._thread.join(ANSWERED_WITHIN)
+
+    def robots(self) -> list[RobotSummary]:
+        return list(self._robots.values())
+
+    def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
+        engine = RemoteEngine(FleetWay(self._file, robot), read_only=read_only)
+        engine.start()
+        return engine
+
+    # --- on its thread
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._main())
+
+    async def _main(self) -> None:
+        presence = FleetPresence(self._file)
+        presence.changed = self._changed
+        try:
+            await presence.join()
+        except OSError as error:
+            presence.close()
+            self._started.set_exception(EngineError(str(error)))
+            return
+        self._presence = presence
+        self._started.set_result(None)
+        try:
+            await self._ends.wait()
+        finally:
+            for watch in tuple(self._watches.values()):
+                watch.cancel()
+            await asyncio.gather(*self._watches.values(), return_exceptions=True)
+            presence.close()
+
+    def _changed(self, member: Member, comes: bool) -> None:
+        """An engine has come or gone."""
+        if not comes:
+            name = self._names.pop(member.address, None)
+            if watch := self._watches.pop(member.address, None):
+                watch.cancel()
+            if name is not None:
+                self._gone(name, "it has left the Zenoh network", RobotState.MISSING)
+        elif len(self._watches) < MOST:
+            name = self._names[member.address] = self._free_name(member.name)
+            known = self._robots.get(name)
+            if known is None:
+                self._robots[name] = RobotSummary(name=name, version=member.version, since=time.time())
+            self._watches[member.address] = self._loop.create_task(self._watch(member, name))
+
+    def _free_name(self, name: str) -> str:
+        """A name for a row: an engine that has the name of another one is shown, too."""
+        taken, number = set(self._names.values()), 1
+        free = name
+        while free in taken:
+            number += 1
+            free = f"{name} ({number})"
+        return free
+
+    async def _watch(self, member: Member, name: str) -> None:
+        """Hear from an engine, for ever."""
+        backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, self._random)
+        while True:
+            try:
+                await self._hear(member, name, backoff)
+            except TimeoutError:
+                why = "it does not answer"
+            except (ControlError, ProtocolError, OSError, ValueError) as error:
+                why = str(error).removeprefix(f"{member.name}: ")
+            else:
+                why = "it has closed the connection"
+            self._gone(name, why, RobotState.FAULT)
+            await asyncio.sleep(backoff.next())
+
+    async def _hear(self, member: Member, name: str, backoff: Backoff) -> None:
+        """Attach, and take what it says of itself until the connection ends."""
+        assert self._presence is not None
+        async with self._may_connect:
+            connection = await self._presence.sealed(member).open(ANSWERED_WITHIN)
+        try:
+            connection.write(protocol.encode(protocol.Hello(protocol.VERSION, __version__, read_only=True)))
+            connection.write(protocol.encode(protocol.Watch()))
+            frames = protocol.frames_to_console()
+            while True:
+                async with asyncio.timeout(SILENT_FOR):
+                    data = await connection.read()
+                if not data:
+                    return
+                for message in frames.feed(data):
+                    if isinstance(message, (protocol.Goodbye, protocol.Refused)):
+                        raise ControlError(message.reason)
+                    if isinstance(message, protocol.Summary):
+                        backoff.reset()
+                        self._take(name, decode(message.data))
+        finally:
+            connection.abort()
+
+    def _take(self, name: str, summary: RobotSummary) -> None:
+        now = time.time()
+        why, state = summary.why, summary.state
+        if name != summary.name:  # only whoever is in the network can be so called, with a key of this operator's
+            why, state = f"another engine is called {summary.name}, too: give one of them another name", RobotState.WARN
+        # Since when is by the robot's clock, which nobody has set by this one.
+        before = self._robots[name]
+        since = before.since if (before.state, before.why) == (state, why) else now
+        self._robots[name] = msgspec.structs.replace(summary, name=name, why=why, state=state, seen=now, since=since)
+
+    def _gone(self, name: str, why: str, state: RobotState) -> None:
+        before = self._robots[name]
+        if (before.state, before.why) != (state, why):
+            self._robots[name] = RobotSummary(
+                name=name, group=before.group, state=state, why=why, since=time.time(), seen=before.seen,
+                host=before.host, version=before.version, links=before.links, routes=before.routes,
+            )  # fmt: skip
