@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 ANSWERED_WITHIN = 10.0
 SILENT_FOR = 4 * protocol.SUMMARY_EVERY
 """s after which an engine that says nothing is not well, though its connection stands."""
+_FIRST_HEARD_WITHIN = 5.0
+"""s that `ZenohFleet.start` waits for the first word of each engine."""
 MOST = 2000
 """Engines that are watched; anybody in the network may announce any number of them."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
@@ -56,6 +58,7 @@ class ZenohFleet:
         self._loop = asyncio.new_event_loop()
         self._started: Future[None] = Future()
         self._ends = asyncio.Event()
+        self._news = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="rsb-fleet", daemon=True)
 
     # --- from any thread
@@ -99,14 +102,23 @@ class ZenohFleet:
             self._started.set_exception(EngineError(str(error)))
             return
         self._presence = presence
-        self._started.set_result(None)
         try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_FIRST_HEARD_WITHIN):
+                    await self._all_heard()
+            self._started.set_result(None)
             await self._ends.wait()
         finally:
             for watch in tuple(self._watches.values()):
                 watch.cancel()
             await asyncio.gather(*self._watches.values(), return_exceptions=True)
             presence.close()
+
+    async def _all_heard(self) -> None:
+        """Wait until every engine that is there has said how it is, or why not."""
+        while any(self._robots[name].state is RobotState.WAITING for name in self._names.values()):
+            self._news.clear()
+            await self._news.wait()
 
     def _changed(self, member: Member, comes: bool) -> None:
         """An engine has come or gone."""
@@ -178,12 +190,16 @@ class ZenohFleet:
         # Since when is by the robot's clock, which nobody has set by this one.
         before = self._robots[name]
         since = before.since if (before.state, before.why) == (state, why) else now
-        self._robots[name] = msgspec.structs.replace(summary, name=name, why=why, state=state, seen=now, since=since)
+        self._set(name, msgspec.structs.replace(summary, name=name, why=why, state=state, seen=now, since=since))
 
     def _gone(self, name: str, why: str, state: RobotState) -> None:
         before = self._robots[name]
         if (before.state, before.why) != (state, why):
-            self._robots[name] = RobotSummary(
+            self._set(name, RobotSummary(
                 name=name, group=before.group, state=state, why=why, since=time.time(), seen=before.seen,
                 host=before.host, version=before.version, links=before.links, routes=before.routes,
-            )  # fmt: skip
+            ))  # fmt: skip
+
+    def _set(self, name: str, summary: RobotSummary) -> None:
+        self._robots[name] = summary
+        self._news.set()
