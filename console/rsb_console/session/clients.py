@@ -221,6 +221,7 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
         bluetooth_address=session.bluetooth_address,
         use_encryption=session.use_encryption,
         key_file=key_file.rpartition("/")[2] if key_file is not None and session.use_encryption else None,
+        zenoh=_of_client(session.zenoh, address) if session.zenoh is not None else None,
     )
     lines = dump(robot).splitlines()
     if guessed:
@@ -229,6 +230,15 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     head = f"# {client.name}, a client of the server {session.name}. Its key file belongs beside this file."
     topics = "topics: []   # - {topic: /scan, direction: transmit}"
     return "".join(f"{line}\n" for line in (head, *lines, topics))
+
+
+def _of_client(zenoh: ZenohSettings, address: str) -> ZenohSettings:
+    """How a client reaches its server's Zenoh network: by the same routers, or else where the server listens."""
+    if zenoh.connect or not zenoh.listen:
+        return msgspec.structs.replace(zenoh, listen=())
+    protocol, _, place = zenoh.listen[0].partition("/")
+    endpoint = f"{protocol}/{address or own_address()}:{place.rpartition(':')[2]}"
+    return msgspec.structs.replace(zenoh, connect=(endpoint,), listen=())
 
 
 def own_address() -> str:
