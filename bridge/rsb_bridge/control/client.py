@@ -315,8 +315,8 @@ class RemoteEngine(EngineApi):
                 self._followed = message.events[-1].number
             case protocol.Step() | protocol.Reply() | protocol.Failed():
                 self._requests.take(message)
-            case protocol.Refused() | protocol.Goodbye() | protocol.Summary():
-                raise AssertionError("ends the connection, or was not asked for")
+            case protocol.Refused() | protocol.Goodbye():
+                raise AssertionError("ends the connection")
         return False
 
     def _welcome(self, bridge: BridgeInfo) -> None:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rsb_bridge.api import EngineApi
     from rsb_bridge.control.performing import Answer
     from rsb_bridge.control.protocol import BridgeInfo, ToBridge, ToConsole
-    from rsb_bridge.control.summaries import Summaries, SummedUp
 
 _TICK = 0.25
 _HELLO_WITHIN = 5.0
@@ -80,13 +79,11 @@ class Served(Protocol):
         engine: which.
         info: who serves it.
         encoded: what of its state is encoded already.
-        summaries: sum the engine up.
     """
 
     engine: EngineApi
     info: BridgeInfo
     encoded: EncodedRoutes
-    summaries: Summaries
 
     def stop_process(self) -> None:
         """Do what `rsb_bridge.control.commands.Stop` asks for."""
@@ -114,8 +111,6 @@ class Console:
         self._looking = False
         self._looked_at = 0.0
         self._after: int | None = None
-        self._watching = False
-        self._summed_up: SummedUp | None = None
         self._may_not = ""
         self._operator = ""
         self._welcomed = False
@@ -180,8 +175,6 @@ class Console:
         elif isinstance(message, protocol.Follow):
             self._after = message.after
             self._send_events()
-        elif isinstance(message, protocol.Watch):
-            self._watching = True
         else:
             self._request(message)
 
@@ -253,7 +246,6 @@ class Console:
             self.abort()
         elif waiting == 0:
             self._send_events()
-            self._send_summary()
             await self._show()
 
     def _send_events(self) -> None:
@@ -264,14 +256,6 @@ class Console:
                 return
             self._after = events[-1].number
             self.send(protocol.Events(tuple(events)))
-
-    def _send_summary(self) -> None:
-        if not self._watching:
-            return
-        new, old = self._served.summaries.take(self._loop.time()), self._summed_up
-        if old is None or new.state != old.state or new.time - old.time >= protocol.SUMMARY_EVERY:
-            self._summed_up = new
-            self.send(protocol.Summary(new.data))
 
     async def _show(self) -> None:
         """Send the state if it is a new one; or if it has been looked for long enough to wonder what is wrong."""

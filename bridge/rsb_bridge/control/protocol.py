@@ -36,8 +36,6 @@ EVENTS_AT_ONCE = 500
 """Events in one `Events`."""
 REQUESTS_WAITING = 32
 """Requests of one console that a bridge answers at the same time."""
-SUMMARY_EVERY = 2.0
-"""s between two `Summary` of an engine whose state stays."""
 CONSOLES = 32
 """Connections to one bridge."""
 
@@ -150,11 +148,7 @@ class Follow(_Message, frozen=True, tag="follow"):
     after: int
 
 
-class Watch(_Message, frozen=True, tag="watch"):
-    """Asks for summaries of the engine from now on, for a fleet's screen: `Summary`."""
-
-
-ToBridge: TypeAlias = Hello | Request | Look | Follow | Watch
+ToBridge: TypeAlias = Hello | Request | Look | Follow
 
 
 # --- from a bridge
@@ -188,16 +182,6 @@ class State(_Message, frozen=True, tag="state"):
     last_event: int = 0
     session: Session | None = None
     waits_for_operator: bool = False
-
-
-class Summary(_Message, frozen=True, tag="summary"):
-    """The engine in a few figures, every `SUMMARY_EVERY` s, and sooner when it gets worse or better.
-
-    Attributes:
-        data: as `rsb_bridge.model.robot_summary.encode` has it.
-    """
-
-    data: bytes
 
 
 class Events(_Message, frozen=True, tag="events"):
@@ -262,7 +246,7 @@ class Goodbye(_Message, frozen=True, tag="goodbye"):
     reason: str
 
 
-ToConsole: TypeAlias = Welcome | Refused | State | Summary | Events | Step | Reply | Failed | Goodbye
+ToConsole: TypeAlias = Welcome | Refused | State | Events | Step | Reply | Failed | Goodbye
 
 _encoder = msgspec.msgpack.Encoder()
 _to_bridge: msgspec.msgpack.Decoder[ToBridge] = msgspec.msgpack.Decoder(ToBridge)

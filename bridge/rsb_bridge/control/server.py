@@ -16,7 +16,6 @@ from rsb_bridge.control.folders import is_trusted, peer_of
 from rsb_bridge.control.identity import identify
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes
-from rsb_bridge.control.summaries import Summaries
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,7 +54,6 @@ class ControlServer:
         self.engine = engine
         self.info = info
         self.encoded = EncodedRoutes()
-        self.summaries = Summaries(engine, info.program)
         self.loop: asyncio.AbstractEventLoop
         self._listener = listener
         self._on_stop = on_stop
