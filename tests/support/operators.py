@@ -39,12 +39,19 @@ def granted(name: str, key: Key, may: OperatorMay = "change") -> dict[str, Grant
     return {name: Granted(Operator(name, f"{name}.key", may), key)}
 
 
+def _anna_and_bob() -> Access:
+    access = Access("robot1", EventLog(Clock()), Clock())
+    access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
+    return access
+
+
 class Reachable:
     """A scripted engine, robot1, that anna may change and bob look at.
 
     Args:
         machine: serves it on a control socket, too.
         engine: another one to serve.
+        access: who may attach to that; None: anna and bob.
 
     Attributes:
         access: says who may attach.
@@ -53,10 +60,9 @@ class Reachable:
         port: that it listens on, on 127.0.0.1.
     """
 
-    def __init__(self, machine: Machine, engine: Any = None) -> None:
+    def __init__(self, machine: Machine, engine: Any = None, access: Access | None = None) -> None:
         self.engine = ScriptedEngine() if engine is None else engine
-        self.access = Access("robot1", EventLog(Clock()), Clock())
-        self.access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
+        self.access = access or _anna_and_bob()
         self.server = machine.serve(self.engine)
         self.acceptor = SealedAcceptor(self.server, self.access)
         self.port = asyncio.run_coroutine_threadsafe(self._listen(), self.server.loop).result(60)
