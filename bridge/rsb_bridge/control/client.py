@@ -315,6 +315,8 @@ class RemoteEngine(EngineApi):
                 self._followed = message.events[-1].number
             case protocol.Step() | protocol.Reply() | protocol.Failed():
                 self._requests.take(message)
+            case protocol.Summary():
+                raise ProtocolError("a summary that nobody has asked for")
             case protocol.Refused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False
