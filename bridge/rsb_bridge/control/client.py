@@ -61,11 +61,13 @@ class RemoteEngine(EngineApi):
     Attributes:
         bridge: who serves it, from `start` on.
         read_only: whether the bridge refuses what would change anything, from `start` on.
+        same_machine: whether the files that the bridge names are this machine's.
     """
 
     def __init__(self, where: Path | Way, *, read_only: bool = False, clock: Clock | None = None) -> None:
         self.read_only = read_only
         self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
+        self.same_machine = self._way.same_machine
         self._wants_read_only = read_only
         self.bridge: BridgeInfo
         self._log = EventLog(clock or Clock())

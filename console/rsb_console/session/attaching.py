@@ -6,10 +6,15 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.api import EngineError
+from rsb_bridge.config.keys import KeyFileError, read_key
 from rsb_bridge.config.session_file import SessionError, SessionFile, load_file
 from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.sealed_way import Sealed
 
 if TYPE_CHECKING:
+    from rsb_bridge.control.sealed_way import Connect
+    from rsb_bridge.control.ways import Way
     from rsb_bridge.model.session import Session
 
 
@@ -20,7 +25,7 @@ class Attached(NamedTuple):
         engine: the engine.
         name: of its session.
         base: the folder that its key files are relative to.
-        path: its session file; None: it is in no file.
+        path: its session file; None: it is in no file, or in one of another machine.
         file: that file as it is now; None: there is none, or it has mistakes.
         saved: the session in it; None likewise.
     """
@@ -33,16 +38,38 @@ class Attached(NamedTuple):
     saved: Session | None
 
 
-def attach(socket: Path, *, read_only: bool) -> Attached:
-    """Attach to a bridge by its control socket; may take some seconds.
+def over_network(connect: Connect, operator: str, key_file: Path, engine: str, *, read_only: bool) -> RemoteEngine:
+    """Attach to an engine of another machine as an operator; may take some seconds.
+
+    Args:
+        connect: makes a stream to the engine.
+        operator: as the engine's session names them.
+        key_file: theirs.
+        engine: the name of the session that is meant.
+        read_only: change nothing, though the operator may.
 
     Raises:
         EngineError: that cannot be done.
     """
-    engine = RemoteEngine(socket, read_only=read_only)
+    try:
+        way = Sealed(connect, operator, read_key(key_file), engine)
+    except KeyFileError as error:
+        raise EngineError(str(error)) from None
+    remote = RemoteEngine(way, read_only=read_only)
+    remote.start()
+    return remote
+
+
+def attach(where: Path | Way, *, read_only: bool) -> Attached:
+    """Attach to a bridge by its control socket, or by another way; may take some seconds.
+
+    Raises:
+        EngineError: that cannot be done.
+    """
+    engine = RemoteEngine(where, read_only=read_only)
     engine.start()
     bridge = engine.bridge
-    path = None if bridge.file is None else Path(bridge.file)
+    path = Path(bridge.file) if bridge.file is not None and engine.same_machine else None
     file = None
     if path is not None:
         with contextlib.suppress(SessionError):  # it has been changed, or removed
