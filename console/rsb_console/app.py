@@ -197,16 +197,16 @@ class ConsoleApp(TerminalApp[None]):
 
     @work(group="session")
     async def _attach_to_bridge(self, to: Path | Attach) -> None:
-        from rsb_console.session.attaching import at_socket, attached  # noqa: PLC0415 -- keeps the start short
+        from rsb_console.session.attaching import attach, attached  # noqa: PLC0415 -- keeps the start short
 
-        attach = partial(at_socket, to, read_only=self.readonly) if isinstance(to, Path) else to
+        open_it = partial(attach, to, read_only=self.readonly) if isinstance(to, Path) else to
         async with self._changing:
             self.note, self._last_event = "attaching", 0
             await asyncio.to_thread(self.stop)
             self._resources, self.engine, self.attached_to, self.temporary = ExitStack(), None, "", False
             self.main.reset()
             try:
-                known = attached(await asyncio.to_thread(attach))
+                known = attached(await asyncio.to_thread(open_it))
             except EngineError as error:
                 self.note = "not attached"
                 self.notify(str(error), title="Not attached", severity="error", markup=False, timeout=30)

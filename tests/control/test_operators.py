@@ -5,13 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.console.scripted import ScriptedEngine
 from tests.support.operators import ANNA, BOB, Reachable, granted
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
+from rsb_console.session.attaching import attach, attached
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.support.control import Machine
 
     from rsb_bridge.config.keys import Key
@@ -68,3 +73,15 @@ def test_an_operator_who_is_removed_is_detached_at_once(machine: Machine) -> Non
     assert not bob.unreachable
     with pytest.raises(EngineError, match="nothing can be changed"):
         bob.retry().result(60)
+
+
+def test_a_file_of_another_machine_is_not_taken_for_one_of_this(machine: Machine, tmp_path: Path) -> None:
+    here = tmp_path / "robot1.yaml"
+    save(ScriptedEngine().session, here)
+    robot = Reachable(machine, file=here)
+    remote = attach(robot.way(), read_only=True)
+    remote.stop()
+    assert remote.read_only
+    assert remote.bridge.file == str(here)
+    known = attached(remote)
+    assert (known.path, known.file, known.saved) == (None, None, None)

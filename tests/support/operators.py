@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tests.support.control import Machine
 
     from rsb_bridge.control.protocol import ToBridge, ToConsole
+    from rsb_bridge.control.sealed_way import Connect
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.session import OperatorMay
     from rsb_bridge.model.snapshot import Event
@@ -39,12 +40,20 @@ def granted(name: str, key: Key, may: OperatorMay = "change") -> dict[str, Grant
     return {name: Granted(Operator(name, f"{name}.key", may), key)}
 
 
+def _anna_and_bob() -> Access:
+    access = Access("robot1", EventLog(Clock()), Clock())
+    access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
+    return access
+
+
 class Reachable:
     """A scripted engine, robot1, that anna may change and bob look at.
 
     Args:
         machine: serves it on a control socket, too.
         engine: another one to serve.
+        access: who may attach to that; None: anna and bob.
+        changes: of how it is served, as in `Machine.serve`.
 
     Attributes:
         access: says who may attach.
@@ -53,11 +62,10 @@ class Reachable:
         port: that it listens on, on 127.0.0.1.
     """
 
-    def __init__(self, machine: Machine, engine: Any = None) -> None:
+    def __init__(self, machine: Machine, engine: Any = None, access: Access | None = None, **changes: Any) -> None:
         self.engine = ScriptedEngine() if engine is None else engine
-        self.access = Access("robot1", EventLog(Clock()), Clock())
-        self.access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
-        self.server = machine.serve(self.engine)
+        self.access = access or _anna_and_bob()
+        self.server = machine.serve(self.engine, **changes)
         self.acceptor = SealedAcceptor(self.server, self.access)
         self.port = asyncio.run_coroutine_threadsafe(self._listen(), self.server.loop).result(60)
         self._machine = machine
@@ -81,10 +89,15 @@ class Reachable:
     def way(self, name: str = "anna", key: Key = ANNA, engine: str = "robot1", port: int = 0) -> Sealed:
         """An operator's way to it; or by another port, where somebody is in between."""
 
+        return Sealed(self.connect(port), name, key, engine)
+
+    def connect(self, port: int = 0) -> Connect:
+        """Makes streams to it."""
+
         async def connect(protocol: asyncio.Protocol) -> None:
             await asyncio.get_running_loop().create_connection(lambda: protocol, "127.0.0.1", port or self.port)
 
-        return Sealed(connect, name, key, engine)
+        return connect
 
     def attach(self, name: str = "anna", key: Key = ANNA, **how: Any) -> RemoteEngine:
         """Attach as an operator."""

@@ -220,6 +220,9 @@ def key_users(session: Session) -> dict[str, str]:
     for client, files in key_files_by_client(session).items():
         for file, user in zip(files, (client, f"{client} (next)"), strict=False):
             users[file] = f"{users[file]}, {user}" if file in users else user
+    for operator in session.operators:
+        file, user = operator.key_file, f"operator {operator.name}, who may {operator.may}"
+        users[file] = f"{users[file]}, {user}" if file in users else user
     return users
 
 

@@ -12,7 +12,7 @@ from rsb_bridge.model.session import Problem
 from rsb_bridge.model.text import is_clean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Hashable, Iterator, Mapping
     from pathlib import Path
 
     from rsb_bridge.config.keys import Key
@@ -64,21 +64,30 @@ def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key
         keys: of its links, by the clients' names.
 
     Raises:
-        KeyFileError: a key file is not there or holds no key, or two have the same key.
+        KeyFileError: a key file is not there or holds no key, or an operator has somebody else's key.
     """
-    owners = {key.secret: f"the link of {name}" for name, valid in keys.items() for key in valid}
-    granted: dict[str, Granted] = {}
-    for operator in session.operators:
-        path = key_path(base, operator.key_file)
-        key = read_key(path)
-        if other := owners.get(key.secret):
-            raise KeyFileError(
-                f"{path}: operator {operator.name} has the key of {other}, and could take its place: "
-                "make a key of its own with `rsb-console keygen`"
+    own = {each.name: read_key(key_path(base, each.key_file)) for each in session.operators}
+    if problem := operator_key_problem(own, keys):
+        raise KeyFileError(problem)
+    return {each.name: Granted(each, own[each.name]) for each in session.operators}
+
+
+def operator_key_problem(own: Mapping[str, Hashable], of_links: Mapping[str, Collection[Hashable]]) -> str:
+    """Why operators must not have these keys, and what to do; empty: they may.
+
+    Args:
+        own: what is the same for two operators if their keys are, by their names.
+        of_links: likewise for each key that is valid on a link, by the clients' names.
+    """
+    owners = {key: f"the link of {name}" for name, valid in of_links.items() for key in valid}
+    for name, key in own.items():
+        if other := owners.get(key):
+            return (
+                f"operator {name} has the key of {other}, and whoever has it could take either's place: "
+                f"make a key of its own with `rsb-console keygen`"
             )
-        owners[key.secret] = f"operator {operator.name}"
-        granted[operator.name] = Granted(operator, key)
-    return granted
+        owners[key] = f"operator {name}"
+    return ""
 
 
 def operator_changes(old: Mapping[str, Granted], new: Mapping[str, Granted]) -> list[str]:

@@ -61,11 +61,13 @@ class RemoteEngine(EngineApi):
     Attributes:
         bridge: who serves it, from `start` on.
         read_only: whether the bridge refuses what would change anything, from `start` on.
+        same_machine: whether the files that the bridge names are this machine's.
     """
 
     def __init__(self, where: Path | Way, *, read_only: bool = False, clock: Clock | None = None) -> None:
         self.read_only = read_only
         self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
+        self.same_machine = self._way.same_machine
         self._wants_read_only = read_only
         self.bridge: BridgeInfo
         self._log = EventLog(clock or Clock())
@@ -315,6 +317,8 @@ class RemoteEngine(EngineApi):
                 self._followed = message.events[-1].number
             case protocol.Step() | protocol.Reply() | protocol.Failed():
                 self._requests.take(message)
+            case protocol.Summary():
+                raise ProtocolError("a summary that nobody has asked for")
             case protocol.Refused() | protocol.Goodbye():
                 raise AssertionError("ends the connection")
         return False

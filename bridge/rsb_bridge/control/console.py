@@ -85,6 +85,10 @@ class Served(Protocol):
     info: BridgeInfo
     encoded: EncodedRoutes
 
+    def summary(self) -> bytes:
+        """The engine in a few figures, at most `SUMMARY_EVERY` s old; empty: nobody makes any."""
+        ...
+
     def stop_process(self) -> None:
         """Do what `rsb_bridge.control.commands.Stop` asks for."""
         ...
@@ -111,6 +115,9 @@ class Console:
         self._looking = False
         self._looked_at = 0.0
         self._after: int | None = None
+        self._watching = False
+        self._summary = b""
+        self._summed_at = float("-inf")
         self._may_not = ""
         self._operator = ""
         self._welcomed = False
@@ -175,6 +182,9 @@ class Console:
         elif isinstance(message, protocol.Follow):
             self._after = message.after
             self._send_events()
+        elif isinstance(message, protocol.Watch):
+            self._watching = True
+            self._send_summary()
         else:
             self._request(message)
 
@@ -246,6 +256,7 @@ class Console:
             self.abort()
         elif waiting == 0:
             self._send_events()
+            self._send_summary()
             await self._show()
 
     def _send_events(self) -> None:
@@ -257,10 +268,22 @@ class Console:
             self._after = events[-1].number
             self.send(protocol.Events(tuple(events)))
 
+    def _send_summary(self) -> None:
+        """Send the engine's figures where they are others, or nothing has been said for a while."""
+        since = self._loop.time() - self._summed_at
+        if not self._watching or since < protocol.SUMMARY_EVERY:
+            return
+        summary = self._served.summary()
+        if summary and (summary != self._summary or since >= protocol.SIGN_OF_LIFE_EVERY):
+            self._summary, self._summed_at = summary, self._loop.time()
+            self.send(protocol.Summary(summary))
+
     async def _show(self) -> None:
         """Send the state if it is a new one; or if it has been looked for long enough to wonder what is wrong."""
+        if not self._looking or self._buffered:
+            return
         is_new = self._engine.snapshot() is not self._sender.sent
-        if self._looking and self._buffered == 0 and (is_new or self._loop.time() - self._looked_at > _ANSWERED_WITHIN):
+        if is_new or self._loop.time() - self._looked_at > _ANSWERED_WITHIN:
             self._looking = False
             await self._send_state()
 

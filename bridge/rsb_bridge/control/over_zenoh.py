@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.sealed import SealedAcceptor
 from rsb_bridge.control.sealed_way import Sealed
+from rsb_bridge.control.summaries import Summaries
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.transport.zenoh.network import Network
@@ -56,6 +57,7 @@ def announce(engine: EngineApi, server: ControlServer) -> None:
         server: serves it; it has been started.
     """
     if isinstance(engine, Engine) and engine.network is not None:
+        server.summarize = Summaries(engine, server.info.program)
         _Announcement(server, engine.access, engine.network)
 
 
@@ -169,6 +171,8 @@ class FleetWay:
         file: names the fleet, and the operator.
         engine: the name of its session; empty: the only one that there is.
     """
+
+    same_machine = False
 
     def __init__(self, file: FleetFile, engine: str) -> None:
         self._file = file

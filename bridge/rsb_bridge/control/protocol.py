@@ -34,6 +34,12 @@ ROUTES_IN_STATE = 50
 """Routes in one `State`; a snapshot of more comes in several."""
 EVENTS_AT_ONCE = 500
 """Events in one `Events`."""
+TO_WATCHER_LIMIT = 64 << 10
+"""Bytes of a frame to a console that only watches: the largest is `Welcome`."""
+SUMMARY_LIMIT = 4096
+"""Bytes of a `Summary`'s content."""
+SUMMARY_EVERY, SIGN_OF_LIFE_EVERY = 1.0, 5.0
+"""s between two that differ at least, and between two at most."""
 REQUESTS_WAITING = 32
 """Requests of one console that a bridge answers at the same time."""
 CONSOLES = 32
@@ -148,7 +154,11 @@ class Follow(_Message, frozen=True, tag="follow"):
     after: int
 
 
-ToBridge: TypeAlias = Hello | Request | Look | Follow
+class Watch(_Message, frozen=True, tag="watch"):
+    """Asks for a `Summary` now and whenever it is another, for as long as the connection lasts."""
+
+
+ToBridge: TypeAlias = Hello | Request | Look | Follow | Watch
 
 
 # --- from a bridge
@@ -192,6 +202,16 @@ class Events(_Message, frozen=True, tag="events"):
     """
 
     events: tuple[Event, ...]
+
+
+class Summary(_Message, frozen=True, tag="summary"):
+    """The engine in a few figures: at most once a second when it has changed, and every 5 s as a sign of life.
+
+    Attributes:
+        content: as whoever made it has encoded it; no version of this protocol knows what is in it.
+    """
+
+    content: bytes
 
 
 class Step(_Message, frozen=True, tag="step"):
@@ -246,7 +266,7 @@ class Goodbye(_Message, frozen=True, tag="goodbye"):
     reason: str
 
 
-ToConsole: TypeAlias = Welcome | Refused | State | Events | Step | Reply | Failed | Goodbye
+ToConsole: TypeAlias = Welcome | Refused | State | Events | Summary | Step | Reply | Failed | Goodbye
 
 _encoder = msgspec.msgpack.Encoder()
 _to_bridge: msgspec.msgpack.Decoder[ToBridge] = msgspec.msgpack.Decoder(ToBridge)
@@ -312,9 +332,9 @@ def frames_to_bridge() -> Frames[ToBridge]:
     return Frames(TO_BRIDGE_LIMIT, _to_bridge)
 
 
-def frames_to_console() -> Frames[ToConsole]:
-    """What a console reads."""
-    return Frames(TO_CONSOLE_LIMIT, _to_console)
+def frames_to_console(limit: int = TO_CONSOLE_LIMIT) -> Frames[ToConsole]:
+    """What a console reads; `limit` is in bytes of a frame."""
+    return Frames(limit, _to_console)
 
 
 def _decoded(decoder: msgspec.msgpack.Decoder[M], body: bytes | msgspec.Raw) -> M:

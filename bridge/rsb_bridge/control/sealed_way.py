@@ -41,6 +41,8 @@ class Sealed:
         engine: the name of the session that is meant: no other one can answer in its place.
     """
 
+    same_machine = False
+
     def __init__(self, connect: Connect, operator: str, key: Key, engine: str) -> None:
         self._connect = connect
         self._operator = operator

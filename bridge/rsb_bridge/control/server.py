@@ -44,6 +44,8 @@ class ControlServer:
         on_stop: called, on this server's thread, when a console asks for the end of the process.
 
     Attributes:
+        summarize: makes the engine's figures for consoles that watch (`rsb_bridge.control.protocol.Summary`), on this
+            server's thread; None: nobody does.
         engine: as given.
         info: as given.
         encoded: what of the engine's state is encoded already, for all consoles.
@@ -54,10 +56,12 @@ class ControlServer:
         self.engine = engine
         self.info = info
         self.encoded = EncodedRoutes()
+        self.summarize: Callable[[], bytes] | None = None
         self.loop: asyncio.AbstractEventLoop
         self._listener = listener
         self._on_stop = on_stop
         self._consoles: set[Console] = set()
+        self._summary, self._summed_at = b"", float("-inf")
         self._one_less = asyncio.Event()
         self._at_end: list[Callable[[], None]] = []
         self._ending = ""
@@ -90,6 +94,13 @@ class ControlServer:
         self._on_stop()
 
     # --- on the thread
+
+    def summary(self) -> bytes:
+        """The engine in a few figures, made once for all consoles; empty: nobody makes any."""
+        now = self.loop.time()
+        if self.summarize is not None and now - self._summed_at >= protocol.SUMMARY_EVERY:
+            self._summary, self._summed_at = self.summarize(), now
+        return self._summary
 
     @property
     def ending(self) -> str:

@@ -39,6 +39,11 @@ class Way(Protocol):
     """Leads to one engine, again and again."""
 
     @property
+    def same_machine(self) -> bool:
+        """Whether the engine is on this machine: its files are this machine's files."""
+        ...
+
+    @property
     def text(self) -> str:
         """Names the engine where nothing is known of it yet, at the beginning of a message."""
         ...
@@ -63,6 +68,8 @@ class UnixSocket:
     Args:
         path: of the socket.
     """
+
+    same_machine = True
 
     def __init__(self, path: Path) -> None:
         self.path = path

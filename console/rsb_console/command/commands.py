@@ -24,6 +24,7 @@ from rsb_bridge.config.keys import (
     read_key,
     write_key,
 )
+from rsb_bridge.config.operators import operator_key_problem
 from rsb_bridge.config.rotation import key_warnings, written
 from rsb_bridge.config.session_file import SessionError, dump, load, save
 from rsb_bridge.config.shared_keys import shared_key_problem
@@ -211,7 +212,10 @@ def _warnings(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Itera
         name: tuple(key for file in files if isinstance(key := keys.get(file), Key))
         for name, files in key_files_by_client(session).items()
     }
-    yield from key_warnings(valid, time.time())
+    operators = {
+        f"operator {each.name}": (key,) for each in session.operators if isinstance(key := keys.get(each.key_file), Key)
+    }
+    yield from key_warnings(valid | operators, time.time())
     yield from map(str, advise(session, os.environ.get("ROS_DOMAIN_ID")))
     yield from map(str, uninstalled_types(session))
 
@@ -225,21 +229,21 @@ def _key_lines(session: Session, keys: Mapping[str, Key | KeyFileError]) -> Iter
 
 
 def _shared_keys(session: Session, keys: Mapping[str, Key | KeyFileError]) -> str:
-    """Why clients' keys are refused. Where a key cannot be read, its file stands for it."""
-    if session.role != "server" or not session.use_encryption:
-        return ""
-    files = key_files_by_client(session).items()
-    read = {
-        name: [key if isinstance(key := keys[file], Key) else file for file in of_client] for name, of_client in files
-    }
-    return shared_key_problem(session, read)
+    """Why clients' or operators' keys are refused. Where a key cannot be read, its file stands for it."""
+
+    def read(file: str) -> Key | str:
+        return key if isinstance(key := keys[file], Key) else file
+
+    files = key_files_by_client(session).items() if session.use_encryption else ()
+    of_links = {name: [*map(read, of_client)] for name, of_client in files}
+    shared = shared_key_problem(session, of_links) if session.role == "server" else ""
+    return shared or operator_key_problem({each.name: read(each.key_file) for each in session.operators}, of_links)
 
 
 def _keys(session: Session, path: Path) -> Iterator[tuple[str, Key | KeyFileError]]:
     """Each key that a session needs, by its file, or why there is none."""
-    if not session.use_encryption:
-        return
-    for name in dict.fromkeys(chain.from_iterable(key_files_by_client(session).values())):
+    of_links = chain.from_iterable(key_files_by_client(session).values()) if session.use_encryption else ()
+    for name in dict.fromkeys([*of_links, *(each.key_file for each in session.operators)]):
         try:
             yield name, read_key(key_path(path.parent, name))
         except KeyFileError as error:

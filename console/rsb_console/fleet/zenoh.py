@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge import __version__
 from rsb_bridge.api import EngineError
-from rsb_bridge.control import protocol
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.over_zenoh import FleetPresence, FleetWay
-from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.control.watching import watch
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary, decode
 
@@ -26,9 +24,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.over_zenoh import Member
 
-ANSWERED_WITHIN = 10.0
-SILENT_FOR = 4 * protocol.SUMMARY_EVERY
-"""s after which an engine that says nothing is not well, though its connection stands."""
+_ENDED_WITHIN = 5.0
 _FIRST_HEARD_WITHIN = 5.0
 """s that `ZenohFleet.start` waits for the first word of each engine."""
 MOST = 2000
@@ -76,7 +72,7 @@ class ZenohFleet:
         with contextlib.suppress(RuntimeError):  # it has ended by itself
             self._loop.call_soon_threadsafe(self._ends.set)
         if self._thread.is_alive():
-            self._thread.join(ANSWERED_WITHIN)
+            self._thread.join(_ENDED_WITHIN)
 
     def robots(self) -> list[RobotSummary]:
         return list(self._robots.values())
@@ -146,41 +142,17 @@ class ZenohFleet:
 
     async def _watch(self, member: Member, name: str) -> None:
         """Hear from an engine, for ever."""
+        assert self._presence is not None
+        way = self._presence.sealed(member)
         backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, self._random)
         while True:
             try:
-                await self._hear(member, name, backoff)
-            except TimeoutError:
-                why = "it does not answer"
-            except (ControlError, ProtocolError, OSError, ValueError) as error:
-                why = str(error).removeprefix(f"{member.name}: ")
-            else:
-                why = "it has closed the connection"
-            self._gone(name, why, RobotState.FAULT)
+                async for content in watch(way, self._may_connect):
+                    backoff.reset()
+                    self._take(name, decode(content))
+            except (ControlError, ValueError) as error:
+                self._gone(name, str(error).removeprefix(f"{member.name}: "), RobotState.FAULT)
             await asyncio.sleep(backoff.next())
-
-    async def _hear(self, member: Member, name: str, backoff: Backoff) -> None:
-        """Attach, and take what it says of itself until the connection ends."""
-        assert self._presence is not None
-        async with self._may_connect:
-            connection = await self._presence.sealed(member).open(ANSWERED_WITHIN)
-        try:
-            connection.write(protocol.encode(protocol.Hello(protocol.VERSION, __version__, read_only=True)))
-            connection.write(protocol.encode(protocol.Watch()))
-            frames = protocol.frames_to_console()
-            while True:
-                async with asyncio.timeout(SILENT_FOR):
-                    data = await connection.read()
-                if not data:
-                    return
-                for message in frames.feed(data):
-                    if isinstance(message, (protocol.Goodbye, protocol.Refused)):
-                        raise ControlError(message.reason)
-                    if isinstance(message, protocol.Summary):
-                        backoff.reset()
-                        self._take(name, decode(message.data))
-        finally:
-            connection.abort()
 
     def _take(self, name: str, summary: RobotSummary) -> None:
         now = time.time()

@@ -10,6 +10,7 @@ from rsb_bridge.config.session_file import SessionError, SessionFile, load_file
 from rsb_bridge.control.client import RemoteEngine
 
 if TYPE_CHECKING:
+    from rsb_bridge.control.ways import Way
     from rsb_bridge.model.session import Session
 
 
@@ -20,7 +21,7 @@ class Attached(NamedTuple):
         engine: the engine.
         name: of its session.
         base: the folder that its key files are relative to.
-        path: its session file; None: it is in no file.
+        path: its session file; None: it is in no file, or in one of another machine.
         file: that file as it is now; None: there is none, or it has mistakes.
         saved: the session in it; None likewise.
     """
@@ -33,13 +34,13 @@ class Attached(NamedTuple):
     saved: Session | None
 
 
-def at_socket(socket: Path, *, read_only: bool) -> RemoteEngine:
-    """Attach to a bridge by its control socket; may take some seconds.
+def attach(where: Path | Way, *, read_only: bool) -> RemoteEngine:
+    """Attach to a bridge by its control socket, or by another way; may take some seconds.
 
     Raises:
         EngineError: that cannot be done.
     """
-    engine = RemoteEngine(socket, read_only=read_only)
+    engine = RemoteEngine(where, read_only=read_only)
     engine.start()
     return engine
 
@@ -47,7 +48,7 @@ def at_socket(socket: Path, *, read_only: bool) -> RemoteEngine:
 def attached(engine: RemoteEngine) -> Attached:
     """What the console is to know of an engine that it has attached to."""
     bridge = engine.bridge
-    path = None if bridge.file is None else Path(bridge.file)
+    path = Path(bridge.file) if bridge.file is not None and engine.same_machine else None
     file = None
     if path is not None:
         with contextlib.suppress(SessionError):  # it has been changed, or removed

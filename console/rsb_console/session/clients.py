@@ -15,7 +15,7 @@ from rsb_bridge.config.files import give_owner
 from rsb_bridge.config.keys import Key, KeyFileError, key_files_by_client, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.config.shared_keys import shared_key_problem
-from rsb_bridge.model.session import Client, Session
+from rsb_bridge.model.session import Client, Session, ZenohSettings
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -23,6 +23,8 @@ from rsb_bridge.control.protocol import (
     Reply,
     Request,
     State,
+    Summary,
+    Watch,
     Welcome,
 )
 from rsb_bridge.control.states import Receiver
@@ -77,8 +79,16 @@ _TO_BRIDGE = (
     Request(5, History(3600.0)),
     Look(),
     Follow(7),
+    Watch(),
 )
-_TO_CONSOLE = (Welcome(_INFO), Reply(1, "key"), Failed(2, "no such topic"), Events(()), Goodbye("the bridge ends"))
+_TO_CONSOLE = (
+    Welcome(_INFO),
+    Reply(1, "key"),
+    Failed(2, "no such topic"),
+    Events(()),
+    Summary(b"figures"),
+    Goodbye("the bridge ends"),
+)
 
 PARSERS = (
     Parser(

@@ -1,0 +1,136 @@
+"""An engine in a few figures, for a screen of many: how often they come, and what they cost."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.operators import BOB, Reachable
+from tests.support.virtual_time import virtual_loop
+
+from rsb_bridge.control import protocol, watching
+from rsb_bridge.control.console import Console
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.protocol import VERSION, BridgeInfo, Hello, Summary, Watch, Welcome, encode
+from rsb_bridge.control.watching import watch
+from rsb_bridge.control.ways import UnixSocket
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.control import Machine
+
+    from rsb_bridge.control.ways import Way
+
+INFO = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "x", "0.1.0")
+
+
+class Taking:
+    """A connection that takes everything at once."""
+
+    operator, only_looks, closing = "anna", "", False
+
+    def __init__(self) -> None:
+        self.buffered = 0
+        self.taken = bytearray()
+
+    def write(self, data: bytes) -> None:
+        self.taken += data
+
+    def close(self) -> None:
+        raise AssertionError("it goes on")
+
+    abort = close
+
+
+def told(summarize: Callable[[float], bytes], seconds: float, *, stalls: bool = False) -> list[bytes]:
+    """What a console that watches is told in so many s."""
+    with virtual_loop() as loop:
+        connection = Taking()
+        served: Any = SimpleNamespace(info=INFO, engine=None, encoded=None, summary=lambda: summarize(loop.time()))
+
+        async def serve() -> None:
+            console = Console(served, connection)
+            console.received(encode(Hello(VERSION, "0.1.0", read_only=True)) + encode(Watch()))
+            connection.buffered = int(stalls)
+            await asyncio.sleep(seconds)
+            console.gone()
+
+        loop.run_until_complete(serve())
+    welcome, *summaries = protocol.frames_to_console().feed(bytes(connection.taken))
+    assert isinstance(welcome, Welcome)
+    return [each.content for each in summaries if isinstance(each, Summary)]
+
+
+def test_what_changes_all_the_time_comes_once_a_second() -> None:
+    contents = told(lambda now: str(now).encode(), 10.1)
+    assert len(contents) == len(set(contents)) == 11
+
+
+def test_what_does_not_change_comes_as_a_sign_of_life() -> None:
+    assert told(lambda _: b"same", 10.1) == [b"same"] * 3
+
+
+def test_where_nobody_makes_figures_none_come() -> None:
+    assert told(lambda _: b"", 10.1) == []
+
+
+def test_who_does_not_take_them_skips_some() -> None:
+    assert len(told(lambda now: str(now).encode(), 10.1, stalls=True)) == 1
+
+
+def seen(way: Way, count: int) -> list[bytes]:
+    """The first figures on a way."""
+
+    async def see() -> list[bytes]:
+        contents: list[bytes] = []
+        figures = watch(way)
+        async for content in figures:
+            contents.append(content)
+            if len(contents) == count:
+                break
+        await figures.aclose()  # type: ignore[attr-defined]
+        return contents
+
+    return asyncio.run(see())
+
+
+@pytest.mark.parametrize("by", ["socket", "network"])
+def test_figures_come_by_every_way(machine: Machine, monkeypatch: pytest.MonkeyPatch, by: str) -> None:
+    monkeypatch.setattr(protocol, "SUMMARY_EVERY", 0.0)
+    robot = Reachable(machine)
+    numbers = iter(range(1000))
+    robot.server.summarize = lambda: str(next(numbers)).encode()
+    way: Way = UnixSocket(machine.folder / "robot1.sock") if by == "socket" else robot.way("bob", BOB)
+    assert seen(way, 3) == [b"0", b"1", b"2"]
+
+
+def test_a_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(watching, "_SILENT_FOR", 0.2)
+    robot = Reachable(machine)
+    with pytest.raises(ControlError, match="does not answer"):
+        seen(robot.way(), 1)
+
+
+@pytest.mark.parametrize("content", [bytes(protocol.SUMMARY_LIMIT + 1), bytes(protocol.TO_WATCHER_LIMIT)])
+def test_figures_that_are_too_long_are_refused(machine: Machine, content: bytes) -> None:
+    robot = Reachable(machine)
+    robot.server.summarize = lambda: content
+    with pytest.raises(ControlError):
+        seen(robot.way(), 1)
+
+
+def test_why_it_ends_is_said(machine: Machine) -> None:
+    robot = Reachable(machine)
+    robot.server.summarize = lambda: b"figures"
+
+    async def see() -> None:
+        async for _ in watch(robot.way()):
+            robot.access.grant({})
+
+    with pytest.raises(ControlError, match="may not attach any more"):
+        asyncio.run(see())
+    with pytest.raises(ControlError, match="anna"):
+        seen(robot.way(), 1)
