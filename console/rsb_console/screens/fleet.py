@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
+from textual import work
 from textual.screen import Screen
 
 from rsb_console.actions.registry import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.clipboard import copy
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.fleet import FleetStatus, FleetTable, FleetView, RobotDetail
 from rsb_console.widgets.keybar import KeyBar, KeyEntry
 from rsb_console.widgets.prompt import Prompt
@@ -78,7 +80,7 @@ class FleetScreen(Screen[None]):
         return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
 
     def _show_detail(self) -> None:
-        self.detail.show(self.table.rows.get(self.table.cursor_key or ""))
+        self.detail.show(*self.table.described)
 
     def _show_title(self) -> None:
         view, parts = self.view, ["Robots"]
@@ -174,6 +176,14 @@ class FleetScreen(Screen[None]):
         self.table.mark()
         self._show_title()
         self._show_keys()
+
+    @work(group=DIALOG)
+    async def action_edit_marked(self) -> None:
+        """Edit a topic of the marked robots, or of the one under the cursor."""
+        from rsb_console.screens.rollout import RolloutScreen  # noqa: PLC0415 -- seldom needed
+
+        if robots := [robot for robot in self.table.meant if not robot.gone]:
+            await self.console.ask(RolloutScreen(self.console, self.fleet, robots))
 
     def action_dismiss(self) -> None:  # type: ignore[override]  # Textual's closes a screen, which this one never does
         """Forget a robot that has gone."""
