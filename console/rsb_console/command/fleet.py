@@ -126,6 +126,15 @@ def _report(robot: Robot) -> dict[str, object]:
     return {**figures, "server": robot.source.name, "gone": robot.gone}
 
 
+def _dismiss(arguments: Namespace) -> int:
+    with _fleet(arguments) as fleet:
+        gone = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone, gone=True)
+        fleet.dismiss(gone)
+    if arguments.json:
+        print_line(json_line({"ok": True, "dismissed": [robot.summary.name for robot in gone]}))
+    return OK
+
+
 # --- a command for some robots
 
 
@@ -299,4 +308,4 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     return FAILURE if stopped else OK
 
 
-_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "exec": _exec, "edit": _edit}
+_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}

@@ -15,7 +15,7 @@ from rsb_bridge.model.text import join_first
 from rsb_console.fleet.memory import Remembered
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from rsb_bridge.model.clock import Clock
     from rsb_console.fleet.memory import Memory
@@ -140,25 +140,28 @@ class Fleet:
         """Messages a second, both ways, every 5 s of the last minute, the oldest first."""
         return tuple(self._rates.get(robot.key, ()))
 
-    def dismiss(self, robot: Robot) -> bool:
-        """Forget a robot that has gone; whether it had."""
-        if robot.gone:
-            self._memory.forget(robot.source.name, robot.summary.name)
-            self._memory.save()
-        return robot.gone
+    def dismiss(self, robots: Iterable[Robot]) -> None:
+        """Forget the robots among these that have gone."""
+        for robot in robots:
+            if robot.gone:
+                self._memory.forget(robot.source.name, robot.summary.name)
+        self._memory.save()
 
-    def chosen(self, names: Collection[str], group: str = "", *, everyone: bool = False) -> list[Robot]:
+    def chosen(
+        self, names: Collection[str], group: str = "", *, everyone: bool = False, gone: bool = False
+    ) -> list[Robot]:
         """The robots that are named, or in a group, by name.
 
         Args:
             names: as an operator calls them: ``robot1``, or with the source where several have one, ``control/robot1``.
             group: all of this group; empty: none.
             everyone: all robots.
+            gone: of those that have gone, and not of those that are known.
 
         Raises:
             UnknownRobotError: one of them is not there, or is not clear.
         """
-        robots = sorted((robot for robot in self.robots() if not robot.gone), key=lambda robot: robot.order)
+        robots = sorted((robot for robot in self.robots() if robot.gone is gone), key=lambda robot: robot.order)
         found: dict[str, Robot] = {}
         for robot in robots:
             if everyone or (group and robot.summary.group == group):
