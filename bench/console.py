@@ -69,6 +69,8 @@ def main() -> None:
     print("the same, 100 of the rows services and 20 actions with goals")
     for rate, environ in (("4 Hz", {}), ("2 Hz", OVER_SSH)):
         _alone(rate, environ, "calls")
+    print("the fleet's screen, 200 robots, half of them changing in each refresh, at 2 Hz, as the console over SSH")
+    _alone("2 Hz", OVER_SSH, program=("bench.fleet_alone", "200"), landmark=b"Robots")
     print(f"\na bridge carrying {RATE} msg/s of {SIZE} bytes over TCP, {ROUNDS} x {SECONDS:.0f} s each, by turns")
     print(f"{'client':>8} {'lost':>6} {'p50 ms':>8} {'p99 ms':>8} {'of which':>12} {'CPU s':>7} {'p99 ratio':>10}")
     over_ssh = partial(_console, environ=OVER_SSH)
@@ -91,10 +93,16 @@ def _console(session: Path, environ: Mapping[str, str] = {}) -> Watched:
     return Watched("-m", "rsb_console", "run", str(session), environ=environ)
 
 
-def _alone(name: str, environ: dict[str, str], *kinds: str) -> None:
-    console = Watched("-m", "bench.console_alone", "500", *kinds, environ=environ)
+def _alone(
+    name: str,
+    environ: dict[str, str],
+    *kinds: str,
+    program: tuple[str, ...] = ("bench.console_alone", "500"),
+    landmark: bytes = b"Topics",
+) -> None:
+    console = Watched("-m", *program, *kinds, environ=environ)
     try:
-        painted = console.until(lambda: b"Topics" in console.terminal.output)
+        painted = console.until(lambda: landmark in console.terminal.output)
         time.sleep(2.0)
         cpu, written = console.cpu(), console.written
         time.sleep(SECONDS)

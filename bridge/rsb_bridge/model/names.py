@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 _PART = r"[A-Za-z_][A-Za-z0-9_]*"
 _TOPIC = re.compile(rf"(/{_PART})+")
 _PREFIX = re.compile(rf"{_PART}(/{_PART})*")
+
+_DIGITS = re.compile(r"([0-9]{1,18})")
 
 _STEM_LENGTH = 64
 
@@ -15,6 +18,13 @@ def file_stem(name: str, number: int = 1) -> str:
     """A session's name as a file's name without suffix; the number tells sessions of one name apart."""
     safe = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:_STEM_LENGTH].lstrip(".") or "_"
     return safe if number == 1 else f"{safe}-{number}"
+
+
+@lru_cache(maxsize=4096)
+def natural_order(name: str) -> tuple[tuple[str, int], ...]:
+    """A sort key by which ``robot2`` comes before ``robot10``."""
+    parts = _DIGITS.split(name)
+    return tuple((text, int(digits or 0)) for text, digits in zip(parts[::2], [*parts[1::2], ""], strict=True))
 
 
 def is_topic_name(name: str) -> bool:

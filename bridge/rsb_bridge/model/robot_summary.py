@@ -272,7 +272,8 @@ def _summary(
         sum(_rate(route) for route in routes if route.link in up and route.outgoing is outgoing)
         for outgoing in (True, False)
     )
-    tx, rx = sum(link.tx_bytes_per_second for link in links), sum(link.rx_bytes_per_second for link in links)
+    tx = sum(link.tx_bytes_per_second for link in links if link.name in up)
+    rx = sum(link.rx_bytes_per_second for link in links if link.name in up)
     if not from_robot_is_sent:
         sent, received, tx, rx = received, sent, rx, tx
     return RobotSummary(

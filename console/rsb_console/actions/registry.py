@@ -148,7 +148,7 @@ FLEET_ACTIONS: tuple[Action, ...] = (
     Action("mark", "space", "mark", "Mark the robot, or all of the group", Group.FLEET, in_footer=True),
     Action("edit_marked", "e", "edit", "Edit a topic of the marked robots, one after the other",
            Group.FLEET, changes=True, in_footer=True, also="roll out, max_rate, pause"),
-    Action("dismiss", "d", "dismiss", "Forget a robot that has gone", Group.FLEET, in_footer=True),
+    Action("dismiss", "d", "dismiss", "Forget the robots that have gone", Group.FLEET, in_footer=True),
     *(replace(_CONSOLE_ACTIONS[name], help=text) for name, text in _ON_FLEET.items()),
     *(action for action in ACTIONS
       if action.group is Group.MOVE or (action.group is Group.CONSOLE and action.id not in _ON_FLEET)),

@@ -23,6 +23,7 @@ from rsb_console.fleet.fleet import Fleet, UnknownRobotError
 from rsb_console.fleet.memory import Memory, memory_path
 from rsb_console.fleet.rolling import Rollout
 from rsb_console.fleet.servers import ServerFleet
+from rsb_console.fleet.words import names_of, report, said, way_back
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -127,6 +128,15 @@ def _report(robot: Robot) -> dict[str, object]:
         if isinstance(value, float):
             figures[name] = round(value, 3)
     return {**figures, "server": robot.source.name, "gone": robot.gone}
+
+
+def _dismiss(arguments: Namespace) -> int:
+    with _fleet(arguments) as fleet:
+        gone = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone, gone=True)
+        fleet.dismiss(gone)
+    if arguments.json:
+        print_line(json_line({"ok": True, "dismissed": [robot.summary.name for robot in gone]}))
+    return OK
 
 
 # --- a command for some robots
@@ -243,11 +253,6 @@ def _edit(arguments: Namespace) -> int:
         return _ended(arguments, rollout, outcome, steps)
 
 
-def said(step: Step) -> str:
-    """What a step would change, in words."""
-    return step.problem or ", ".join(step.changes) or "nothing to change"
-
-
 def _planned(step: Step) -> dict[str, object]:
     return {"robot": step.name, "server": step.robot.source.name, "changes": step.changes, "problem": step.problem}
 
@@ -284,7 +289,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     undone = False
     if stopped and outcome.changed:
         undone = arguments.undo or (
-            not arguments.yes and _agreed(f"Put back what was before on {_names(outcome.changed)}?")
+            not arguments.yes and _agreed(f"Put back what was before on {names_of(outcome.changed)}?")
         )
         if undone:
             kept = rollout.undo(outcome, _silent if arguments.json else _told)
@@ -307,28 +312,4 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     return FAILURE if stopped else OK
 
 
-def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
-    """Where a change has stopped, and why; what is done, and what is not."""
-    if outcome.failed is not None:
-        has_it = f"it has {' '.join(rollout.keys)}" if outcome.was_changed else "it is as it was"
-        yield f"stopped at {outcome.failed.name}: {outcome.why} ({has_it})"
-    else:
-        yield f"stopped: {outcome.why}"
-    yield f"done: {_names(outcome.done) or 'none'}"
-    yield f"not begun: {_names(outcome.left) or 'none'}"
-
-
-def way_back(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
-    """The commands that put back what was before."""
-    by_keys: dict[str, list[str]] = {}
-    for step in outcome.changed:
-        by_keys.setdefault(" ".join(step.back(rollout.keys)), []).append(step.name)
-    for keys, names in by_keys.items():
-        yield f"to go back: rsb-console fleet edit {' '.join(names)} {rollout.topic} {keys}"
-
-
-def _names(steps: Sequence[Step]) -> str:
-    return ", ".join(step.name for step in steps)
-
-
-_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "exec": _exec, "edit": _edit}
+_COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}

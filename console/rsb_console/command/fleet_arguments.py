@@ -24,6 +24,10 @@ exit codes, with --json:
   0  nothing is wrong
   1  something is wrong with a robot: its state says what
 {_NO_SERVER}"""
+_DISMISS = f"""\
+exit codes:
+  0  done
+{_NO_SERVER}"""
 _EXEC = f"""\
 COMMAND is one of the commands that show or change a bridge, with its arguments:
 {{commands}}. Topics have the
@@ -70,6 +74,8 @@ def add_fleet_commands(
     )
     console_options(fleet)
     commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
+    forget = _add(commands, complete, "dismiss", "forget robots that were there, and are known no more", _DISMISS)
+    forget.add_argument("names", metavar="NAME", nargs="*", help="robots")
     listed = f"{', '.join(ALLOWED[:7])},\n{', '.join(ALLOWED[7:])}"
     run = _add(commands, complete, "exec", "run a command for some robots", _EXEC.replace("{commands}", listed))
     run.add_argument("names", metavar="NAME", nargs="*", help="robots")

@@ -9,21 +9,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from rsb_bridge.model.names import natural_order
 from rsb_bridge.model.robot_summary import RobotState, RobotSummary
 from rsb_bridge.model.text import join_first
 from rsb_console.fleet.memory import Remembered
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from rsb_bridge.model.clock import Clock
     from rsb_console.fleet.memory import Memory
     from rsb_console.fleet.source import FleetSource
 
 HISTORY = 12
-"""s of message rates that are kept of each robot."""
+"""Message rates that are kept of each robot, one every `_SAMPLED_EVERY` s: of a minute."""
 _SAVED_EVERY = 60.0
-_SAMPLED_EVERY = 1.0
+_SAMPLED_EVERY = 5.0
 
 
 class UnknownRobotError(ValueError):
@@ -47,6 +48,11 @@ class Robot(NamedTuple):
     def key(self) -> str:
         """Tells it from all others, also of other sources."""
         return f"{self.source.name}/{self.summary.name}"
+
+    @property
+    def order(self) -> tuple[object, ...]:
+        """A sort key, by name."""
+        return natural_order(self.summary.name), self.source.name
 
 
 class Fleet:
@@ -88,7 +94,7 @@ class Fleet:
         """All robots as they are now, the worst first; those that are equally well by name."""
         found = [robot for source in self.sources for robot in self._of(source)]
         self._remember(found)
-        return sorted(found, key=lambda robot: (robot.summary.state.rank, robot.summary.name, robot.source.name))
+        return sorted(found, key=lambda robot: (robot.summary.state.rank, robot.order))
 
     def _of(self, source: FleetSource) -> list[Robot]:
         robots = [Robot(source, self._with_memory(source, summary)) for summary in source.robots()]
@@ -131,28 +137,31 @@ class Fleet:
             self._memory.save()
 
     def rates(self, robot: Robot) -> Sequence[float]:
-        """Messages a second, both ways, in each of the last seconds, the oldest first."""
+        """Messages a second, both ways, every 5 s of the last minute, the oldest first."""
         return tuple(self._rates.get(robot.key, ()))
 
-    def dismiss(self, robot: Robot) -> bool:
-        """Forget a robot that has gone; whether it had."""
-        if robot.gone:
-            self._memory.forget(robot.source.name, robot.summary.name)
-            self._memory.save()
-        return robot.gone
+    def dismiss(self, robots: Iterable[Robot]) -> None:
+        """Forget the robots among these that have gone."""
+        for robot in robots:
+            if robot.gone:
+                self._memory.forget(robot.source.name, robot.summary.name)
+        self._memory.save()
 
-    def chosen(self, names: Collection[str], group: str = "", *, everyone: bool = False) -> list[Robot]:
+    def chosen(
+        self, names: Collection[str], group: str = "", *, everyone: bool = False, gone: bool = False
+    ) -> list[Robot]:
         """The robots that are named, or in a group, by name.
 
         Args:
             names: as an operator calls them: ``robot1``, or with the source where several have one, ``control/robot1``.
             group: all of this group; empty: none.
             everyone: all robots.
+            gone: of those that have gone, and not of those that are known.
 
         Raises:
             UnknownRobotError: one of them is not there, or is not clear.
         """
-        robots = sorted((robot for robot in self.robots() if not robot.gone), key=lambda robot: robot.key)
+        robots = sorted((robot for robot in self.robots() if robot.gone is gone), key=lambda robot: robot.order)
         found: dict[str, Robot] = {}
         for robot in robots:
             if everyone or (group and robot.summary.group == group):
@@ -168,7 +177,7 @@ class Fleet:
                 keys = ", ".join(robot.key for robot in meant)
                 raise UnknownRobotError(f"several robots are called {name}; say which: {keys}")
             found[meant[0].key] = meant[0]
-        return sorted(found.values(), key=lambda robot: robot.key)
+        return sorted(found.values(), key=lambda robot: robot.order)
 
 
 def _gone(robot: Remembered) -> RobotSummary:

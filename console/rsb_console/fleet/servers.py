@@ -86,6 +86,7 @@ class RobotEngine(RemoteEngine):
             self._whole, robot = whole, self._robot
             self._part = replace(
                 whole,
+                name=f"{robot} at {whole.name}",
                 links=tuple(link for link in whole.links if link.name == robot),
                 routes=tuple(route for route in whole.routes if route.link == robot),
             )

@@ -5,10 +5,13 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
+from textual import work
 from textual.screen import Screen
 
+from rsb_bridge.model.text import join_first
 from rsb_console.actions.registry import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.clipboard import copy
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.widgets.fleet import FleetStatus, FleetTable, FleetView, RobotDetail
 from rsb_console.widgets.keybar import KeyBar, KeyEntry
 from rsb_console.widgets.prompt import Prompt
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from rsb_console.console import ConsoleShell
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.widgets.selectable_list import SelectableList
+
+_NAMED = 5
 
 
 class FleetScreen(Screen[None]):
@@ -78,7 +83,7 @@ class FleetScreen(Screen[None]):
         return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
 
     def _show_detail(self) -> None:
-        self.detail.show(self.table.rows.get(self.table.cursor_key or ""))
+        self.detail.show(*self.table.described)
 
     def _show_title(self) -> None:
         view, parts = self.view, ["Robots"]
@@ -94,7 +99,7 @@ class FleetScreen(Screen[None]):
 
     def _show_keys(self) -> None:
         """Show the keys that do something now, if those have changed."""
-        here, marked, gone = self.app.screen is self, len(self.view.marked), self._gone
+        here, marked, gone = self.app.screen is self, len(self.view.marked), bool(self._gone)
         depends_on = (here, marked, gone, self.table.selected_group, self.table.cursor_key is None)
         if depends_on == self._keys_shown_for:
             return
@@ -118,9 +123,9 @@ class FleetScreen(Screen[None]):
         )
 
     @property
-    def _gone(self) -> bool:
-        robot = self.table.selected
-        return robot is not None and robot.gone
+    def _gone(self) -> list[Robot]:
+        """The robots that could be dismissed."""
+        return [robot for robot in self.table.meant if robot.gone]
 
     def _key(self, action: str) -> str:
         return self.console.key_labels(BY_ID[action])[0]
@@ -175,12 +180,23 @@ class FleetScreen(Screen[None]):
         self._show_title()
         self._show_keys()
 
+    @work(group=DIALOG)
+    async def action_edit_marked(self) -> None:
+        """Edit a topic of the marked robots, or of the one under the cursor."""
+        from rsb_console.screens.rollout import RolloutScreen  # noqa: PLC0415 -- seldom needed
+
+        if robots := [robot for robot in self.table.meant if not robot.gone]:
+            await self.console.ask(RolloutScreen(self.console, self.fleet, robots))
+        else:
+            self.notify("these robots are only remembered: there is nothing to edit", timeout=4)
+
     def action_dismiss(self) -> None:  # type: ignore[override]  # Textual's closes a screen, which this one never does
-        """Forget a robot that has gone."""
-        robot = self.table.selected
-        if robot is not None and self.fleet.dismiss(robot):
-            self.notify(f"{robot.summary.name} is forgotten", markup=False, timeout=3)
-            self.show()
+        """Forget robots that have gone: those that are marked, else the one under the cursor, or its group's."""
+        gone = self._gone
+        self.fleet.dismiss(gone)
+        names = join_first([robot.summary.name for robot in gone], _NAMED)
+        self.notify(f"forgotten: {names}", markup=False, timeout=3)
+        self.show()
 
     def action_filter(self) -> None:
         self.prompt.open("" if self.view.pattern is None else self.view.pattern.text)

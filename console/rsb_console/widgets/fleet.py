@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _GROUP = "\0"
 """Before a group's name: the key of its heading."""
 _MARKED, _FOLDED, _UNFOLDED = "✓", "▸", "▾"
+ROOMY = 100  # cells
 _EDGE = 2  # cells: the cursor, and the mark
 
 
@@ -46,7 +47,7 @@ class FleetView:
     cursor: str | None = None
     pattern: Pattern | None = None
     faults_only: bool = False
-    grouped: bool = True
+    grouped: bool = False
     folded: set[str] = field(default_factory=set)
     marked: set[str] = field(default_factory=set)
     sort_column: Column[Row] = STATE
@@ -151,6 +152,15 @@ class FleetTable(SelectableList):
         """The group whose heading is under the cursor."""
         key = self.cursor_key
         return key.removeprefix(_GROUP) if key is not None and key.startswith(_GROUP) else None
+
+    @property
+    def described(self) -> tuple[str, list[Row]]:
+        """What is under the cursor, by its name: a robot, or those of a group, the worst first."""
+        if (group := self.selected_group) is not None:
+            rows = sorted(self._groups.get(group, ()), key=STATE.order)
+            return group or "no group", rows
+        row = self.rows.get(self.cursor_key or "")
+        return ("", []) if row is None else (row.robot.summary.name, [row])
 
     @property
     def meant(self) -> list[Robot]:
@@ -306,7 +316,11 @@ class FleetStatus(LiveLines):
             (f" {names} ", "strong"),
             (f" {formats.counted(len(robots), 'robot')}", ""),
             *state_counts(robots),
-            (f" │ from {formats.byte_rate(rx)} │ to {formats.byte_rate(tx)}", "dim"),
+            *(
+                ((f" │ from {formats.byte_rate(rx)} │ to {formats.byte_rate(tx)}", "dim"),)
+                if self.width >= ROOMY
+                else ()
+            ),
             *((("  READ-ONLY", "waiting"),) if readonly else ()),
         )
         problems = [
@@ -334,11 +348,28 @@ class RobotDetail(LiveLines):
     def line(self, index: int) -> Line:
         return fit(self._lines[index], self.width)
 
-    def show(self, row: Row | None) -> None:
-        """Show a robot; None: none is under the cursor."""
-        self._lines = [] if row is None else list(_detail(row, max(20, self.size.width)))
-        self.entitle("" if row is None else f" {row.robot.summary.name} ")
+    def show(self, title: str, rows: Sequence[Row]) -> None:
+        """Show a robot, or those of a group with something wrong.
+
+        Args:
+            title: its name.
+            rows: the worst first.
+        """
+        if len(rows) == 1:
+            self._lines = list(_detail(rows[0], max(20, self.size.width)))
+        else:
+            wrong = [row for row in rows if row.robot.summary.state.is_wrong]
+            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]]
+            if len(wrong) > self.LINES:
+                self._lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
+        self.entitle(f" {title} " if title else "")
         self.sync()
+
+
+def _in_a_line(row: Row) -> Line:
+    summary = row.robot.summary
+    sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]:<7} ", ROBOT_LOOK[summary.state])
+    return (sign, (f"{summary.name} ", "strong"), (summary.why, ""))
 
 
 def _detail(row: Row, width: int) -> Iterator[Line]:

@@ -81,8 +81,8 @@ def _charge(row: Row) -> float:
     return 2.0 if battery is None else battery.charge
 
 
-def _by_state(row: Row) -> tuple[int, str]:
-    return row.robot.summary.state.rank, row.robot.summary.name
+def _by_state(row: Row) -> tuple[object, ...]:
+    return row.robot.summary.state.rank, row.robot.order
 
 
 COLUMNS: tuple[Column[Row], ...] = (
@@ -91,9 +91,10 @@ COLUMNS: tuple[Column[Row], ...] = (
         right=False, from_width=WIDE,
     ),
     Column("", 1, lambda r: ROBOT_SIGN[r.robot.summary.state], _by_state, right=False),
-    Column("ROBOT", 0, lambda r: r.robot.summary.name, lambda r: r.robot.key, right=False),
-    Column("SERVER", 10, lambda r: r.robot.source.name, lambda r: r.robot.key, right=False, from_width=60),
-    Column("GROUP", 10, lambda r: r.robot.summary.group, lambda r: (r.robot.summary.group, r.robot.summary.name),
+    Column("ROBOT", 0, lambda r: r.robot.summary.name, lambda r: r.robot.order, right=False),
+    Column("SERVER", 10, lambda r: r.robot.source.name, lambda r: (r.robot.source.name, r.robot.order), right=False,
+           from_width=60),
+    Column("GROUP", 10, lambda r: r.robot.summary.group, lambda r: (r.robot.summary.group, r.robot.order),
            right=False, from_width=100),
     Column("FLOW", 7, lambda r: f"{r.robot.summary.flowing}/{r.robot.summary.routes}",
            lambda r: r.robot.summary.flowing - r.robot.summary.routes),
@@ -108,7 +109,7 @@ COLUMNS: tuple[Column[Row], ...] = (
     Column("SINCE", 5, lambda r: formats.age(_since(r)), _since, from_width=40),
     Column(" HISTORY", HISTORY + 1, lambda r: sparkline(r.rates, HISTORY, max(r.rates, default=0.0)),
            lambda r: -sum(r.rates), right=False, from_width=80),
-    Column("VERSION", 8, lambda r: r.robot.summary.version, lambda r: (r.robot.summary.version, r.robot.summary.name),
+    Column("VERSION", 8, lambda r: r.robot.summary.version, lambda r: (r.robot.summary.version, r.robot.order),
            right=False, from_width=112),
     Column("WHY", 40, lambda r: r.robot.summary.why, lambda r: (not r.robot.summary.why, r.robot.summary.why),
            right=False, from_width=150),
