@@ -57,14 +57,20 @@ def announce(engine: EngineApi, server: ControlServer) -> None:
         server: serves it; it has been started.
     """
     if isinstance(engine, Engine) and engine.network is not None:
-        server.summarize = Summaries(engine, server.info.program)
-        _Announcement(server, engine.access, engine.network)
+        Announcement(server, engine.access, engine.network)
 
 
-class _Announcement:
-    """Belongs to the server's loop, but for its beginning."""
+class Announcement:
+    """Announces an engine, and lets its operators in, until its server closes.
+
+    Args:
+        server: serves the engine; it has been started.
+        access: says who may attach.
+        network: where.
+    """
 
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
+        server.summarize = Summaries(server.engine, server.info.program)
         self._acceptor = SealedAcceptor(server, access)
         self._network = network
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, Random())  # noqa: S311 -- jitter, no secret
@@ -122,8 +128,6 @@ class FleetPresence:
             OSError: it is not reached; the message says why.
         """
         endpoint = self._endpoint = await self._network.endpoint(CONSOLE, self._file.operator, (ENGINE,))
-        for seen in await endpoint.ask(ENGINE):
-            self._seen(seen, comes=True)
         endpoint.on_seen = lambda seen, comes: self._seen(seen, comes=comes)
         for seen in tuple(endpoint.seen.values()):
             self._seen(seen, comes=True)

@@ -143,8 +143,11 @@ class Endpoint:
         self._woken = False
         self._declared: list[zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
 
-    def announce(self) -> None:
-        """Begin to receive, and let all see that this endpoint is there."""
+    async def announce(self) -> None:
+        """Begin to receive, know who is there, and let all see that this endpoint is."""
+        for service in self._watched:  # before anything is declared: from then on, Zenoh answers by what it has heard
+            for seen in await self.ask(service):
+                self._announced(seen, comes=True)
         session, root = self._session, self._root
         live = session.liveliness()
         watched = [f"{root}/here/{service}/*/*" for service in self._watched]

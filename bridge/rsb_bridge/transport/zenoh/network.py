@@ -98,7 +98,11 @@ class Network:
                 raise OSError(f"{self.place}: closed meanwhile")
             endpoint = Endpoint(session, self.settings.fleet, service, label, watched, self._left)
             self._endpoints.append(endpoint)
-        endpoint.announce()
+        try:
+            await endpoint.announce()
+        except BaseException:
+            endpoint.close()
+            raise
         return endpoint
 
     def close(self) -> None:
