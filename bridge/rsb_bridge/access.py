@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import KeyFileError
-from rsb_bridge.config.operators import granted_operators, operator_changes
+from rsb_bridge.config.operators import granted_operators, operator_changes, operator_key_problem
 from rsb_bridge.config.rotation import key_warnings
 from rsb_bridge.config.shared_keys import unshared_keys
 from rsb_bridge.model.codes import EventCode
@@ -59,6 +59,18 @@ class Access:
         self.granted = granted
         for changed in self._watchers:
             changed()
+
+    def check_link(self, keys: Mapping[str, tuple[Key, ...]]) -> None:
+        """Check that no operator has the key of a link that is to be let in.
+
+        Args:
+            keys: of the link, by its client's name.
+
+        Raises:
+            EngineError: one has.
+        """
+        if problem := operator_key_problem({name: each.key for name, each in self.granted.items()}, keys):
+            raise EngineError(problem)
 
     def reload(self, granted: Mapping[str, Granted], *, dry_run: bool) -> list[str]:
         """As `grant`, where somebody has changed the session.

@@ -341,8 +341,9 @@ class Engine(EngineApi):
         if self._session.role != "server":
             raise EngineError("only a server has clients")
         base = self._base if self._file is None else self._file.parent
-        alone = msgspec.structs.replace(self._session, clients=(client,))
+        alone = msgspec.structs.replace(self._session, clients=(client,), operators=())
         keys, _ = await asyncio.to_thread(load_keys, alone, base)
+        self.access.check_link(keys)
         self.access.warn_of(keys, {})
         await command(client, keys[client.name])
 

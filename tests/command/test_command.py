@@ -162,6 +162,24 @@ def test_check_refuses_clients_that_share_a_key(second: str) -> None:
     assert rsb_console("check", "pc.yaml").returncode == (3 if second == "gone.txt" else 0)
 
 
+def test_check_lists_operators_and_refuses_those_with_a_key_of_others() -> None:
+    for name in ("key.txt", "anna.key"):
+        rsb_console("keygen", name)
+    Path("pc.yaml").write_text(
+        "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nkey_file: key.txt\n"
+        "operators: [{name: anna, key_file: anna.key}]\n"
+    )
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, run.stderr) == (0, "")
+    assert "key anna.key, for operator anna, who may look: " in run.stdout
+    Path("anna.key").write_bytes(Path("key.txt").read_bytes())
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, "operator anna" in run.stderr) == (2, True)
+    Path("anna.key").unlink()
+    run = rsb_console("check", "pc.yaml")
+    assert (run.returncode, "warning: anna.key: no such key file" in run.stdout) == (3, True)
+
+
 def test_check_lists_what_each_client_may_do_and_what_moves_a_robot() -> None:
     Path("fleet.yaml").write_text(
         "name: pc\nrole: server\nserver_ip: 0.0.0.0\nserver_port: 4000\nuse_encryption: false\nports: [12001]\n"

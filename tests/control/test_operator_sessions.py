@@ -16,7 +16,7 @@ from rsb_bridge.config.keys import copy_key, read_key, write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.session import Operator, Session
+from rsb_bridge.model.session import Client, Operator, Session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -114,6 +114,15 @@ def test_an_engine_does_not_start_where_an_operator_has_another_s_key(robot: Rob
     copy_key(read_key(robot.path.with_name(other)), robot.path.with_name("bob.key"), force=True)
     with pytest.raises(EngineError, match="bob"):
         robot.engine.start()
+
+
+def test_a_client_with_an_operator_s_key_is_not_let_in(robot: Robot) -> None:
+    robot.engine.start()
+    with pytest.raises(EngineError, match="anna"):
+        robot.engine.add_client(Client("robot2", key_file="anna.key")).result(60)
+    robot.path.with_name("anna.key").unlink()  # the engine has read it long ago
+    write_key(robot.path.with_name("robot2.key"))
+    robot.engine.add_client(Client("robot2", key_file="robot2.key")).result(60)
 
 
 def test_a_file_that_others_may_read_is_warned_of(robot: Robot) -> None:

@@ -16,6 +16,7 @@ from tests.wire.links import make_client
 from rsb_bridge.config.keys import Key
 from rsb_bridge.control import commands, console, sealed
 from rsb_bridge.control.protocol import CONSOLES, Failed, Hello, Look, Refused, Request, encode
+from rsb_bridge.model.benchmark import Order
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.wire import events
@@ -53,7 +54,7 @@ def test_who_may_look_is_refused_every_change_whatever_their_console_says(machin
     robot = Reachable(machine)
     with Stranger(robot.port, "bob", BOB) as bob:
         bob.attach(read_only=read_only)
-        for number, command in enumerate(CHANGES):
+        for number, command in enumerate((*CHANGES, commands.Bench(Order()))):
             bob.say(Request(number, command))
             answer = bob.answer()
             assert isinstance(answer, Failed)

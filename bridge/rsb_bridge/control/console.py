@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
-from rsb_bridge.control.commands import CHANGING, ArmTopic
+from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
 from rsb_bridge.control.performing import perform
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.states import EncodedRoutes, Sender
@@ -119,6 +119,7 @@ class Console:
         self._summary = b""
         self._summed_at = float("-inf")
         self._may_not = ""
+        self._refused: tuple[type, ...] = CHANGING
         self._operator = ""
         self._welcomed = False
         self._tasks = Tasks(self._loop, self.abort)
@@ -197,11 +198,13 @@ class Console:
             return
         self._welcomed = True
         self._operator = self._connection.operator
-        self._may_not = "attached read-only" if hello.read_only else self._connection.only_looks
+        only_looks = self._connection.only_looks
+        self._may_not = only_looks or ("attached read-only" if hello.read_only else "")
+        self._refused = (*CHANGING, Bench) if only_looks else CHANGING  # a measurement takes what a link carries
         self.send(protocol.Welcome(info, bool(self._may_not)))
 
     def _request(self, request: protocol.Request) -> None:
-        if self._may_not and isinstance(request.command, CHANGING):
+        if self._may_not and isinstance(request.command, self._refused):
             self.send(protocol.Failed(request.id, f"{self._may_not}: nothing can be changed"))
         elif self._requests >= protocol.REQUESTS_WAITING:
             self.send(protocol.Failed(request.id, f"{protocol.REQUESTS_WAITING} requests wait for an answer already"))

@@ -11,6 +11,7 @@ not. A stream whose other end is gone has to call ``connection_lost``: nothing i
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from enum import IntEnum, auto
 from typing import TYPE_CHECKING, cast
 
@@ -87,9 +88,8 @@ class SealedAcceptor:
 
     def review(self) -> None:
         """Detach those who may not attach any more, or may otherwise. From any thread."""
-        loop = self.server.loop
-        if not loop.is_closed():
-            loop.call_soon_threadsafe(self._review)
+        with contextlib.suppress(RuntimeError):  # the server has ended
+            self.server.loop.call_soon_threadsafe(self._review)
 
     # --- on the loop
 
