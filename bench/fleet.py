@@ -1,8 +1,8 @@
 """Prints what a fleet costs one control side: ``python -m bench.fleet --robots 10,50,200``, a minute and a half each.
 
-The control side is `rsb-console run` with real ROS (rclpy, Fast DDS), and so are the node that publishes a goal a second
-for each robot, and the one that listens to one robot's pose. **The robots' ROS is a stand-in**, many robots in a process:
-their bridges, keys, sockets and messages are real, their DDS is not there. All of it shares this machine.
+The control side is `rsb-console run` with real ROS (rclpy, Fast DDS), and so are the node that publishes a goal a
+second for each robot, and the one that listens to one robot's pose. **The robots' ROS is a stand-in**, many robots in
+a process: their bridges, keys, sockets and messages are real, their DDS is not there. All of it shares this machine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import bed
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import beds
@@ -75,7 +74,8 @@ class Steady:
         control: processor s per s of the control side; `robots` of all robots together.
         rate: messages a second that the robots published.
         p50, p99: ms from one robot's node to a node on the control side.
-        sent, heard: of that robot's messages.
+        heard: of that robot's messages, part of those that it should have published in the time.
+        lost: messages of all robots but the one that may flood, by cause, as the control side counts them.
     """
 
     control: float
@@ -83,8 +83,8 @@ class Steady:
     rate: float
     p50: float
     p99: float
-    sent: int
-    heard: int
+    heard: float
+    lost: Counter[str]
 
 
 @dataclass(slots=True)
@@ -97,7 +97,6 @@ class Figures:
         linked, flowing: since the robots' processes were started.
         steady: with the usual load.
         resident, proportional: MB of the control side; `robot` MB of a robot's side.
-        offered, delivered, lost: messages of all routes from robots, as the control side counts them.
         again, again_flowing: since the control side listened again.
         attempts: to link, by bins of 100 ms from the death of the control side.
         refused: of them, by the control side.
@@ -114,9 +113,6 @@ class Figures:
     resident: float
     proportional: float
     robot: float
-    offered: int
-    delivered: int
-    lost: Counter[str]
     again: Delays
     again_flowing: Delays
     attempts: list[int]
@@ -159,15 +155,15 @@ def measure(
         control = running.start_control()
         listening(control, running.session)
         began = time.time()
-        running.start_robots(running.names[:-1])
-        running.start_robots([flooding])  # whose load is no other robot's processor
+        # These two share no interpreter with others, as on machines of their own.
+        for alone in dict.fromkeys((heard, flooding)):
+            running.start_robots([alone])
+        running.start_robots(running.names[1:-1])
         robots = running.wait(lambda robot: len(robot.open) >= load.routes, _WITHIN)
         linked = Delays.of((robot.up[-1] for robot in robots.values()), began)
         flowing = Delays.of((max(robot.open) for robot in robots.values()), began)
         time.sleep(plan.settles)
         steady = _watch(running, control, listener, plan.watched)
-        seen = _snapshot(running)
-        offered, delivered, lost = _ledgers(seen)
         resident, proportional = control.memory(), _proportional(control.pid)
         a_robot = sum(_proportional(process.pid) for process in running.processes) / count
         killed = running.kill_control()
@@ -193,9 +189,6 @@ def measure(
             resident,
             proportional,
             a_robot,
-            offered,
-            delivered,
-            lost,
             again,
             again_flowing,
             _bins(tried, killed),
@@ -207,26 +200,26 @@ def measure(
 
 
 def _watch(running: Fleet, control: Process, listener: Process, seconds: float) -> Steady:
-    name = running.names[0]
+    others = running.names[:-1]
     rate = next(talk.rate for talk in running.load.talks if talk.topic == "/pose")
-    before, robots = running.look(), sum(process.cpu() for process in running.processes)
+    lost, before = _lost(running, others), running.look()
     listener.ask("reset")
     began, cpu = time.monotonic(), control.cpu()
+    cpu_of_robots = sum(process.cpu() for process in running.processes)
     time.sleep(seconds)
-    passed, used = time.monotonic() - began, control.cpu() - cpu
-    used_by_robots = sum(process.cpu() for process in running.processes) - robots
-    report = listener.ask("report")
-    after = running.look()
-    published = sum(robot.published - before[each].published for each, robot in after.items() if each != running.names[-1])
-    assert name in after
+    passed = time.monotonic() - began
+    used = control.cpu() - cpu
+    used_by_robots = sum(process.cpu() for process in running.processes) - cpu_of_robots
+    report, after = listener.ask("report"), running.look()
+    published = sum(after[name].published - before[name].published for name in others)
     return Steady(
         used / passed,
         used_by_robots / passed,
         published / passed,
         report["p50"] / 1e6,
         report["p99"] / 1e6,
-        round(rate * passed),
-        int(report["count"]),
+        report["count"] / (rate * passed),
+        _lost(running, others) - lost,
     )
 
 
@@ -239,13 +232,14 @@ def _snapshot(running: Fleet) -> Snapshot:
         engine.stop()
 
 
-def _ledgers(seen: Snapshot) -> tuple[int, int, Counter[str]]:
-    """Messages of the robots that were offered and delivered, and those lost, by cause."""
-    ledgers = [route.ledger for route in seen.routes if not route.outgoing]
+def _lost(running: Fleet, names: Sequence[str]) -> Counter[str]:
+    """Messages of robots that were lost, by cause."""
     lost: Counter[str] = Counter()
-    for ledger in ledgers:
-        lost.update({**ledger.dropped, "expired": ledger.expired, "lost in DDS": ledger.lost_in_dds})
-    return sum(each.offered for each in ledgers), sum(each.delivered for each in ledgers), +lost
+    for route in _snapshot(running).routes:
+        if route.link in names and not route.outgoing:
+            ledger = route.ledger
+            lost.update({**ledger.dropped, "expired": ledger.expired, "lost in DDS": ledger.lost_in_dds})
+    return lost
 
 
 def _told(running: Fleet, name: str) -> list[str]:
@@ -274,7 +268,7 @@ def _described(talk: Talk) -> str:
 
 
 def _print_one(figures: Figures) -> None:
-    print(f"\n{figures.count} robots, {figures.routes} routes; lost: {dict(figures.lost) or 'nothing'}")
+    print(f"\n{figures.count} robots, {figures.routes} routes")
     print(f"attempts to link per 100 ms from the death of the control side: {' '.join(map(str, figures.attempts))}")
     print(f"refused: {figures.refused}; the robot that floods publishes {figures.flood:,.0f} msg/s:")
     for line in figures.told:
@@ -283,33 +277,54 @@ def _print_one(figures: Figures) -> None:
 
 
 def _print_all(found: Sequence[Figures]) -> None:
-    print("\n| robots | routes | linked p50 | last | flowing p50 | last | again p50 | last | flowing last | most attempts/100 ms |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
-    for each in found:
-        delays = (each.linked, each.flowing, each.again)
-        cells = [f"{delay:.1f}" for pair in delays for delay in (pair.half, pair.last)]
-        print(f"| {each.count} | {each.routes} | {' | '.join(cells)} | {each.again_flowing.last:.1f} | {max(each.attempts)} |")
-    print("\n| robots | msg/s | control CPU, % | a robot | a robot's side, % | control RSS, MB | PSS | a robot's PSS |")
-    print("|---|---|---|---|---|---|---|---|")
-    for each in found:
-        steady = each.steady
-        print(
-            f"| {each.count} | {steady.rate:,.0f} | {100 * steady.control:.1f} | {100 * steady.control / each.count:.2f} "
-            f"| {100 * steady.robots / each.count:.2f} | {each.resident:.0f} | {each.proportional:.0f} | {each.robot:.2f} |"
-        )
+    _table(
+        "robots, routes, linked p50, last, flowing p50, last, again p50, last, flowing last, most attempts/100 ms",
+        [
+            (
+                each.count,
+                each.routes,
+                *(f"{s:.1f}" for delay in (each.linked, each.flowing, each.again) for s in (delay.half, delay.last)),
+                f"{each.again_flowing.last:.1f}",
+                max(each.attempts),
+            )
+            for each in found
+        ],
+    )
+    _table(
+        "robots, msg/s, control CPU %, of it a robot, a robot's side CPU %, control RSS MB, PSS MB, a robot's PSS MB",
+        [
+            (
+                each.count,
+                f"{each.steady.rate:,.0f}",
+                f"{100 * each.steady.control:.1f}",
+                f"{100 * each.steady.control / each.count:.2f}",
+                f"{100 * each.steady.robots / each.count:.2f}",
+                f"{each.resident:.0f}",
+                f"{each.proportional:.0f}",
+                f"{each.robot:.2f}",
+            )
+            for each in found
+        ],
+    )
     for few, many in pairwise(found):
         more = many.count - few.count
         cpu = 100 * (many.steady.control - few.steady.control) / more
-        print(f"{few.count} to {many.count}: {cpu:.2f} % and {(many.resident - few.resident) / more:.2f} MB (RSS) a robot")
-    print("\n| robots | p50, ms | p99 | heard | of | offered | delivered | p50 beside a flood | p99 | heard | of |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
-    for each in found:
-        steady, flooded = each.steady, each.flooded
-        print(
-            f"| {each.count} | {steady.p50:.2f} | {steady.p99:.1f} | {steady.heard} | {steady.sent} "
-            f"| {each.offered:,} | {each.delivered:,} "
-            f"| {flooded.p50:.2f} | {flooded.p99:.1f} | {flooded.heard} | {flooded.sent} |"
-        )
+        memory = (many.resident - few.resident) / more
+        print(f"from {few.count} to {many.count} robots, each one more: {cpu:.2f} % CPU, {memory:.2f} MB RSS")
+    both = ", ".join(f"{of} p50 ms, p99, heard %, others' lost" for of in ("steady", "flood"))
+    _table(f"robots, {both}", [(each.count, *_latency(each.steady), *_latency(each.flooded)) for each in found])
+
+
+def _latency(steady: Steady) -> tuple[str, ...]:
+    lost = ", ".join(f"{count:,} {cause}" for cause, count in steady.lost.items()) or "0"
+    return f"{steady.p50:.2f}", f"{steady.p99:.1f}", f"{100 * steady.heard:.0f}", lost
+
+
+def _table(head: str, rows: Sequence[Sequence[object]]) -> None:
+    cells = head.split(", ")
+    print(f"\n| {' | '.join(cells)} |\n|{'---|' * len(cells)}")
+    for row in rows:
+        print(f"| {' | '.join(map(str, row))} |")
 
 
 if __name__ == "__main__":

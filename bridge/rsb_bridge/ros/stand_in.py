@@ -97,7 +97,7 @@ class StandIn:
         self._readers.clear()
 
     def topics(self) -> dict[str, list[str]]:
-        return dict.fromkeys([*self.published, *self._hears], [STRING])
+        return {topic: [STRING] for topic in (*self.published, *self._hears)}
 
     def publishers(self, topic: str) -> list[Endpoint]:
         return [self._endpoint(self._gids[topic])] if topic in self._gids else []

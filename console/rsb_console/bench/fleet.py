@@ -8,7 +8,6 @@ import signal
 import socket
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -26,6 +25,7 @@ from rsb_console.bench.robots import Load, Look, Robot
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
+    from pathlib import Path
 
 ROBOTS = "rsb_console.bench.robots"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
@@ -200,7 +200,11 @@ def listening(process: Process, session: Path) -> float:
 def _free_port() -> int:
     """A port that neither TCP nor UDP uses."""
     for port in random.sample(_PORTS, len(_PORTS)):
-        with socket.socket() as stream, socket.socket(type=socket.SOCK_DGRAM) as datagrams, contextlib.suppress(OSError):
+        with (
+            socket.socket() as stream,
+            socket.socket(type=socket.SOCK_DGRAM) as datagrams,
+            contextlib.suppress(OSError),
+        ):
             stream.bind((_HOST, port))
             datagrams.bind((_HOST, port))
             return port
