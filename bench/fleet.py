@@ -24,6 +24,7 @@ from bench import bed
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench import beds
+from rsb_console.bench.ends import BenchError
 from rsb_console.bench.fleet import USUAL, WAYS, Fleet, fleet, listening
 from rsb_console.bench.robots import Load
 
@@ -162,6 +163,7 @@ def measure(
         robots = running.wait(lambda robot: len(robot.open) >= load.routes, _WITHIN)
         linked = Delays.of((robot.up[-1] for robot in robots.values()), began)
         flowing = Delays.of((max(robot.open) for robot in robots.values()), began)
+        _wait_until_heard(listener)
         time.sleep(plan.settles)
         steady = _watch(running, control, listener, plan.watched)
         resident, proportional = control.memory(), _proportional(control.pid)
@@ -175,6 +177,7 @@ def measure(
         again_flowing = Delays.of((max(robot.open) for robot in robots.values()), returned)
         tried = [each for robot in robots.values() for each in (*robot.attempts, robot.up[-1]) if each > killed]
         refused = sum(robot.refused for robot in robots.values())
+        _wait_until_heard(listener)
         time.sleep(plan.settles)
         before, since = running.look()[flooding].published, time.monotonic()
         running.tell(flooding, "flood", "/scan", "2500")
@@ -197,6 +200,16 @@ def measure(
             flood,
             _told(running, flooding),
         )
+
+
+def _wait_until_heard(listener: Process) -> None:
+    """Wait until messages made from now on reach the listener."""
+    deadline = time.monotonic() + _WITHIN
+    listener.ask("reset")
+    while not listener.ask("count")["count"]:
+        if time.monotonic() > deadline:
+            raise BenchError("nothing reaches the listener: is the domain free, and ROS set up?")
+        time.sleep(_BIN)
 
 
 def _watch(running: Fleet, control: Process, listener: Process, seconds: float) -> Steady:
