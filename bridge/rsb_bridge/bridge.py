@@ -148,6 +148,7 @@ class Bridge:
             for link in self.links():
                 await link.table.tick_routes()
                 link.guarded(link.tick)
+                await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
             self._diagnostics.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:

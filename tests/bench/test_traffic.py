@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rsb_bridge.ros.traffic import Arrivals, message
+from rsb_bridge.ros.stamped import message
+from rsb_bridge.ros.traffic import Arrivals
 
 
 def test_what_an_earlier_run_has_left_does_not_count_for_the_next() -> None:

@@ -6,7 +6,7 @@ It is commanded by lines, and answers with lines of JSON; it ends with its stand
   and answers with the rate reached.
 - ``listen``: ``reset`` forgets; ``count`` answers with the count, ``report`` with the count and the latencies (ns).
   ``spin`` listens on rclpy's own executor.
-- ``many DOMAIN PREFIX COUNT`` publishes on COUNT topics, each at 1 Hz.
+- ``many DOMAIN PREFIX COUNT [SUFFIX]`` publishes on COUNT topics, each at 1 Hz.
 
 Talker and listener drain and publish raw, so that they cost as little as they can beside what is measured.
 """
@@ -18,7 +18,6 @@ import json
 import sys
 import threading
 import time
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import rclpy
@@ -31,27 +30,15 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 from rsb_bridge.ros.percentiles import percentiles
+from rsb_bridge.ros.stamped import made_at, message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 DEPTH = 2000
-_STAMP = 20  # digits
 _SAMPLES = 100_000
 _STAMPED_BELOW = 5000  # Hz
 _OF_MANY = 200  # bytes
-
-
-def message(size: int) -> bytes:
-    """A String of `size` bytes, at least 20, serialized, with the time now (monotonic ns) as its first digits."""
-    header, rest = _frame(size)
-    return b"%b%020d%b" % (header, time.monotonic_ns(), rest)
-
-
-@lru_cache(maxsize=4)
-def _frame(size: int) -> tuple[bytes, bytes]:
-    length = max(size, _STAMP) + 1
-    return b"\x00\x01\x00\x00" + length.to_bytes(4, "little"), bytes(length - 1 - _STAMP).replace(b"\0", b"x") + b"\0"
 
 
 def main() -> None:
@@ -63,7 +50,8 @@ def main() -> None:
     if part == "talk":
         _talk(node, topics)
     elif part == "many":
-        _publish_many(node, topics[0], int(topics[1]))
+        prefix, count, *suffix = topics
+        _publish_many(node, [f"{prefix}{number:03d}{''.join(suffix)}" for number in range(int(count))])
     else:
         _listen(context, node, topics, stock=part == "spin")
 
@@ -101,8 +89,8 @@ def _talk(node: Node, topics: Sequence[str]) -> None:
         _answer(rate=min(rate, count / max(time.perf_counter() - began, 1e-9)))
 
 
-def _publish_many(node: Node, prefix: str, count: int) -> None:
-    publishers = [node.create_publisher(String, f"{prefix}{number:03d}", 10) for number in range(count)]
+def _publish_many(node: Node, topics: Sequence[str]) -> None:
+    publishers = [node.create_publisher(String, topic, 10) for topic in topics]
     ends = threading.Event()
 
     def until_told() -> None:
@@ -113,7 +101,7 @@ def _publish_many(node: Node, prefix: str, count: int) -> None:
     while not ends.is_set():
         for publisher in publishers:
             publisher.publish(message(_OF_MANY))
-            if ends.wait(1 / count):
+            if ends.wait(1 / len(publishers)):
                 break
 
 
@@ -136,12 +124,12 @@ class Arrivals:
         self.latencies.clear()
 
     def take(self, payload: bytes) -> None:
-        made_at = int(payload[8 : 8 + _STAMP])
-        if made_at < self._since:
+        made = made_at(payload)
+        if made < self._since:
             return
         self.count += 1
         if len(self.latencies) < _SAMPLES:
-            self.latencies.append(time.monotonic_ns() - made_at)
+            self.latencies.append(time.monotonic_ns() - made)
 
 
 def _listen(context: Context, node: Node, topics: Sequence[str], *, stock: bool) -> None:

@@ -70,6 +70,7 @@ class SnapshotPublisher:
         self._events = events
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
+        self._links: dict[ShownLink, LinkSnapshot] = {}
         self._looks = 0
         self._looks_at: deque[tuple[float, int]] = deque()
         self._turn = 0
@@ -105,33 +106,38 @@ class SnapshotPublisher:
             await asyncio.sleep(began + turns * every - now())
 
     async def refresh(self, bridge: ShownBridge) -> None:
-        """Renew the links, and a part of the routes, in turn."""
-        routes = _routes_of(bridge)
+        """Renew the links, and a part of the routes, in turn; new ones at once."""
+        links, routes = bridge.links(), _routes_of(bridge)
         at_once = max(_AT_ONCE, -(-len(routes) // _REFRESHES))
         self._routes = {route: self._routes[route] for route in routes if route in self._routes}
         turn = [routes[(self._turn + i) % len(routes)] for i in range(min(at_once, len(routes)))]
         self._turn += len(turn)
         await in_slices(turn, self._renew)
+        await in_slices([route for route in routes if route not in self._routes], self._renew)
+        await in_slices(links, self._renew_link)
         self._publish(bridge, running=True)
 
     def refresh_now(self, bridge: ShownBridge, *, running: bool = True) -> None:
         """Renew everything at once: after a command, whose outcome a user waits for."""
         self._routes = {route: route.snapshot() for route in _routes_of(bridge)}
+        self._links = {link: link.snapshot() for link in bridge.links()}
         self._publish(bridge, running=running)
 
     def _renew(self, route: ShownRoute) -> None:
         self._routes[route] = route.snapshot()
 
+    def _renew_link(self, link: ShownLink) -> None:
+        self._links[link] = link.snapshot()
+
     def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
-        for route in _routes_of(bridge):
-            if route not in self._routes:
-                self._renew(route)
+        """Show what was renewed and is still there; what has come meanwhile follows in the next refresh."""
+        self._links = {link: self._links[link] for link in bridge.links() if link in self._links}
         self.latest = dataclasses.replace(
             self.latest,
             time=self._clock.time_ns() / 1e9,
             running=running,
-            links=tuple(link.snapshot() for link in bridge.links()),
-            routes=tuple(self._routes[route] for route in _routes_of(bridge)),
+            links=tuple(self._links.values()),
+            routes=tuple(self._routes[route] for route in _routes_of(bridge) if route in self._routes),
             last_event=self._events.last,
         )
 

@@ -14,6 +14,8 @@ RESERVE = 64
 SHORTAGES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 """Errors of a call that would succeed if the process or the system had more to give."""
 
+_OWN = "/proc/self/fd"
+
 MORE_DESCRIPTORS = "raise the limit (ulimit -n, or LimitNOFILE in a systemd unit)"
 """What an operator does when they run out."""
 
@@ -36,9 +38,15 @@ def left() -> int:
     if limit == resource.RLIM_INFINITY:
         return sys.maxsize
     try:
-        return max(0, limit - RESERVE - len(os.listdir("/proc/self/fd")))  # noqa: PTH208 -- half the time
+        return max(0, limit - RESERVE - _held())
     except OSError:
         return 0
+
+
+def _held() -> int:
+    """How many this process has. Each route's stream asks, so that a list of them would cost their number squared."""
+    # Linux 6.2 and newer; an older one says 0.
+    return os.stat(_OWN).st_size or len(os.listdir(_OWN))  # noqa: PTH116, PTH208 -- half the time
 
 
 def scarcity_message(side: str) -> str:

@@ -1,0 +1,259 @@
+"""A stand-in for a robot's ROS graph, so that one process can be many robots: `StandIn`, driven by a `Metronome`.
+
+There is no DDS in it. The engine above it is the real one: what the stand-in "publishes" is throttled, sealed and sent
+like any other message, and what the link brings is counted.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import secrets
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.stamped import message
+from rsb_bridge.ros.std_string import STRING, STRING_HASH
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Sequence
+    from random import Random
+
+    from rsb_bridge.model.fields import Fields
+    from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink, ServiceClient, ServiceServer, Sink
+
+_GID_LENGTH = 16
+_FLOOD_AT_ONCE = 16
+_QOS = Qos()
+
+
+class Talk(msgspec.Struct, frozen=True):
+    """A topic that a node of the stand-in publishes, as ``std_msgs/String``.
+
+    Attributes:
+        topic: its name.
+        rate: Hz; 0: as fast as the bridge takes them.
+        size: bytes of each message.
+    """
+
+    topic: str
+    rate: float
+    size: int
+
+
+class StandIn:
+    """A graph of one node that publishes and subscribes; `rsb_bridge.ros.api.RosInterface`.
+
+    Args:
+        name: of the session.
+        talks: what the node publishes.
+        hears: topics that it subscribes to.
+
+    Attributes:
+        published: messages that the node has published, by topic.
+        received: messages that the bridge has published for the node, by topic.
+        muted: topics that the node has stopped publishing, though its publisher stays.
+    """
+
+    def __init__(self, name: str, talks: Sequence[Talk], hears: Sequence[str] = ()) -> None:
+        self.instance_id = secrets.token_hex(4)
+        self.node_name = f"rsb_{name}_{self.instance_id}"
+        self.talks = tuple(talks)
+        self.published = dict.fromkeys((each.topic for each in talks), 0)
+        self.received = dict.fromkeys(hears, 0)
+        self.muted: set[str] = set()
+        self._node = f"/{name}"
+        self._hears = frozenset(hears)
+        self._gids = {each.topic: secrets.token_bytes(_GID_LENGTH) for each in talks}
+        self._readers: dict[str, list[_Reader]] = {}
+
+    def publish(self, topic: str, size: int, count: int = 1) -> None:
+        """The node publishes messages at once; always called by the same thread for a topic."""
+        if topic in self.muted:
+            return
+        first = self.published[topic] + 1
+        self.published[topic] += count
+        readers = self._readers.get(topic, ())
+        if readers:
+            gid, stamp = self._gids[topic], time.time_ns()
+            batch = [RawMessage(message(size), stamp, gid, first + each) for each in range(count)]
+            for reader in tuple(readers):
+                reader.take(batch)
+
+    # --- the engine's side
+
+    def start(self) -> None:
+        """There is nothing to join."""
+
+    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
+        """Its graph never changes."""
+
+    def stop(self) -> None:
+        self._readers.clear()
+
+    def topics(self) -> dict[str, list[str]]:
+        return {topic: [STRING] for topic in (*self.published, *self._hears)}
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        return [self._endpoint(self._gids[topic])] if topic in self._gids else []
+
+    def subscriptions(self, topic: str) -> list[Endpoint]:
+        return [self._endpoint(b"")] if topic in self._hears else []
+
+    def _endpoint(self, gid: bytes) -> Endpoint:
+        return Endpoint(self._node, STRING, STRING_HASH, _QOS, gid)
+
+    def installed_hash(self, type_name: str) -> str | None:
+        return STRING_HASH if type_name == STRING else None
+
+    def installed_description(self, type_name: str) -> str | None:
+        return None
+
+    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
+        raise RosError(f"{type_name} is not installed here")
+
+    def ask_description(self, *_: object) -> str | None:
+        return None
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        type_hash: str,
+        qos: Qos,
+        sink: Sink,
+        origin: Hashable,
+        on_failure: OnFailure | None = None,
+    ) -> _Reader:
+        readers = self._readers.setdefault(topic, [])
+        reader = _Reader(sink, readers)
+        readers.append(reader)
+        return reader
+
+    def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Writer:
+        return _Writer(topic, self.received)
+
+    def services(self) -> dict[str, list[str]]:
+        return {}
+
+    def servers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def callers(self, service: str) -> list[Endpoint]:
+        return []
+
+    def installed_service_hash(self, type_name: str) -> str | None:
+        return None
+
+    def serve(
+        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
+    ) -> ServiceServer:
+        raise RosError("the stand-in has no services")
+
+    def call_service(
+        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
+    ) -> ServiceClient:
+        raise RosError("the stand-in has no services")
+
+
+class _Reader:
+    """The bridge's subscription to a topic of the stand-in."""
+
+    lost = 0
+
+    def __init__(self, sink: Sink, among: list[_Reader]) -> None:
+        self._sink: Sink | None = sink
+        self._among = among
+
+    def take(self, batch: Sequence[RawMessage]) -> None:
+        if (sink := self._sink) is not None:
+            sink(batch)
+
+    def close(self) -> None:
+        self._sink = None
+        if self in self._among:
+            self._among.remove(self)
+
+
+class _Writer:
+    """The bridge's publisher in the stand-in."""
+
+    acknowledged = True
+
+    def __init__(self, topic: str, received: dict[str, int]) -> None:
+        self.gid = secrets.token_bytes(_GID_LENGTH)
+        self.subscriber_count = int(topic in received)
+        self._topic = topic
+        self._received = received
+
+    def publish(self, payload: bytes) -> None:
+        if self.subscriber_count:
+            self._received[self._topic] += 1
+
+    def close(self) -> None:
+        """There is nothing to free."""
+
+
+class Metronome:
+    """Has stand-ins publish at their rates, on a thread of its own; what is as fast as it can has one each.
+
+    Args:
+        random: shifts each topic within its period, so that robots are not in step.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._due: list[tuple[float, int, StandIn, Talk]] = []
+        self._numbers = itertools.count()
+        self._changed = threading.Condition()
+        self._stops = False
+        self._threads = [threading.Thread(target=self._run, name="rsb-metronome", daemon=True)]
+        self._threads[0].start()
+
+    def add(self, ros: StandIn) -> None:
+        """Have one more stand-in publish."""
+        for talk in ros.talks:
+            if talk.rate:
+                due = time.monotonic() + self._random.random() / talk.rate
+                with self._changed:
+                    heapq.heappush(self._due, (due, next(self._numbers), ros, talk))
+                    self._changed.notify()
+            else:
+                self.flood(ros, talk)
+
+    def flood(self, ros: StandIn, talk: Talk) -> None:
+        """Have a topic published as fast as the bridge takes it."""
+        flooding = threading.Thread(target=self._flood, args=(ros, talk), name="rsb-flood", daemon=True)
+        self._threads.append(flooding)
+        flooding.start()
+
+    def stop(self) -> None:
+        """Publish no more."""
+        with self._changed:
+            self._stops = True
+            self._changed.notify()
+        for thread in self._threads:
+            thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._stops and (not self._due or self._due[0][0] > time.monotonic()):
+                    self._changed.wait(self._due[0][0] - time.monotonic() if self._due else None)
+                if self._stops:
+                    return
+                due, number, ros, talk = self._due[0]
+                # Where the machine does not keep up, periods are left out instead of made up for.
+                again = max(due + 1 / talk.rate, time.monotonic())
+                heapq.heapreplace(self._due, (again, number, ros, talk))
+            ros.publish(talk.topic, talk.size)
+
+    def _flood(self, ros: StandIn, talk: Talk) -> None:
+        while not self._stops:
+            ros.publish(talk.topic, talk.size, _FLOOD_AT_ONCE)
+            time.sleep(0)

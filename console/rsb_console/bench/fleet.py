@@ -1,0 +1,211 @@
+"""A fleet on this machine: one control side with real ROS, and robots whose ROS is a stand-in (`bench.robots`)."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import signal
+import socket
+import time
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.ros.stand_in import Talk
+from rsb_bridge.ros.std_string import STRING
+from rsb_console.bench import beds
+from rsb_console.bench.ends import BenchError
+from rsb_console.bench.processes import Process
+from rsb_console.bench.robots import Load, Look, Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
+    from pathlib import Path
+
+ROBOTS = "rsb_console.bench.robots"
+USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
+MOST_IN_ONE = 50
+"""Robots of one process."""
+_HOST = "127.0.0.1"
+_PORTS = range(20_000, 32_000)
+"""None that the kernel gives to a client, who would then sit on the server's port, or connect to itself."""
+_LOOK_EVERY = 0.25
+
+
+@contextlib.contextmanager
+def tcp(_: Path) -> Iterator[dict[str, Any]]:
+    """Robots connect to the control side."""
+    yield {"server_ip": _HOST, "server_port": _free_port()}
+
+
+WAYS: dict[str, Callable[[Path], AbstractContextManager[dict[str, Any]]]] = {"tcp": tcp}
+"""What the links go over, by name: each runs what that takes, in a folder, and gives the fields of all sessions."""
+
+
+@dataclass(slots=True)
+class Fleet:
+    """A fleet that runs.
+
+    Attributes:
+        folder: of all files.
+        names: of the robots.
+        load: of each robot.
+        session: the control side's file.
+        processes: of the robots.
+        control: the control side's process.
+        started: s since the epoch, when the robots were started.
+    """
+
+    folder: Path
+    names: Sequence[str]
+    load: Load
+    session: Path
+    command: Sequence[str]
+    processes: list[Process] = field(default_factory=list)
+    control: Process | None = None
+    started: float = 0.0
+    _in: dict[str, Process] = field(default_factory=dict)
+
+    @property
+    def routes(self) -> int:
+        return len(self.names) * self.load.routes
+
+    @property
+    def socket(self) -> Path:
+        return self.session.with_suffix(".sock")
+
+    def start_control(self) -> Process:
+        """Start the control side."""
+        folder = self.folder
+        apart = {"XDG_RUNTIME_DIR": str(folder), "XDG_STATE_HOME": str(folder)}
+        arguments = ("--no-ui", "--control", str(self.socket), str(self.session))
+        self.control = Process(*self.command, "run", *arguments, log=folder / "control.log", environ=apart)
+        return self.control
+
+    def kill_control(self) -> float:
+        """Kill it; s since the epoch then."""
+        assert self.control is not None
+        self.control.signal(signal.SIGKILL)
+        killed = time.time()
+        self.control.stop()
+        return killed
+
+    def start_robots(self, names: Sequence[str], most: int = MOST_IN_ONE) -> None:
+        """Start robots, so many in a process at most."""
+        load = msgspec.json.encode(self.load).decode()
+        for first in range(0, len(names), most):
+            some = names[first : first + most]
+            process = Process("-m", ROBOTS, load, *(str(self.folder / f"{name}.yaml") for name in some))
+            self.processes.append(process)
+            self._in |= dict.fromkeys(some, process)
+
+    def tell(self, name: str, command: str, *words: str) -> None:
+        """Have a robot do something (`bench.robots`)."""
+        self._in[name].ask(" ".join((command, name, *words)))
+
+    def look(self) -> dict[str, Robot]:
+        """What became of each robot."""
+        for process in self.processes:
+            process.tell("look")
+        found: dict[str, Robot] = {}
+        for process in self.processes:
+            answer = process.line()
+            if not answer:
+                raise BenchError("a process of robots has ended by itself")
+            found |= msgspec.json.decode(answer, type=Look).robots
+        return found
+
+    def wait(self, done: Callable[[Robot], bool], within: float) -> dict[str, Robot]:
+        """Wait until something is true of each robot.
+
+        Raises:
+            BenchError: of some it is not, in time.
+        """
+        deadline = time.monotonic() + within
+        while True:
+            robots = self.look()
+            late = [name for name, robot in robots.items() if not done(robot)]
+            if not late:
+                return robots
+            if time.monotonic() > deadline:
+                raise BenchError(f"{len(late)} of {len(robots)} robots are not ready within {within:.0f} s: {late[0]}")
+            time.sleep(_LOOK_EVERY)
+
+    def stop(self) -> None:
+        """End everything."""
+        for process in [*self.processes, *filter(None, [self.control])]:
+            process.stop()
+
+
+@contextlib.contextmanager
+def fleet(
+    folder: Path,
+    count: int,
+    *,
+    domain: int,
+    over: str = "tcp",
+    load: Load = USUAL,
+    control: Sequence[str] = ("-m", "rsb_console"),
+) -> Iterator[Fleet]:
+    """Write the sessions and keys of a fleet; what is started of it ends with this.
+
+    Args:
+        folder: for all files.
+        count: of robots.
+        domain: the control side's.
+        over: what the links go over, of `WAYS`.
+        load: of each robot.
+        control: the Python command that is the control side's `rsb-console`.
+    """
+    names = [f"robot{number:03d}" for number in range(count)]
+    topics = [*((talk.topic, "transmit") for talk in load.talks), *((topic, "receive") for topic in load.hears)]
+    with WAYS[over](folder) as way:
+        for name in names:
+            write_key(folder / f"{name}.key")
+            bridged = tuple(Topic(topic=topic, direction=to, type=STRING) for topic, to in topics)  # type: ignore[arg-type]
+            session = Session(
+                name=name,
+                role="client",
+                domain_id=0,
+                key_file=f"{name}.key",
+                shutdown_topic=None,
+                diagnostics_topic=None,
+                topics=bridged,
+                **way,
+            )
+            save(session, folder / f"{name}.yaml")
+        clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
+        path = folder / "control.yaml"
+        save(Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way), path)
+        running = Fleet(folder, names, load, path, control)
+        try:
+            yield running
+        finally:
+            running.stop()
+
+
+def listening(process: Process, session: Path) -> float:
+    """Wait until the control side's server listens; s since the epoch then."""
+    from rsb_bridge.config.session_file import load  # noqa: PLC0415
+
+    monotonic = beds.listening(process, load(session).server_port)
+    return time.time() - (time.monotonic() - monotonic)
+
+
+def _free_port() -> int:
+    """A port that neither TCP nor UDP uses."""
+    for port in random.sample(_PORTS, len(_PORTS)):
+        with (
+            socket.socket() as stream,
+            socket.socket(type=socket.SOCK_DGRAM) as datagrams,
+            contextlib.suppress(OSError),
+        ):
+            stream.bind((_HOST, port))
+            datagrams.bind((_HOST, port))
+            return port
+    raise BenchError("no port is free")

@@ -1,0 +1,155 @@
+"""Robots in one process, each with a bridge of its own: ``python -m rsb_console.bench.robots LOAD SESSION...``.
+
+LOAD is the JSON of a `Load`. The bridges are the real ones, over real sockets; their ROS is a stand-in
+(`rsb_bridge.ros.stand_in`). It is commanded by lines, answers with lines of JSON, and ends with its standard input:
+
+- ``look`` answers with a `Look`.
+- ``stop NAME`` stops a robot's bridge, ``start NAME`` starts it again, ``mute NAME TOPIC`` has its node publish a topic
+  no more, ``flood NAME TOPIC SIZE`` as fast as the bridge takes it.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_bridge.config.session_file import load
+from rsb_bridge.engine import Engine
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
+
+
+class Load(msgspec.Struct, frozen=True):
+    """What each robot's node does.
+
+    Attributes:
+        talks: what it publishes.
+        hears: topics that it subscribes to.
+    """
+
+    talks: tuple[Talk, ...]
+    hears: tuple[str, ...]
+
+    @property
+    def routes(self) -> int:
+        return len(self.talks) + len(self.hears)
+
+    @property
+    def rate(self) -> float:
+        """Messages a second that its bridge sends."""
+        return sum(talk.rate for talk in self.talks)
+
+
+class Robot(msgspec.Struct):
+    """What became of one robot's bridge. Times are s since the epoch.
+
+    Attributes:
+        attempts: when an attempt to link failed.
+        refused: how many of them the server refused.
+        up: when it was linked.
+        open: when a route was opened, of all routes.
+        published: messages that its node has published.
+        received: messages that came for its node.
+        heard: topics on which any came.
+    """
+
+    attempts: list[float] = []
+    refused: int = 0
+    up: list[float] = []
+    open: list[float] = []
+    published: int = 0
+    received: int = 0
+    heard: int = 0
+
+
+class Look(msgspec.Struct):
+    """The robots of a process, by name."""
+
+    robots: dict[str, Robot]
+
+
+class _Bridged:
+    """A robot and its bridge."""
+
+    def __init__(self, path: Path, load_: Load) -> None:
+        self._path = path
+        self._session = load(path)
+        self._load = load_
+        self.name = self._session.name
+        self.ros = StandIn(self.name, load_.talks, load_.hears)
+        self._robot = Robot()
+        self._engine: Engine | None = None
+        self._followed = 0
+
+    def start(self) -> None:
+        if self._engine is None:
+            self._engine, self._followed = Engine(self._session, base=self._path.parent, ros=self.ros), 0
+            self._engine.start()
+
+    def stop(self) -> None:
+        if self._engine is not None:
+            self._engine.stop()
+            self._follow()
+            self._engine = None
+
+    def look(self) -> Robot:
+        self._follow()
+        robot, ros = self._robot, self.ros
+        robot.published = sum(ros.published.values())
+        robot.received, robot.heard = sum(ros.received.values()), sum(map(bool, ros.received.values()))
+        return robot
+
+    def _follow(self) -> None:
+        for event in self._engine.events(self._followed) if self._engine is not None else ():
+            self._followed = event.number
+            if event.code in _ATTEMPTS:
+                self._robot.attempts.append(event.time)
+                self._robot.refused += event.code == EventCode.LINK_REFUSED
+            elif event.code == EventCode.LINK_UP:
+                self._robot.up.append(event.time)
+            elif event.code == EventCode.ROUTE_CONNECTED:
+                self._robot.open.append(event.time)
+
+
+def main(arguments: Sequence[str]) -> None:
+    load_ = msgspec.json.decode(arguments[0], type=Load)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    robots = {robot.name: robot for robot in (_Bridged(Path(path), load_) for path in arguments[1:])}
+    metronome = Metronome(Random())  # noqa: S311 -- phases, no secret
+    for robot in robots.values():
+        robot.start()
+        metronome.add(robot.ros)
+    for line in sys.stdin:
+        answer = _carry_out(line.split(), robots, metronome)
+        sys.stdout.buffer.write(msgspec.json.encode(answer) + b"\n")
+        sys.stdout.buffer.flush()
+    # The robots vanish with the process, as if all were switched off: their threads are daemons.
+
+
+def _carry_out(words: Sequence[str], robots: dict[str, _Bridged], metronome: Metronome) -> Look:
+    match words:
+        case ["start", name]:
+            robots[name].start()
+        case ["stop", name]:
+            robots[name].stop()
+        case ["mute", name, topic]:
+            robots[name].ros.muted.add(topic)
+        case ["flood", name, topic, size]:
+            metronome.flood(robots[name].ros, Talk(topic, 0.0, int(size)))
+        case _:
+            return Look({name: robot.look() for name, robot in robots.items()})
+    return Look({})
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,114 @@
+"""A small fleet from end to end: real bridges, a stand-in for the robots' ROS, a control side with real ROS."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections import Counter
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING
+
+import pytest
+from bench.fleet import Plan, measure
+from tests.support.locks import two_domains
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.stamped import made_at, message
+from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
+from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
+from rsb_console.bench.fleet import USUAL
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.ros.api import RawMessage
+
+ROOT = Path(__file__).parents[2]
+WITHIN = 90.0
+
+
+def test_a_fleet_links_flows_comes_back_and_bears_a_flood() -> None:
+    found = measure(3, domain=two_domains(), plan=Plan(settles=0.0, watched=1.0, down=0.7))
+    assert found.routes == 3 * USUAL.routes
+    assert 0 < found.linked.half <= found.linked.last <= found.flowing.last
+    assert 0 < found.again.half <= found.again.last <= found.again_flowing.last
+    assert sum(found.attempts) > 3  # each comes back, and one at least has tried in vain: nobody listened
+    assert found.refused == 0
+    assert found.steady.lost == Counter()
+    assert found.steady.control > 0
+    assert len(found.told) == len(USUAL.talks)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_nothing_of_a_bench_that_is_ended_runs_on(number: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "bench.fleet", "--robots", "2", "--domain", str(two_domains())]
+    bench = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"TMPDIR": str(tmp_path)}, stdout=subprocess.DEVNULL)
+    try:
+        # The control side and the robots; the nodes beside them do not name the folder.
+        eventually(lambda: len(processes_of(tmp_path)) == 3, WITHIN, "control side and robots")
+    finally:
+        bench.send_signal(number)
+        bench.wait(WITHIN)
+    eventually(lambda: not processes_of(tmp_path), WITHIN, "the end of all processes")
+    if number is signal.SIGTERM:
+        assert [*tmp_path.iterdir()] == []
+
+
+def processes_of(folder: Path) -> list[str]:
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_text().split("\0")
+        except OSError:
+            continue
+        if any(word.startswith(str(folder)) for word in words):
+            found.append(process.name)
+    return found
+
+
+def test_a_message_of_the_stand_in_is_a_string_of_its_size_that_says_when_it_was_made() -> None:
+    first, second = message(200), message(200)
+    assert {len(string_bytes(each)) for each in (first, second)} == {200}
+    assert 0 < made_at(first) <= made_at(second)
+    assert len(string_bytes(message(1))) == 20
+
+
+def test_what_a_node_publishes_reaches_subscriptions_and_what_it_hears_is_counted() -> None:
+    ros = StandIn("robot1", [Talk("/scan", 5.0, 100)], ["/goal"])
+    assert (len(ros.publishers("/scan")), len(ros.publishers("/goal"))) == (1, 0)
+    assert (len(ros.subscriptions("/scan")), len(ros.subscriptions("/goal"))) == (0, 1)
+    taken: list[Sequence[RawMessage]] = []
+    ros.publish("/scan", 100)
+    subscription = ros.subscribe("/scan", STRING, STRING_HASH, Qos(), taken.append, "")
+    ros.publish("/scan", 100, 2)
+    subscription.close()
+    subscription.close()
+    ros.publish("/scan", 100)
+    assert [[each.number for each in batch] for batch in taken] == [[2, 3]]
+    assert {each.gid for batch in taken for each in batch} == {ros.publishers("/scan")[0].gid}
+    ros.muted.add("/scan")
+    ros.publish("/scan", 100)
+    assert ros.published == {"/scan": 4}
+    goal, other = (ros.advertise(topic, STRING, STRING_HASH, Qos(), "") for topic in ("/goal", "/map"))
+    assert (goal.subscriber_count, other.subscriber_count) == (1, 0)
+    goal.publish(b"")
+    other.publish(b"")
+    assert ros.received == {"/goal": 1}
+
+
+def test_a_metronome_publishes_each_topic_until_it_is_stopped() -> None:
+    nodes = [StandIn(f"robot{number}", [Talk("/fast", 500.0, 20), Talk("/slow", 50.0, 20)]) for number in range(3)]
+    metronome = Metronome(Random(1))
+    for ros in nodes:
+        metronome.add(ros)
+    eventually(lambda: all(min(ros.published.values()) >= 3 for ros in nodes), WITHIN, "messages of all topics")
+    before = nodes[0].published["/slow"]
+    metronome.flood(nodes[0], Talk("/slow", 0.0, 20))
+    eventually(lambda: nodes[0].published["/slow"] - before > 1000, WITHIN, "a flood")
+    metronome.stop()
+    assert not {"rsb-metronome", "rsb-flood"} & {thread.name for thread in threading.enumerate()}

@@ -1,0 +1,145 @@
+"""Hundreds of links on one server: what is done once a second for each of them leaves the loop to messages."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tests.support.offline import loop, make_context
+
+from rsb_bridge.bridge import Bridge
+from rsb_bridge.model.session import Client
+from rsb_bridge.model.snapshot import Snapshot
+from rsb_bridge.tasks import SLICE
+from rsb_bridge.telemetry.event_log import EventLog
+from rsb_bridge.telemetry.snapshots import SnapshotPublisher
+from rsb_bridge.transport import descriptors
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import pytest
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+__all__ = ["loop", "make_context"]
+
+LINKS = 200
+CLIENTS = tuple(Client(f"robot{number}") for number in range(LINKS))
+
+
+class Turns:
+    """Counts calls, in all and between two turns of the loop."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.calls = self.most_in_one_go = 0
+        self._loop = loop
+        self._in_one_go = 0
+
+    def called(self) -> None:
+        if not self._in_one_go:
+            self._loop.call_soon(self._turn)
+        self.calls += 1
+        self._in_one_go += 1
+        self.most_in_one_go = max(self.most_in_one_go, self._in_one_go)
+
+    def _turn(self) -> None:
+        self._in_one_go = 0
+
+
+class Link:
+    """A link with a few routes that notes each look at any of them."""
+
+    def __init__(self, turns: Turns, routes: int) -> None:
+        self.turns = turns
+        self.routes: dict[str, Any] = {str(number): Route(turns) for number in range(routes)}
+
+    def snapshot(self) -> Any:
+        self.turns.called()
+
+
+class Route:
+    def __init__(self, turns: Turns) -> None:
+        self.snapshot = turns.called
+
+
+def test_links_tick_one_at_a_time(loop: VirtualLoop, make_context: Callable[..., Context]) -> None:
+    context = make_context(name="control", role="server", clients=CLIENTS, use_encryption=False)
+    bridge = Bridge(context, {client.name: () for client in CLIENTS}, publisher(context))
+    turns = Turns(loop)
+    for link in bridge.links():
+        link.tick = turns.called  # type: ignore[method-assign]
+    ticking = loop.create_task(bridge._tick())
+    loop.run_until_complete(asyncio.sleep(1.5))
+    assert not ticking.done()
+    ticking.cancel()
+    assert turns.calls == LINKS
+    assert turns.most_in_one_go == 1
+
+
+def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """Also the first one, in which each route is new."""
+    turns = Turns(loop)
+
+    links = [Link(turns, routes=4) for _ in range(LINKS)]
+
+    class Many:
+        def links(self) -> list[Link]:
+            return links
+
+    shown = publisher(make_context())
+    loop.run_until_complete(shown.refresh(Many()))
+    assert (len(shown.latest.links), len(shown.latest.routes)) == (LINKS, 4 * LINKS)
+    assert turns.calls == LINKS + 4 * LINKS
+    assert turns.most_in_one_go <= 2 * SLICE
+
+
+def test_a_link_that_goes_while_a_snapshot_is_made_is_not_in_it_and_one_that_comes_is_in_the_next(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    turns = Turns(loop)
+    links = [Link(turns, routes=1) for _ in range(LINKS)]
+
+    class Changing:
+        def links(self) -> list[Link]:
+            return [*links]
+
+    shown = publisher(make_context())
+
+    async def main() -> None:
+        refreshing = asyncio.ensure_future(shown.refresh(Changing()))
+        await asyncio.sleep(0)
+        assert not refreshing.done()
+        del links[:50]
+        links.append(Link(turns, routes=1))
+        await refreshing
+
+    loop.run_until_complete(main())
+    assert len(shown.latest.links) == len(shown.latest.routes) == LINKS - 50
+    loop.run_until_complete(shown.refresh(Changing()))
+    assert len(shown.latest.links) == len(shown.latest.routes) == LINKS - 49
+
+
+def test_what_is_left_is_known_without_a_list_of_all_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each stream of a route asks."""
+    if not Path("/proc/self/fd").stat().st_size:
+        return  # Linux before 6.2 gives no number
+    monkeypatch.setattr(os, "listdir", None)
+    before = descriptors.left()
+    with ExitStack() as held:
+        for _ in range(100):
+            held.enter_context(socket.socket())
+        assert descriptors.left() == before - 100
+    assert descriptors.left() == before
+
+
+def publisher(context: Context) -> SnapshotPublisher:
+    blank = Snapshot(0.0, "control", "server", "", 0, running=False)
+    return SnapshotPublisher(blank, EventLog(context.clock), context.clock)
