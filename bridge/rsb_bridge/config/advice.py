@@ -14,6 +14,7 @@ from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
+from rsb_bridge.model.http_address import host_and_port, is_loopback
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -48,12 +49,22 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
     if session.adapter is not None and not hasattr(socket, "AF_BLUETOOTH"):
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
+    yield from _metrics(session)
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
     for at, client in enumerate(session.clients):
         where = join("clients", at)
         yield from _topics(client.topics, where, session)
         yield from _denied(client.topics, where, rights_of_client(client, session.name), session)
+
+
+def _metrics(session: Session) -> Iterator[Problem]:
+    if session.metrics is None:
+        return
+    if importlib.util.find_spec("prometheus_client") is None:
+        yield Problem("metrics", "none are served without prometheus-client: pip install 'rsb-console[metrics]'")
+    if not is_loopback(host_and_port(session.metrics)[0]):
+        yield Problem("metrics", "no password protects them: who reaches this address reads all names and figures")
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:
