@@ -87,7 +87,7 @@ def test_every_family_has_samples_in_both_formats(scraped: Scraped) -> None:
     scraped.routes = (route("/scan"), CALLS)
     for text, parse in (
         (generate_latest(scraped.registry).decode(), plain_families),
-        (openmetrics.generate_latest(scraped.registry).decode(), openmetrics_families),
+        (openmetrics.generate_latest(scraped.registry).decode(), openmetrics_families),  # type: ignore[no-untyped-call]
     ):
         families: Any = parse(text)
         sampled = {sample.name: set(sample.labels) for family in families for sample in family.samples}
