@@ -26,7 +26,7 @@ _VALUES = {
     "state": {state.value for state in State},
     "level": {level.value for level in Level},
     "cause": DROPPED,
-    "quantile": {"0.5", "0.99"},
+    "percentile": {"50", "99"},
 }
 LABELS = {family.name: set(family.labels) for family in FAMILIES} | {name: set() for name in _OF_PROCESSES}
 _SELECTOR = re.compile(r"\b([a-z]\w*_\w+|up)\b(?:\{([^}]*)\})?(?!\w*\()")

@@ -113,10 +113,10 @@ FAMILIES = tuple(
             "messages_jitter_seconds": "Variation of the latency (RFC 3550).",
             "messages_in_flight": "Messages whose end is not known yet.",
         },
-        (*_TOPIC, "quantile"): {
+        (*_TOPIC, "percentile"): {
             "messages_latency_seconds": "One way, of the last messages; its error is the clock's uncertainty.",
         },
-        (*_ROUTE, "quantile"): {
+        (*_ROUTE, "percentile"): {
             "calls_node_seconds": "What the providing node took, of the last calls.",
             "calls_way_seconds": "What the way there and back took, of the last calls.",
         },
@@ -187,15 +187,15 @@ class SnapshotCollector(Collector):
         life.show(labels, "messages_dropped_total", families)
         families.add("messages_in_flight", labels, ledger.in_flight)
         families.add("messages_jitter_seconds", labels, route.jitter)
-        _quantiles("messages_latency_seconds", labels, route.latency_p50, route.latency_p99, families)
+        _percentiles("messages_latency_seconds", labels, route.latency_p50, route.latency_p99, families)
 
     def _of_calls(self, labels: tuple[str, ...], key: str, calls: CallsSnapshot, families: _Families) -> None:
         life = self._lives[key]
         life.take(calls.asked, _counts_of_calls(calls), _known(calls.refused, REFUSED))
         life.show(labels, "calls_refused_total", families)
         families.add("calls_in_flight", labels, calls.in_flight)
-        _quantiles("calls_node_seconds", labels, calls.node_p50, calls.node_p99, families)
-        _quantiles("calls_way_seconds", labels, calls.way_p50, calls.way_p99, families)
+        _percentiles("calls_node_seconds", labels, calls.node_p50, calls.node_p99, families)
+        _percentiles("calls_way_seconds", labels, calls.way_p50, calls.way_p99, families)
 
 
 class _Families:
@@ -290,9 +290,9 @@ def _of_route(labels: tuple[str, ...], route: RouteSnapshot, now: float, familie
     families.add("route_payload_bytes_total", labels, route.bytes_total)
 
 
-def _quantiles(name: str, labels: tuple[str, ...], p50: float | None, p99: float | None, families: _Families) -> None:
-    families.add(name, (*labels, "0.5"), p50)
-    families.add(name, (*labels, "0.99"), p99)
+def _percentiles(name: str, labels: tuple[str, ...], p50: float | None, p99: float | None, families: _Families) -> None:
+    families.add(name, (*labels, "50"), p50)
+    families.add(name, (*labels, "99"), p99)
 
 
 def _labels_of(routes: Sequence[RouteSnapshot]) -> Iterator[tuple[str, str, str]]:
