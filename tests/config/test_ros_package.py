@@ -1,4 +1,4 @@
-"""The ROS package: `ros2 run` and `ros2 launch` find it in a prefix where the wheel is installed, and run the command."""
+"""The ROS package: `ros2 run` and `ros2 launch` find it where the wheel is installed, and run the command."""
 
 from __future__ import annotations
 

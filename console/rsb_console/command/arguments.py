@@ -10,7 +10,7 @@ from rsb_bridge.config.keys import DEFAULT_KEY_FILE
 from rsb_console.command import commands
 from rsb_console.command.bench_arguments import add_bench_command
 from rsb_console.command.call_arguments import add_call_commands
-from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands
+from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands, lazily
 from rsb_console.command.shell import print_line
 from rsb_console.command.values import seconds
 
@@ -28,6 +28,13 @@ exit codes, of every command:
   4    the session runs on this machine already
   130  interrupted (Ctrl-C)
   143  terminated"""
+
+
+_COMPLETION = """\
+once for all, where the files of the package are not in the shell's own folders:
+  echo 'eval "$(rsb-console completion bash)"' >> ~/.bashrc
+  echo 'eval "$(rsb-console completion zsh)"' >> ~/.zshrc       # after compinit
+  echo 'rsb-console completion fish | source' >> ~/.config/fish/config.fish"""
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -68,7 +75,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
     _import_arguments(command("import", commands.import_thesis, "make a session file from the thesis's bringup.yaml"))
     scan = command("bt-scan", commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
-    scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
+    only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
+    _complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
@@ -78,17 +86,21 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_call_commands(command, _complete)
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
+    summary = "print what a shell sources to complete this command"
+    script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
+    script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 
 
 def _complete(action: argparse.Action, completer: str) -> None:
-    """Complete an argument with a function of `rsb_console.command.completion`."""
+    """Complete an argument with a function of `rsb_console.command.completion` or `completion_live`."""
 
     def offers(**known: object) -> list[str]:
-        from rsb_console.command import completion  # noqa: PLC0415 (only while a shell completes)
+        from rsb_console.command import completion, completion_live  # noqa: PLC0415 (only while a shell completes)
 
-        found: list[str] = getattr(completion, completer)(**known)
+        module = completion if hasattr(completion, completer) else completion_live
+        found: list[str] = getattr(module, completer)(**known)
         return found
 
     action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own
