@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,9 +98,9 @@ def _complete(action: argparse.Action, completer: str) -> None:
     """Complete an argument with a function of `rsb_console.command.completion` or `completion_live`."""
 
     def offers(**known: object) -> list[str]:
-        from rsb_console.command import completion, completion_live  # noqa: PLC0415 (only while a shell completes)
+        from rsb_console.command import completion  # noqa: PLC0415 (only while a shell completes)
 
-        module = completion if hasattr(completion, completer) else completion_live
+        module = completion if hasattr(completion, completer) else import_module(f"{completion.__name__}_live")
         found: list[str] = getattr(module, completer)(**known)
         return found
 
