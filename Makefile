@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-wire lint bench soak fuzz lock screenshots clean system
+.PHONY: demo test test-wire lint bench soak fuzz lock screenshots man clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
@@ -99,6 +99,10 @@ $(STAMP): pyproject.toml
 # The README's pictures, from the running demo.
 screenshots: $(STAMP)
 	$(BIN)/python docs/screenshots.py
+
+# The man page, from the arguments that the command takes.
+man: $(STAMP)
+	$(BIN)/python docs/manpage.py
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

@@ -21,7 +21,7 @@ from rsb_bridge.config.difference import changes, described
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.contents import Contents
-from rsb_bridge.diagnostics import Diagnostics
+from rsb_bridge.instruments import Instruments
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
 from rsb_bridge.link.reloading import Step
@@ -84,7 +84,7 @@ class Bridge:
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._diagnostics = Diagnostics(context)
+        self._instruments = Instruments(context, snapshots.look)
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -108,7 +108,7 @@ class Bridge:
         try:
             self.context.announcements.start(self._bridges_changed)
             self._shutdown_watch = self._watch_shutdown()
-            self._diagnostics.open()
+            self._instruments.open()
             await self._role.start()
             started = True
         except (ListenError, RosError, LinkError, ValueError) as error:
@@ -149,7 +149,7 @@ class Bridge:
                 await link.table.tick_routes()
                 link.guarded(link.tick)
                 await asyncio.sleep(0)  # no message waits until hundreds of links have had their turn
-            self._diagnostics.tick(self._snapshots.latest)
+            self._instruments.tick(self._snapshots.latest)
 
     def _ros_failed(self, reason: str) -> None:
         """The ROS side is gone: end, so that whoever supervises the process starts it again."""
@@ -159,7 +159,7 @@ class Bridge:
     async def _close(self) -> None:
         if self._shutdown_watch is not None:
             self._shutdown_watch.close()
-        self._diagnostics.close()
+        self._instruments.close()
         self.context.descriptions.close()
         await self._role.stop()
         self.context.announcements.stop()
@@ -342,7 +342,7 @@ class Bridge:
         in_place = (
             (("stale_after", "stale_warnings"), self._set_stale_after),
             (("shutdown_topic",), self._change_shutdown_topic),
-            (("diagnostics_topic",), self._diagnostics.open),
+            *self._instruments.by_key,
         )
         steps = [Step(", ".join(said), act) for names, act in in_place if (said := changes(old, session, only=names))]
         return steps + self._role.steps_to(session, keys)

@@ -507,6 +507,7 @@ fields_of_a_session = {
     "stale_after": st.sampled_from([15.0, 0.0, 7.5]),
     "shutdown_topic": st.sampled_from(["/shutdown", None, "/stop"]),
     "diagnostics_topic": st.sampled_from(["/diagnostics", None, "/health"]),
+    "metrics": st.sampled_from([None, "127.0.0.1:9464", "[::1]:9464"]),
 }
 clients_sessions = st.builds(
     Session, role=st.just("client"), server_ip=st.just("10.0.0.1"), server_port=st.integers(2000, 2009),

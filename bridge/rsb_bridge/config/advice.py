@@ -16,6 +16,7 @@ from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
 from rsb_bridge.config.zenoh_rules import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model import transports
+from rsb_bridge.model.http_address import host_and_port, is_loopback
 from rsb_bridge.model.limits import (
     KEPT_DEPTH,
     LATCHED_DEPTH,
@@ -52,6 +53,7 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
         yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
         yield Problem("zenoh", HOW_TO_INSTALL_ZENOH)
+    yield from _metrics(session)
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)
     for at, client in enumerate(session.clients):
@@ -62,6 +64,15 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
 
 def _binds_port(session: Session) -> bool:
     return session.role == "server" and transports.of_link(session.server_ip).ip_ports
+
+
+def _metrics(session: Session) -> Iterator[Problem]:
+    if session.metrics is None:
+        return
+    if importlib.util.find_spec("prometheus_client") is None:
+        yield Problem("metrics", "none are served without prometheus-client: pip install 'rsb-console[metrics]'")
+    if not is_loopback(host_and_port(session.metrics)[0]):
+        yield Problem("metrics", "no password protects them: who reaches this address reads all names and figures")
 
 
 def _domain(session: Session, variable: str | None) -> Iterator[Problem]:

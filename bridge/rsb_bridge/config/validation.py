@@ -36,6 +36,7 @@ from rsb_bridge.config.topic_rules import (
 )
 from rsb_bridge.config.zenoh_rules import zenoh_problems
 from rsb_bridge.model import transports
+from rsb_bridge.model.http_address import host_and_port
 from rsb_bridge.model.limits import DOMAIN, NAME_BYTES, TOPIC_PORT
 from rsb_bridge.model.names import is_prefix, well_formed
 from rsb_bridge.model.session import Identity, Problem, Session, Topic, is_mac
@@ -168,9 +169,21 @@ def _session(session: Session) -> Iterator[Problem]:
         yield from name_problems(session.shutdown_topic, "shutdown_topic")
     if session.diagnostics_topic is not None:
         yield from name_problems(session.diagnostics_topic, "diagnostics_topic")
+    if session.metrics is not None:
+        yield from _metrics(session.metrics)
     client = session.name if session.role == "client" and session.use_name else None
     yield from _topics(session.topics, "", session, client)
     yield from _clients(session)
+
+
+def _metrics(address: str) -> Iterator[Problem]:
+    try:
+        host, _ = host_and_port(address)
+    except ValueError as error:
+        yield Problem("metrics", str(error))
+        return
+    if not (_is_ip(host) or _is_host(host)):
+        yield Problem("metrics", f"{show(host)} is not an IPv4 or IPv6 address, or a host name")
 
 
 def _profiles(session: Session) -> Iterator[Problem]:

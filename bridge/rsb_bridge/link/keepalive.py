@@ -29,6 +29,8 @@ class Keepalive:
 
     Attributes:
         clock: round trip and clock offset.
+        rx_bytes: wire bytes received over this connection and those before it, as of the last second.
+        tx_bytes: sent, likewise.
     """
 
     def __init__(
@@ -42,6 +44,7 @@ class Keepalive:
             patience: s without a byte until it is given up; None: `DEAD_AFTER`.
         """
         self.clock = ClockOffset()
+        self.rx_bytes = self.tx_bytes = 0
         self._context = context
         self._carriers = carriers
         self._patience = patience
@@ -53,6 +56,12 @@ class Keepalive:
         self._answers = TokenBucket(_ANSWERS, _ANSWERS_A_SECOND, self._began)
         self._on_silence: Callable[[], None] | None = None
         self._watchdog: asyncio.TimerHandle | None = None
+
+    def next(self, patience: float | None) -> Keepalive:
+        """That of the link's next connection, which goes on counting bytes."""
+        following = Keepalive(self._context, self._carriers, patience)
+        following.rx_bytes, following.tx_bytes = self.rx_bytes, self.tx_bytes
+        return following
 
     @property
     def rx_rate(self) -> float:
@@ -109,8 +118,11 @@ class Keepalive:
         received = sum(each.received_bytes for each in carriers)
         sent = sum(each.sent_bytes for each in carriers)
         # There is less than before where a carrier was closed.
-        self._rx.add(max(0, received - self._received), now)
-        self._tx.add(max(0, sent - self._sent), now)
+        more_received, more_sent = max(0, received - self._received), max(0, sent - self._sent)
+        self._rx.add(more_received, now)
+        self._tx.add(more_sent, now)
+        self.rx_bytes += more_received
+        self.tx_bytes += more_sent
         self._received, self._sent = received, sent
         if self._patience is not None:
             for each in carriers:

@@ -229,7 +229,7 @@ class Link(ABC):
         self.channels.connected(keys, self.role)
         self.connections += 1
         self.linked_at = self.context.now()
-        self.keepalive = Keepalive(self.context, self.carriers, self.profile.patience)
+        self.keepalive = self.keepalive.next(self.profile.patience)
         self.keepalive.watch(partial(control.abort, "the peer is silent"))
         self.status.up(self.context.wall())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"

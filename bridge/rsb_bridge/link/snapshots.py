@@ -34,6 +34,8 @@ def snapshot_of(link: Link) -> LinkSnapshot:
         clock_uncertainty=clock.uncertainty,
         rx_bytes_per_second=keepalive.rx_rate if link.linked else 0.0,
         tx_bytes_per_second=keepalive.tx_rate if link.linked else 0.0,
+        rx_bytes_total=keepalive.rx_bytes,
+        tx_bytes_total=keepalive.tx_bytes,
         peer_version=peer.version if peer else "",
         peer_domain=peer.domain_id if peer else None,
         use_name=link.use_name,

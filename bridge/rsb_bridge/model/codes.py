@@ -27,6 +27,8 @@ class EventCode(StrEnum):
     """The bridges of this domain do not understand each other: loops may go unnoticed."""
     ENGINE_DIAGNOSTICS = "engine.diagnostics"
     """Nothing is published on the diagnostics topic; the text says why."""
+    ENGINE_METRICS = "engine.metrics"
+    """Metrics are served, or are not; the text says where, or why."""
     ENGINE_ROS_FAILED = "engine.ros_failed"
     """The ROS side has ended by itself, and the engine with it."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"

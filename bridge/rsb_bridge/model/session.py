@@ -238,6 +238,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
             None: nowhere.
+        metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; None: nowhere.
         topics: a client's topics.
         clients: those that a server lets in; empty: one, with the session's own name and key.
         ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.
@@ -268,6 +269,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     stale_warnings: int = 5
     shutdown_topic: str | None = "/shutdown"
     diagnostics_topic: str | None = "/diagnostics"
+    metrics: str | None = None
     topics: tuple[Topic, ...] = ()
     clients: tuple[Client, ...] = ()
     allow: tuple[str | Grant, ...] = ()

@@ -40,12 +40,18 @@ class State(StrEnum):
         return _RANKS[self]
 
     @property
+    def severity(self) -> int:
+        """0: nothing is wrong, or nothing is meant to cross yet; 1: a warning; 2: an error."""
+        return _SEVERITIES.get(self, 0)
+
+    @property
     def flows(self) -> bool:
         """Whether messages cross, be it too few of them, or unheard."""
         return self in (State.OK, State.UNHEARD, State.SLOW)
 
 
 _RANKS = {state: rank for rank, state in enumerate(State)}
+_SEVERITIES = {State.DOWN: 2, State.STALE: 2, State.STOPPED: 2, State.SLOW: 1, State.UNHEARD: 1}
 
 
 class Level(StrEnum):
@@ -275,6 +281,8 @@ class LinkSnapshot:
         next_fingerprint: on a server, of the key that replaces the client's, and is valid, too; empty: none does.
         capacity_out: what it is known to carry from here; None: nothing yet.
         capacity_in: what it is known to carry to here; None: nothing yet.
+        rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
+        tx_bytes_total: sent, likewise.
     """
 
     name: str
@@ -300,6 +308,8 @@ class LinkSnapshot:
     next_fingerprint: str = ""
     capacity_out: Capacity | None = None
     capacity_in: Capacity | None = None
+    rx_bytes_total: int = 0
+    tx_bytes_total: int = 0
 
 
 @dataclass(frozen=True, slots=True)

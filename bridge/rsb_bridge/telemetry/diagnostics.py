@@ -4,22 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.snapshot import State
-
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from rsb_bridge.model.fields import Fields
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
 
-_OK, _WARN, _ERROR = "0", "1", "2"
-_LEVELS = {
-    State.DOWN: _ERROR,
-    State.STALE: _ERROR,
-    State.STOPPED: _ERROR,
-    State.SLOW: _WARN,
-    State.UNHEARD: _WARN,
-}
+_LEVELS = ("0", "1", "2")
+"""OK, WARN and ERROR of ``diagnostic_msgs/DiagnosticStatus``, by severity."""
 
 
 def diagnostics(snapshot: Snapshot) -> Fields:
@@ -33,11 +25,9 @@ def diagnostics(snapshot: Snapshot) -> Fields:
 
 
 def _link(session: str, link: LinkSnapshot) -> Fields:
-    level = _LEVELS.get(link.state, _OK)
-    if level == _OK and (link.warning or not link.encrypted):
-        level = _WARN
+    severity = max(link.state.severity, int(bool(link.warning) or not link.encrypted))
     message = link.reason or link.warning or ("linked" if link.encrypted else "linked, not encrypted")
-    return _status(f"rsb {session}: link {link.name}", session, level, message, dict(_of_link(link)))
+    return _status(f"rsb {session}: link {link.name}", session, severity, message, dict(_of_link(link)))
 
 
 def _of_link(link: LinkSnapshot) -> Iterator[tuple[str, object]]:
@@ -56,7 +46,7 @@ def _of_link(link: LinkSnapshot) -> Iterator[tuple[str, object]]:
 def _route(session: str, route: RouteSnapshot) -> Fields:
     name = f"rsb {session}: {route.topic} {'to' if route.outgoing else 'from'} {route.link}"
     message = route.reason or (f"{route.rate:.1f} Hz" if route.state.flows else route.state.value)
-    return _status(name, session, _LEVELS.get(route.state, _OK), message, dict(_of_route(route)))
+    return _status(name, session, route.state.severity, message, dict(_of_route(route)))
 
 
 def _of_route(route: RouteSnapshot) -> Iterator[tuple[str, object]]:
@@ -84,9 +74,9 @@ def _of_route(route: RouteSnapshot) -> Iterator[tuple[str, object]]:
             yield f"refused: {why}", count
 
 
-def _status(name: str, session: str, level: str, message: str, values: Mapping[str, object]) -> Fields:
+def _status(name: str, session: str, severity: int, message: str, values: Mapping[str, object]) -> Fields:
     known: list[Fields] = [{"key": key, "value": str(value)} for key, value in values.items() if value != ""]
-    return {"level": level, "name": name, "message": message, "hardware_id": session, "values": known}
+    return {"level": _LEVELS[severity], "name": name, "message": message, "hardware_id": session, "values": known}
 
 
 def _milliseconds(seconds: float | None) -> str:

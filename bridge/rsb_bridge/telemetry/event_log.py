@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from rsb_bridge.model.limits import REASON_LENGTH
-from rsb_bridge.model.snapshot import Event
+from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import encodable, sanitize_text
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.clock import Clock
     from rsb_bridge.model.codes import EventCode
-    from rsb_bridge.model.snapshot import Level
 
 KEPT = 5000
 EVENT_LENGTH = 2000
@@ -42,7 +41,12 @@ class About(TypedDict, total=False):
 
 
 class EventLog:
-    """A bounded list of events. Writing never waits for a reader."""
+    """A bounded list of events. Writing never waits for a reader.
+
+    Attributes:
+        last: the number of the newest event.
+        counts: how many there were of each level, also those that are not kept any more.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -50,6 +54,7 @@ class EventLog:
         self._numbers = itertools.count(1)
         self._news = threading.Condition()
         self.last = 0
+        self.counts = dict.fromkeys(Level, 0)
 
     def add(self, level: Level, code: EventCode, text: str, **about: Unpack[About]) -> None:
         """Append an event; `rsb_bridge.model.snapshot.Event` says what each value is."""
@@ -64,6 +69,7 @@ class EventLog:
         with self._news:
             self.last = next(self._numbers)
             self._events.append(replace(event, number=self.last))
+            self.counts[event.level] += 1
             self._news.notify_all()
 
     def after(self, number: int) -> list[Event]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from rsb_console.command import commands
 from rsb_console.command.bench_arguments import add_bench_command
 from rsb_console.command.call_arguments import add_call_commands
 from rsb_console.command.fleet_arguments import add_fleet_commands
-from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands
+from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands, lazily
 from rsb_console.command.shell import print_line
 from rsb_console.command.values import seconds
 
@@ -29,6 +30,13 @@ exit codes, of every command:
   4    the session runs on this machine already
   130  interrupted (Ctrl-C)
   143  terminated"""
+
+
+_COMPLETION = """\
+once for all, where the files of the package are not in the shell's own folders:
+  echo 'eval "$(rsb-console completion bash)"' >> ~/.bashrc
+  echo 'eval "$(rsb-console completion zsh)"' >> ~/.zshrc       # after compinit
+  echo 'rsb-console completion fish | source' >> ~/.config/fish/config.fish"""
 
 
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
@@ -69,7 +77,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     keygen.add_argument("--force", action="store_true", help="replace an existing key file")
     _import_arguments(command("import", commands.import_thesis, "make a session file from the thesis's bringup.yaml"))
     scan = command("bt-scan", commands.bt_scan, "list Bluetooth adapters and their busy RFCOMM channels")
-    scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
+    only = scan.add_argument("--adapter", metavar="NAME", help="only this one: hci0, or its MAC")
+    _complete(only, "adapters")
     scan.add_argument("--json", action="store_true", help="print JSON, for programs")
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
@@ -80,17 +89,21 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     add_client_commands(command, _complete)
     add_bench_command(command, _complete)
     add_fleet_commands(command, _complete, _console_options)
+    summary = "print what a shell sources to complete this command"
+    script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
+    script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     _complete(subparsers, "yaml_files")
     return parser, list(subparsers.choices)
 
 
 def _complete(action: argparse.Action, completer: str) -> None:
-    """Complete an argument with a function of `rsb_console.command.completion`."""
+    """Complete an argument with a function of `rsb_console.command.completion` or `completion_live`."""
 
     def offers(**known: object) -> list[str]:
         from rsb_console.command import completion  # noqa: PLC0415 (only while a shell completes)
 
-        found: list[str] = getattr(completion, completer)(**known)
+        module = completion if hasattr(completion, completer) else import_module(f"{completion.__name__}_live")
+        found: list[str] = getattr(module, completer)(**known)
         return found
 
     action.completer = offers  # type: ignore[attr-defined]  # argcomplete's own

@@ -39,9 +39,10 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     """Add `bench`; the arguments are those of `rsb_console.command.remote_arguments.add_remote_commands`."""
     parser = command("bench", lazily("bench", "bench"), "measure what this machine, or a link, carries", _MORE)
     name = parser.add_argument("bridge", metavar="NAME", nargs="?", help="a running bridge, or its session file")
-    complete(name, "bridge_names")
+    complete(name, "bridges_and_files")
     parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
-    parser.add_argument("--link", default="", metavar="CLIENT", help="on a server of several clients: which one")
+    which = "on a server of several clients: which one"
+    complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")
     parser.add_argument("--seconds", type=seconds, metavar="N", help="at most N s; default: 50 with --quick, else 360")
     parser.add_argument("--sizes", type=sizes, metavar="N,...", help="of the messages: 256,10k,1M; default: 256 to 6M")

@@ -42,12 +42,12 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
         "call", lazily("call", "calling"), "call a bridged service once, and print its response as YAML", _CALL
     )
     bridge_options(call, complete)
-    route_arguments(call, kinds=KINDS[1:])
+    route_arguments(call, complete, kinds=KINDS[1:])
     call.add_argument(
         "request", metavar="YAML", nargs="?", default="", help="the request's fields; -: read them from standard input"
     )
     lanes = "of an action: send_goal, cancel_goal, get_result; of parameters: set_parameters, ..."
-    call.add_argument("--lane", default="", metavar="SERVICE", help=lanes)
+    complete(call.add_argument("--lane", default="", metavar="SERVICE", help=lanes), "lanes")
     limit = "give up after so long; else after the route's timeout, and get_result waits until the goal is over"
     call.add_argument("--timeout", type=seconds, metavar="SECONDS", help=limit)
     parent = command("param", lazily("list", "parameters"), "read and set the parameters of a bridged node", _PARAM)
@@ -63,9 +63,11 @@ def add_call_commands(command: AddCommand, complete: Complete) -> None:
         parser = commands.add_parser(name, help=summary, description=f"{summary}.")
         parser.set_defaults(command=lazily(name, "parameters"))
         bridge_options(parser, complete)
-        route_arguments(parser, kinds=("parameters",), metavar="NODE")
+        route_arguments(parser, complete, kinds=("parameters",), metavar="NODE")
         for word in words:
-            parser.add_argument(word, metavar=word.upper())
+            argument = parser.add_argument(word, metavar=word.upper())
+            if word == "parameter":
+                complete(argument, "parameters")
         if name == "set":
             kinds = "bool, integer, double or string, byte_array, ...: which it must have, else the one that it shows"
-            parser.add_argument("--type", default="", metavar="TYPE", help=kinds)
+            complete(parser.add_argument("--type", default="", metavar="TYPE", help=kinds), "parameter_types")

@@ -4,15 +4,30 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import argcomplete
+from argcomplete.completers import FilesCompleter
 
 from rsb_bridge.config.files import typed_path
+from rsb_console.command.shell import OK, print_line
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser
+    from argparse import Action, ArgumentParser, Namespace
     from collections.abc import Collection
+
+_PATHS = ("PATH", "FILE", "FILE.svg")
+"""The metavars of arguments that are paths, and still texts."""
+_ADAPTERS = Path("/sys/class/bluetooth")
+
+
+def run(name: str, arguments: Namespace) -> int:
+    """Print what a shell sources to complete the command. Returns the exit code."""
+    assert name == "script"
+    for line in argcomplete.shellcode(["rsb-console"], shell=arguments.shell).strip("\n").splitlines():
+        print_line(line)
+    return OK
 
 
 def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
@@ -27,8 +42,15 @@ def complete(parser: ArgumentParser, commands: Collection[str]) -> None:
     if len(words) + line.endswith(" ") > 2 and words[1] not in (*commands, "--debug"):
         os.environ["COMP_LINE"] = line.replace(words[0], f"{words[0]} run", 1)
         os.environ["COMP_POINT"] = str(int(os.environ["COMP_POINT"]) + len(" run"))
-    argcomplete.autocomplete(parser)
+    argcomplete.autocomplete(parser, default_completer=_files_where_a_path_is_due)
     sys.exit()
+
+
+def _files_where_a_path_is_due(prefix: str, action: Action, **_: object) -> list[str]:
+    if action.type is not Path and action.metavar not in _PATHS:
+        return []
+    found: list[str] = FilesCompleter()(prefix)
+    return found
 
 
 def yaml_files(prefix: str, **_: object) -> list[str]:
@@ -60,3 +82,13 @@ def bridge_names(**_: object) -> list[str]:
     from rsb_bridge.control.folders import find_sockets  # noqa: PLC0415 (only for the commands that attach)
 
     return [path.stem for path in find_sockets(os.environ)]
+
+
+def bridges_and_files(prefix: str, **_: object) -> list[str]:
+    """The bridges that run on this machine, and session files."""
+    return bridge_names() + yaml_files(prefix)
+
+
+def adapters(**_: object) -> list[str]:
+    """The Bluetooth adapters of this machine."""
+    return sorted(path.name for path in _ADAPTERS.glob("hci*")) if _ADAPTERS.is_dir() else []

@@ -32,7 +32,7 @@ def run(name: str, arguments: Namespace) -> int:
 
 def _list(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        names = _names(engine, chosen_route(engine, arguments))
+        names = names_of(engine, chosen_route(engine, arguments))
     if arguments.json:
         return done(arguments, names=names)
     for name in names:
@@ -70,7 +70,7 @@ def _set(arguments: Namespace) -> int:
 def _dump(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         route = chosen_route(engine, arguments)
-        names = sorted(_names(engine, route))
+        names = sorted(names_of(engine, route))
         values: dict[str, Any] = {}
         for at in range(0, len(names), _AT_ONCE):
             some = names[at : at + _AT_ONCE]
@@ -97,7 +97,7 @@ def _describe(arguments: Namespace) -> int:
     return OK
 
 
-def _names(engine: RemoteEngine, route: RouteSnapshot) -> list[str]:
+def names_of(engine: RemoteEngine, route: RouteSnapshot) -> list[str]:
     names: list[str] = _ask(engine, route, "list_parameters", {})["result"]["names"]
     if len(names) >= ITEMS:
         print_error(f"{route.topic} may have more parameters than the first {ITEMS:,}")

@@ -131,35 +131,34 @@ def add_remote_commands(
     topics = remote("topics", "list the topics and services of a running bridge")
     topics.add_argument("--available", action="store_true", help="list what can be bridged, on either side, instead")
     add = remote("add", "bridge one more topic, service, action or node's parameters", _ADD, about_topic=True)
-    add.add_argument(
-        "topic", metavar="NAME", help="its name, as the screen of the bridge shows it, or as the client does"
-    )
+    name = "its name, as the screen of the bridge shows it, or as the client does"
+    complete(add.add_argument("topic", metavar="NAME", help=name), "available")
     _kind(add, "what it is; default: topic")
     for kind in KINDS[1:]:
         add.add_argument(f"--{kind}", dest="kind", action="store_const", const=kind, help=f"short for --kind {kind}")
     add.add_argument("--provider", choices=("client", "server"), help="of a service: the side whose node answers")
-    add.add_argument(
-        "direction",
-        metavar="transmit|receive",
-        nargs="?",
-        help="of a topic: to the server, or from the server, as the client sees it",
-    )
+    way = "of a topic: to the server, or from the server, as the client sees it"
+    direction = add.add_argument("direction", metavar="transmit|receive", nargs="?", help=way)
+    complete(direction, "direction_or_keys")
     _cost_options(add)
-    _topic_keys(add)
-    add.add_argument("--link", default="", metavar="CLIENT", help="on a server of several clients: the one to bridge")
+    _topic_keys(add, complete)
+    which = "on a server of several clients: the one to bridge"
+    complete(add.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     edit = remote("edit", "change a topic or service that is bridged", about_topic=True)
-    route_arguments(edit)
-    _topic_keys(edit)
+    route_arguments(edit, complete)
+    _topic_keys(edit, complete)
     for name, summary in (
         ("remove", "stop bridging a topic or service, on both sides"),
         ("pause", "stop carrying a topic's messages or a service's calls, on both sides"),
         ("resume", "carry what is paused again"),
     ):
-        route_arguments(remote(name, summary, about_topic=True))
-    route_arguments(remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True))
-    route_arguments(remote("disarm", "disarm a topic or service, whoever armed it", about_topic=True))
+        route_arguments(remote(name, summary, about_topic=True), complete)
+    arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
+    route_arguments(arm, complete)
+    route_arguments(remote("disarm", "disarm a topic or service, whoever armed it", about_topic=True), complete)
     retry = remote("retry", "connect now instead of later, and open refused topics again")
-    retry.add_argument("--link", default="", metavar="CLIENT", help="the link with this client only")
+    only = "the link with this client only"
+    complete(retry.add_argument("--link", default="", metavar="CLIENT", help=only), "links")
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
@@ -170,19 +169,28 @@ def add_remote_commands(
     report.add_argument("--last", default="8h", metavar="SPAN", help="8h, 30m, ...; at most 24h (%(default)s)")
     report.add_argument("--csv", action="store_true", help="print CSV, for a spreadsheet")
     wait = remote("wait", "wait until topics flow, a link is up, or the bridge has stopped", _WAIT, about_topic=True)
-    wait.add_argument(
+    _wait_arguments(wait, complete)
+    echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
+    _echo_arguments(echo, complete)
+    remote("stop", "end a running bridge, and wait until it has ended")
+
+
+def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
+    wanted = wait.add_argument(
         "--for", dest="wanted", nargs="+", required=True, metavar=("WHAT", "NAME"),
         help="flowing TOPIC, linked [CLIENT], or stopped",
     )  # fmt: skip
+    complete(wanted, "awaited")
     wait.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
-    echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
-    route_arguments(echo, kinds=("topic",))
+
+
+def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
+    route_arguments(echo, complete, kinds=("topic",))
     echo.add_argument("--once", action="store_true", help="stop after one message")
     echo.add_argument("--count", type=count, metavar="N", help="stop after N messages; default: until interrupted")
     echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
-    remote("stop", "end a running bridge, and wait until it has ended")
 
 
 def bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:
@@ -205,7 +213,9 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
         parser = commands.add_parser(name, help=summary, description=f"{summary}.")
         parser.set_defaults(command=lazily(name, "client"), saves=name != "show")
         if named:
-            parser.add_argument("name", metavar="NAME", help="the client's")
+            its_name = parser.add_argument("name", metavar="NAME", help="the client's")
+            if name != "add":
+                complete(its_name, "links")
         which = "the server's file; default: that of the bridge that runs here"
         complete(parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=which), "yaml_files")
         complete(parser.add_argument("--bridge", metavar="BRIDGE", help="where several bridges run"), "bridge_names")
@@ -253,10 +263,14 @@ def _report(arguments: argparse.Namespace) -> int:
     return code
 
 
-def route_arguments(parser: argparse.ArgumentParser, kinds: tuple[str, ...] = KINDS, metavar: str = "NAME") -> None:
+def route_arguments(
+    parser: argparse.ArgumentParser, complete: Complete, kinds: tuple[str, ...] = KINDS, metavar: str = "NAME"
+) -> None:
     """Add the arguments that name one of what is bridged, of these kinds."""
-    parser.add_argument("topic", metavar=metavar, help="the name on this bridge's side, or on the client")
-    parser.add_argument("--link", default="", metavar="CLIENT", help="the client, where several have it")
+    name = "the name on this bridge's side, or on the client"
+    complete(parser.add_argument("topic", metavar=metavar, help=name), "bridged")
+    which = "the client, where several have it"
+    complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--direction", choices=("transmit", "receive"), help="the one to take, where it goes both ways")
     parser.set_defaults(kinds=kinds, kind=None)
     if len(kinds) > 1:
@@ -277,8 +291,8 @@ def _cost_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", type=above_0, metavar="BYTES", help=figures)
 
 
-def _topic_keys(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+def _topic_keys(parser: argparse.ArgumentParser, complete: Complete) -> None:
+    keys = parser.add_argument(
         "keys",
         nargs="*",
         default=[],  # without it argparse says that it is required
@@ -286,3 +300,4 @@ def _topic_keys(parser: argparse.ArgumentParser) -> None:
         help=f"as in a session file: {TOPIC_KEYS}; of a service, an action or parameters: {CALL_KEYS}; an empty value "
         "is the default",
     )
+    complete(keys, "keys")

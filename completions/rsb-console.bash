@@ -1,0 +1,2 @@
+# Completion of rsb-console for bash, loaded on the first TAB.
+eval "$(rsb-console completion bash)"

@@ -1,0 +1,2 @@
+# Completion of rsb-console for fish.
+rsb-console completion fish | source

@@ -1,0 +1,171 @@
+"""What a shell offers on TAB, asked as a shell asks: through the environment of argcomplete."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.console.scripted import SESSION, ScriptedEngine, route
+
+from rsb_bridge.model.session import Topic
+from rsb_console.command.arguments import parser_and_commands
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from tests.support.control import Machine
+
+COMMAND = Path(sys.executable).with_name("rsb-console")
+_ROOT = Path(__file__).parents[2]
+SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit"))
+DOCK = route("/dock", spec=Topic("/dock", "receive", kind="service"))
+NODE = route("/controller", spec=Topic("/controller", "receive", kind="parameters"))
+
+
+@pytest.fixture(autouse=True)
+def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> ScriptedEngine:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    made = ScriptedEngine(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN, DOCK, NODE))
+    machine.serve(made)
+    return made
+
+
+def offered(line: str, folder: Path) -> set[str]:
+    """What is offered for a line that ends at the cursor."""
+    answer = folder / "completions"
+    environment = os.environ | {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+    }
+    run = subprocess.run(
+        [COMMAND], env=environment, cwd=folder, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert run.stderr == ""
+    return {each.rstrip() for each in answer.read_text().split("\n")} - {""}
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("rsb-console attach ro", {"robot1"}),
+        ("rsb-console status --bridge ", {"robot1"}),
+        ("rsb-console pause /", {"/scan", "/dock", "/controller"}),
+        ("rsb-console pause --kind service /", {"/dock"}),
+        ("rsb-console pause --direction transmit /", {"/scan"}),
+        ("rsb-console echo /", {"/scan"}),
+        ("rsb-console call /", {"/dock", "/controller"}),
+        ("rsb-console param list /", {"/controller"}),
+        ("rsb-console edit /scan --link ", {"robot1"}),
+        ("rsb-console pause --bridge nobody /", set()),
+        ("rsb-console add /scan ", {"transmit", "receive"}),
+        ("rsb-console add /scan transmit max", {"max_rate="}),
+        ("rsb-console add --service /dock --provider ", {"client", "server"}),
+        ("rsb-console add --service /dock time", {"timeout="}),
+        ("rsb-console add --kind ", {"topic", "service", "action", "parameters"}),
+        ("rsb-console edit /scan protocol=", {"protocol=tcp", "protocol=udp", "protocol=bluetooth"}),
+        ("rsb-console edit /scan priority=l", {"priority=low"}),
+        ("rsb-console edit /scan paused=", {"paused=true", "paused=false"}),
+        ("rsb-console edit /scan qos=sen", {"qos=sensor_data"}),
+        ("rsb-console call /controller --lane set", {"set_parameters", "set_parameters_atomically"}),
+        ("rsb-console param set /controller a 1 --type byte", {"byte_array"}),
+        ("rsb-console wait --for ", {"flowing", "linked", "stopped"}),
+        ("rsb-console client remove ", {"robot1"}),
+        ("rsb-console client add ", set()),
+        ("rsb-console completion ", {"bash", "zsh", "fish"}),
+        ("rsb-console keygen rob", {"robot1.key"}),
+        ("rsb-console demo --seconds ", set()),
+        ("rsb-console import a.yaml --name ", set()),
+        ("rsb-console run --control rob", {"robot1.key"}),
+    ],
+)
+def test_it_is_offered(line: str, expected: set[str], tmp_path: Path) -> None:
+    (tmp_path / "robot1.key").touch()
+    found = offered(line, tmp_path)
+    keys = {each for each in found if each.endswith("=")} - expected
+    options = {each for each in found if each.startswith("-")}
+    assert found - keys - options == expected
+    assert not keys or line.endswith(" ")
+
+
+def test_topics_that_can_be_bridged_are_offered_to_add(engine: ScriptedEngine, tmp_path: Path) -> None:
+    known = {info.topic for info in engine.topics().result() if info.kind == "topic"}
+    assert known
+    assert offered("rsb-console add /", tmp_path) >= known
+
+
+def test_what_several_bridges_have_waits_for_a_name(machine: Machine, tmp_path: Path) -> None:
+    other = ScriptedEngine(msgspec.structs.replace(SESSION, name="robot2"), routes=(replace(SCAN, topic="/other"),))
+    other.now = replace(other.now, name="robot2")
+    machine.serve(other)
+    assert offered("rsb-console echo /", tmp_path) == set()
+    assert offered("rsb-console echo --bridge robot2 /", tmp_path) == {"/other"}
+
+
+def test_no_argument_is_left_out() -> None:
+    """Every argument is completed, has choices, or takes something that nobody can list."""
+    free = {
+        "N", "HZ", "BYTES", "SECONDS", "SPAN", "YAML", "VALUE", "PATTERN", "ADDRESS", "N,...", "A,B", "NAME,...",
+    }  # fmt: skip
+    own = {"import --name", "import --port", "client add NAME"}
+
+    def missing(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
+        for action in parser._actions:
+            if isinstance(action.choices, dict):
+                for word, each in action.choices.items():
+                    yield from missing(each, f"{name} {word}".strip())
+                continue
+            takes = action.nargs != 0 and not hasattr(action, "completer") and not action.choices
+            if takes and action.type is not Path and action.metavar not in {*free, "PATH", "FILE", "FILE.svg"}:
+                yield f"{name} {action.option_strings[-1] if action.option_strings else action.metavar}"
+
+    assert set(missing(parser_and_commands()[0], "")) == own
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+def test_bash_completes_with_what_is_installed(tmp_path: Path) -> None:
+    script = f"""
+        PATH={COMMAND.parent}:$PATH
+        source {_ROOT}/completions/rsb-console.bash
+        complete -p rsb-console
+        COMP_LINE='rsb-console keyg' COMP_POINT=16 COMP_TYPE=9
+        COMP_WORDBREAKS=' =' COMP_WORDS=(rsb-console keyg) COMP_CWORD=1
+        _python_argcomplete rsb-console keyg rsb-console
+        echo "${{COMPREPLY[@]}}"
+    """
+    run = subprocess.run(
+        ["bash", "--norc", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert run.stdout.split()[-2:] == ["rsb-console", "keygen"], run.stderr
+
+
+@pytest.mark.parametrize(
+    ("shell", "file", "word"),
+    [("zsh", "_rsb-console", "compdef"), ("fish", "rsb-console.fish", "complete --command rsb-console")],
+)
+def test_the_other_shells_get_theirs(shell: str, file: str, word: str) -> None:
+    assert f"rsb-console completion {shell}" in (_ROOT / "completions" / file).read_text()
+    run = subprocess.run([COMMAND, "completion", shell], capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == 0
+    assert word in run.stdout
+
+
+def test_a_bridge_that_does_not_answer_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    from argparse import Namespace
+
+    from rsb_console.command import completion_live
+
+    monkeypatch.setattr(completion_live, "attached", lambda *_, **__: time.sleep(60))
+    monkeypatch.setattr(completion_live, "_WAITS", 0.01)
+    assert completion_live.links(Namespace()) == []

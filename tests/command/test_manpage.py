@@ -1,0 +1,63 @@
+"""The man page says all that the parser knows, and groff reads it without a complaint."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from rsb_console.command.arguments import parser_and_commands
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+    from types import ModuleType
+
+_DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture
+def manpage() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("manpage", _DOCS / "manpage.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def said(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
+    for action in parser._actions:
+        yield from action.option_strings
+        if isinstance(action.choices, dict):
+            for word, each in action.choices.items():
+                yield f"{name} {word}"
+                yield from said(each, f"{name} {word}")
+
+
+def test_it_is_up_to_date(manpage: ModuleType) -> None:
+    assert manpage.PAGE.read_text(encoding="utf-8") == manpage.page(), "make man"
+
+
+def test_every_command_and_option_is_in_it(manpage: ModuleType) -> None:
+    text = manpage.PAGE.read_text(encoding="utf-8").replace("\\-", "-")
+    everything = set(said(parser_and_commands()[0], "rsb-console"))
+    assert len(everything) > 80
+    assert [each for each in everything if each not in text] == []
+
+
+@pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")
+def test_groff_takes_it(manpage: ModuleType) -> None:
+    run = subprocess.run(
+        ["groff", "-man", "-Tutf8", "-ww", "-K", "utf8", "-P-cbou", manpage.PAGE],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert run.stderr == ""
+    assert "rsb-console keygen" in run.stdout

@@ -1,0 +1,218 @@
+"""What Prometheus gets from a bridge, over its socket; and what becomes of the bridge where that does not work."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import sys
+import threading
+import time
+from http.client import HTTPConnection
+from typing import TYPE_CHECKING
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from tests.engine.test_reloading import Edited
+from tests.support.bridge import carries, linked
+from tests.support.domain import text
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge import metrics
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.telemetry.metrics_server import MetricsServer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+
+    from rsb_bridge.engine import Engine
+
+ONE = Topic("/chat", "transmit")
+
+
+def address(host: str = "127.0.0.1") -> str:
+    return f"{host}:{free_port()}"
+
+
+def scrape(where: str) -> dict[tuple[str, ...], float]:
+    """The samples, by name and the values of the labels in their order; empty: nobody serves any."""
+    host, _, port = where.rpartition(":")
+    connection = HTTPConnection(host.strip("[]"), int(port), timeout=30)
+    try:
+        connection.request("GET", "/metrics")
+        answer = connection.getresponse()
+        assert answer.status == 200
+        found = answer.read().decode()
+    except OSError:
+        return {}
+    finally:
+        connection.close()
+    families = text_string_to_metric_families(found)
+    return {(sample.name, *sample.labels.values()): sample.value for family in families for sample in family.samples}
+
+
+def told(engine: Engine, level: Level) -> int:
+    """How many events about metrics of that level there were."""
+    return sum((event.code, event.level) == (EventCode.ENGINE_METRICS, level) for event in engine.events())
+
+
+def test_both_sides_serve_what_crosses_and_what_does_not(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    here, there = address(), address("[::1]")
+    chat, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.server(metrics=there), bridge.client(ONE, metrics=here)
+    eventually(lambda: linked(client) and linked(server) and chat.matched)
+    carries([out], server, ["/chat"])
+    out.publish(text("one"))
+    delivered = "rsb_messages_delivered_total"
+    eventually(lambda: scrape(there).get((delivered, "in", "robot1", "/chat")))
+    found = eventually(lambda: new if (new := scrape(here)).get((delivered, "out", "robot1", "/chat")) else None)
+    assert found["rsb_link_up", "robot1"] == 1
+    assert found["rsb_link_receive_bytes_total", "robot1"] > 0
+    assert found["rsb_session_info", str(robot.id), "client", "robot1"] == 1
+    assert found["process_open_fds",] > 0
+    server.stop()
+    eventually(lambda: scrape(here)["rsb_link_up", "robot1"] == 0)
+    assert scrape(here)["rsb_link_transmit_bytes_total", "robot1"] >= found["rsb_link_transmit_bytes_total", "robot1"]
+    assert not scrape(there)
+
+
+def test_bytes_are_counted_over_all_connections(bridge: Bridge) -> None:
+    server, client = bridge.both(ONE, metrics=None)
+
+    def received() -> int:
+        return client.snapshot().links[0].rx_bytes_total
+
+    before = eventually(received)
+    server.restart().result(60)
+    eventually(lambda: linked(client) and linked(server))
+    eventually(lambda: received() > before)
+
+
+def test_another_address_and_none(bridge: Bridge, tmp_path: Path) -> None:
+    first, second = address(), address()
+    server = bridge.server(metrics=first)
+    eventually(lambda: scrape(first))
+    file = Edited(server, tmp_path / "server.yaml")
+    file.reload(metrics=second)
+    eventually(lambda: scrape(second))
+    assert not scrape(first)
+    file.reload(metrics=f"0.0.0.0:{second.rpartition(':')[2]}")  # the same port, which the one before has to leave
+    eventually(lambda: told(server, Level.INFO) == 3)
+    assert scrape(second)
+    assert told(server, Level.ERROR) == 0
+    file.reload(metrics=None)
+    eventually(lambda: not scrape(second))
+
+
+def test_a_port_that_is_taken_ends_nothing_and_is_tried_again(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics, "_RETRIED_EVERY", 0.05)
+    where = address()
+    with socket.create_server(("127.0.0.1", int(where.rpartition(":")[2]))):
+        server, _ = bridge.both(ONE, metrics=where)  # each of which has only this address
+        eventually(lambda: told(server, Level.ERROR))
+    eventually(lambda: scrape(where))
+    assert told(server, Level.ERROR) == 1
+
+
+def test_without_the_extra_the_bridge_says_what_to_install(bridge: Bridge, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    monkeypatch.delitem(sys.modules, "rsb_bridge.telemetry.metrics", raising=False)
+    server, client = bridge.both(ONE, metrics=address())
+    for engine in (server, client):
+        eventually(lambda engine=engine: told(engine, Level.WARNING))
+        (event,) = [event for event in engine.events() if event.code == EventCode.ENGINE_METRICS]
+        assert "pip install 'rsb-console[metrics]'" in event.text
+
+
+# --- the server
+
+
+class Served:
+    """A server on a thread, with a clock of its own."""
+
+    def __init__(self, answer: Callable[[], bytes] = lambda: b"1") -> None:
+        self.now = 0.0
+        self.failures: list[Exception] = []
+        self._answer = answer
+        self.port = free_port()
+        self.server = MetricsServer("127.0.0.1", self.port, self._app, lambda: self.now, self.failures.append)
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _app(self, _: object, start_response: Callable[[str, list[tuple[str, str]]], object]) -> list[bytes]:
+        content = self._answer()
+        start_response("200 OK", [])
+        return [content]
+
+    def _run(self) -> None:
+        with self.server:
+            while not self._ends.is_set():
+                self.server.turn()
+
+    def get(self) -> bytes:
+        with socket.create_connection(("127.0.0.1", self.port), timeout=30) as connection:
+            connection.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            return b"".join(iter(lambda: connection.recv(4096), b""))
+
+    def close(self) -> None:
+        self._ends.set()
+        self.server.wake()
+        self._thread.join(30)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    made = Served()
+    yield made
+    made.close()
+
+
+def test_a_few_that_say_nothing_are_borne_and_more_are_closed(served: Served) -> None:
+    silent = [socket.create_connection(("127.0.0.1", served.port), timeout=30) for _ in range(8)]
+    answer = b""
+    with contextlib.suppress(ConnectionError):  # closed in either way
+        answer = served.get()
+    assert not answer
+    served.now += 10.0
+    for each in silent:
+        assert each.recv(1) == b""
+        each.close()
+    eventually(lambda: served.get().startswith(b"HTTP/1.0 200"))
+
+
+def test_closing_waits_for_nobody(served: Served) -> None:
+    with socket.create_connection(("127.0.0.1", served.port), timeout=30) as silent:
+        eventually(lambda: len(threading.enumerate()) > 2)
+        began = time.monotonic()
+        served.close()
+        assert time.monotonic() - began < 5.0, "and not the 10 s that a connection may last"
+        assert silent.recv(1) == b""
+
+
+def test_what_fails_inside_is_told_and_printed_nowhere(capfd: pytest.CaptureFixture[str]) -> None:
+    def fail() -> bytes:
+        raise ValueError("a mistake")
+
+    served = Served(fail)
+    assert served.get().startswith(b"HTTP/1.0 500")
+    assert [str(each) for each in served.failures] == ["a mistake"]
+    served.close()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_reader_that_goes_is_no_error(served: Served, capfd: pytest.CaptureFixture[str]) -> None:
+    for request in (b"GET / HTTP/1.0\r\n\r\n", b"nonsense\r\n\r\n", b"G", b"x" * 70_000):
+        with socket.create_connection(("127.0.0.1", served.port), timeout=30) as connection:
+            connection.sendall(request)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    eventually(lambda: served.get().startswith(b"HTTP/1.0 200"))
+    assert served.failures == []
+    assert capfd.readouterr() == ("", "")
