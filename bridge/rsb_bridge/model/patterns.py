@@ -17,6 +17,8 @@ ROUTES_BY_PATTERNS: Final = 250
 PATTERNS_PER_LINK: Final = 64
 """Patterns of one side, on one link."""
 EXCEPTIONS_PER_PATTERN: Final = 256
+NAMES_FOLLOWED: Final = 1000
+"""Names that one side of a link tells the other because they match its patterns."""
 GONE_AFTER: Final = 300.0
 """s for which a route stays whose topic nobody publishes any more."""
 
