@@ -97,9 +97,8 @@ class TopicCommands:
             link, route = self.find(key)
             topic, name = route.spec, route.local_topic
             link.bench.removed(route)
+            link.table.remove(route, "removed by an operator")
             link.patterns.leave_out(route)
-            if key in link.routes:  # else no pattern has wanted it any more
-                link.table.remove(route, "removed by an operator")
         self._did(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
 
     def pause(self, key: str, *, paused: bool) -> None:

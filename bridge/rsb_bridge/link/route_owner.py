@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
+
     OnRemoved: TypeAlias = Callable[[Route], None]
 
 

@@ -49,7 +49,7 @@ class RouteTable:
         arming: arms and disarms them.
         yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
         listed: identities of the topics that this side proposes, also while the other side has removed them.
-        on_removed: called with a route before an operator of the other side removes it.
+        on_removed: called with a route that an operator of the other side has removed.
     """
 
     def __init__(self, context: Context, owner: RouteOwner) -> None:
@@ -346,10 +346,10 @@ class RouteTable:
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:
             self._tell_removed(route, reason)
+        self._forget(route, EventCode.ROUTE_REMOVED, reason)
         if message.who:
             self._peer_operators.removed(route, message.who)
             self.on_removed(route)
-        self._forget(route, EventCode.ROUTE_REMOVED, reason)
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:
