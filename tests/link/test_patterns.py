@@ -1,4 +1,4 @@
-"""Patterns of topics between two ROS domains: followed in either graph, within what either side allows, and no loops."""
+"""Patterns of topics between two ROS domains: in either graph, within what either side allows, and without loops."""
 
 from __future__ import annotations
 

@@ -275,6 +275,7 @@ class ClientLink(Link):
         """Go on with the rights of another session, which lists these topics."""
         self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
         self.table.rights_changed()
+        self.patterns.renew()
 
     def with_local_name(self, proposal: Propose) -> Propose:
         return proposal

@@ -118,12 +118,13 @@ class NameWatch:
 
     def _search(self) -> list[_Found]:
         """What matches; on another thread."""
-        ros = self._context.ros
+        ros, session = self._context.ros, self._context.session
+        own = (session.shutdown_topic, session.diagnostics_topic)
         topics = ros.topics() if "topic" in self._patterns else ()
         found = [
             _Found(("topic", name), agreed_type(publishers)[0], publishers)
             for name in topics
-            if self._matches(("topic", name)) and (publishers := ros.publishers(name))
+            if name not in own and self._matches(("topic", name)) and (publishers := ros.publishers(name))
         ]
         kinds = [kind for kind in self._patterns if kind != "topic"]
         for entry in called_in(ros, kinds) if kinds else ():
@@ -138,12 +139,9 @@ class NameWatch:
         if len(self._known) >= _REMEMBERED:
             self._known.clear()
         kind, name = named
-        session = self._context.session
-        matches = not (
-            is_hidden(name) or name in (*OF_EVERY_NODE, session.shutdown_topic, session.diagnostics_topic)
-        ) and any(pattern.match(name) is not None for pattern in self._patterns[kind])
-        self._known[named] = matches
-        return matches
+        never = is_hidden(name) or name in OF_EVERY_NODE
+        self._known[named] = not never and any(each.match(name) is not None for each in self._patterns[kind])
+        return self._known[named]
 
     def _is_a_programs(self, found: _Found) -> bool:
         """Whether a node has it that is known, and no bridge's."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.following import Followed
 
+_REMEMBERED: Final = 10_000
 _GONE: Final = f"gone for {GONE_AFTER / 60:g} min"
 _KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
 
@@ -69,6 +71,7 @@ class LinkPatterns:
         self._request = 0
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
+        self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
         self._told_full: set[Identity] = set()
         link.table.on_removed = self.leave_out
 
@@ -144,6 +147,7 @@ class LinkPatterns:
     def _set(self, topics: Iterable[Topic]) -> None:
         before = {entry.topic.identity for entry in self.entries if entry.beyond}
         self.entries = [self._entry(topic) for topic in topics]
+        self._known.clear()
         self._told_full &= before & {entry.topic.identity for entry in self.entries}
         self._ask()
         self.link.context.names_changed()
@@ -160,10 +164,10 @@ class LinkPatterns:
     def connected(self) -> None:
         """The peer is connected, and is asked for what its graph has. Who is on the server is known from now on."""
         self._request = 0
-        self.names_changed()
+        self.renew()
 
-    def names_changed(self) -> None:
-        """The server may have other names for the client's topics."""
+    def renew(self) -> None:
+        """The server may have other names for the client's topics, or the peer other rights."""
         self._set(self.all())
 
     def disconnected(self) -> None:
@@ -245,15 +249,35 @@ class LinkPatterns:
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """What matches now, each with the pattern that wins, in the order of patterns and names."""
-        found: dict[Identity, tuple[PatternEntry, Topic]] = {}
-        rights = _as_listed(self.link.rights)
-        for entry in self.entries:
-            names = self._here if self.is_local(entry) else self.there
-            for (kind, name), type_name in sorted((names or {}).items()):
-                topic = entry.match(name, type_name) if kind == entry.topic.kind else None
-                if topic is not None and topic.identity not in found and self._may_have(entry, name, topic, rights):
-                    found[topic.identity] = entry, topic
-        return found
+        session, rights = self.link.context.session, _as_listed(self.link.rights)
+        own = {session.shutdown_topic, session.diagnostics_topic}
+        found: list[tuple[int, str, Topic]] = []
+        for local, names in ((True, self._here), (False, self.there)):
+            for (kind, name), type_name in (names or {}).items():
+                key = local, kind, name, type_name
+                if key not in self._known:
+                    self._known[key] = self._first_match(*key, rights)
+                match = self._known[key]
+                if match is not None and own.isdisjoint((name, match[1].topic, match[1].remote_topic)):
+                    found.append((match[0], name, match[1]))
+        found.sort(key=itemgetter(0, 1))
+        wanted: dict[Identity, tuple[PatternEntry, Topic]] = {}
+        for at, _, topic in found:
+            wanted.setdefault(topic.identity, (self.entries[at], topic))
+        return wanted
+
+    def _first_match(
+        self, local: bool, kind: Kind, name: str, type_name: str, rights: Rights
+    ) -> tuple[int, Topic] | None:
+        """The place of the first pattern that matches a name, and what that makes of it."""
+        if len(self._known) >= _REMEMBERED:
+            self._known.clear()
+        for at, entry in enumerate(self.entries):
+            if entry.topic.kind == kind and self.is_local(entry) == local:
+                topic = entry.match(name, type_name)
+                if topic is not None and self._may_have(entry, name, topic, rights):
+                    return at, topic
+        return None
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
         """The pattern that would match a route's topic if that was there; None: none does any more."""
@@ -269,14 +293,12 @@ class LinkPatterns:
         return None
 
     def _may_have(self, entry: PatternEntry, name: str, topic: Topic, rights: Rights) -> bool:
-        """Whether a pattern may bridge a name: this side's own rights say so, and it is no topic of its own."""
-        link, session = self.link, self.link.context.session
+        """Whether a pattern may bridge a name, as this side's own rights say."""
+        link = self.link
         if self.is_local(entry):
             local = name
         else:
             local = topic.topic if link.is_client else entry.server_name(topic.remote_topic or topic.topic)
-        if {local, name} & {session.shutdown_topic, session.diagnostics_topic}:
-            return False
         sends, takes = uses(topic.kind)
         may = sends if (topic.direction == "transmit") != link.is_client else takes
         return rights.refusal(Use(local, may, topic.protocol or link.transport.name, topic.kind)) is None

@@ -185,6 +185,7 @@ class ServerLink(Link):
         if old.use_name != entry.use_name:
             self._rename_topics()
         self.table.rights_changed()
+        self.patterns.renew()
 
     def stays_valid(self, entry: Entry) -> bool:
         """Whether the key that the linked client has is valid with another entry of it."""
@@ -200,7 +201,6 @@ class ServerLink(Link):
         for topic in own:
             if not topic.is_pattern:
                 self.proposed.add(topic)
-        self.patterns.names_changed()
 
     def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """The client opens it."""
