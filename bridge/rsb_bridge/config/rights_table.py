@@ -152,7 +152,11 @@ def _without(grant: Grant, pattern: str) -> str:
 def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
     for pattern, names in MOVES_A_ROBOT.items():
         listed = [topic for _, topic, _ in rights.listed or () if fnmatch.fnmatchcase(topic, pattern)]
-        if any(_may(rights, Use(name, "publish"), carried) for name in (*names, *listed)):
+        followed = [
+            Pattern(each) for _, each, direction in rights.listed or () if is_pattern(each) and direction == "receive"
+        ]
+        by_pattern = [name for name in names if any(each.match(name) is not None for each in followed)]
+        if by_pattern or any(_may(rights, Use(name, "publish"), carried) for name in (*names, *listed)):
             yield pattern
 
 

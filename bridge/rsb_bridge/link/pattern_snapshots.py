@@ -44,6 +44,8 @@ def _state(patterns: LinkPatterns, entry: PatternEntry, count: str) -> tuple[Sta
     if entry.left_out:
         name, reason = next(iter(entry.left_out.items()))
         return State.DOWN, f"{some}{len(entry.left_out)} not bridged: {name}: {reason}"
+    if entry.topic.paused:
+        return State.PAUSED, count
     if not here and patterns.unseen:
         return State.DOWN, f"{some}the other side does not tell {patterns.unseen} more that match: narrow the patterns"
     if not here and link.linked and FEATURE not in link.features:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
-from rsb_console.command.reports import link_fault, of_links_that_are_up, rate_text
+from rsb_console.command.reports import link_fault, of_links_that_are_up, pattern_text, patterns_of, rate_text
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
@@ -24,7 +24,8 @@ def wrong(now: Snapshot) -> list[str]:
     if not now.running:
         return ["the bridge is stopped"]
     links = [f"link {link.name} {link_fault(link)}" for link in now.links if _link_is_wrong(link)]
-    return links + [rate_text(route) for route in of_links_that_are_up(now) if _route_is_wrong(route)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if each.state not in _NOTHING_WRONG]
+    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if _route_is_wrong(route)]
 
 
 def waiting(now: Snapshot) -> list[str]:
