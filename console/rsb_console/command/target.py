@@ -184,18 +184,13 @@ def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | Patter
         for pattern in link.patterns
         if pattern.spec.kind in kinds and arguments.link in ("", link.name)
     ]
-    found = [
-        each
-        for each in known
-        if each.spec.topic == arguments.topic and arguments.direction in (None, each.spec.direction)
-    ]
+    meant = [each for each in known if each.spec.topic == arguments.topic]
+    found = [each for each in meant if arguments.direction in (None, each.spec.direction)]
     if len(found) == 1:
         return found[0]
     if found:
-        which = "; ".join(
-            f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found
-        )
-        raise UsageError(f"{arguments.topic} is followed {len(found)} times; say which: {which}")
+        options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
+        raise UsageError(f"{arguments.topic} is followed {len(found)} times; say which: {'; '.join(options)}")
     names = [each.spec.topic for each in known]
     raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
 

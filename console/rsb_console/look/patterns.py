@@ -33,12 +33,14 @@ def pattern_rows(snapshot: Snapshot) -> Iterator[PatternRow]:
 
 def _row(pattern: PatternSnapshot, *, is_client: bool) -> PatternRow:
     spec = pattern.spec
-    theirs = spec.topic if is_client else spec.remote_topic or spec.topic
+    from_client = pattern.here == is_client
+    on_client = spec.topic
+    on_server = (spec.remote_topic or spec.topic) if from_client else pattern.source
     return PatternRow(
         key=pattern.key,
         link=pattern.link,
-        topic=pattern.source if pattern.here else theirs,
-        remote_topic=theirs if pattern.here else pattern.source,
+        topic=on_client if is_client else on_server,
+        remote_topic=on_server if is_client else on_client,
         outgoing=(spec.direction == "transmit") == is_client,
         spec=spec,
         state=pattern.state,

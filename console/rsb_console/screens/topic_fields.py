@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
-    "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port", "max_rate",
-    "priority", "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
+    "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
+    "max_rate", "priority", "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
@@ -90,9 +90,7 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
     yield Spec(
         "topic",
         _LABELS[kind],
-        f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type the full name: /scan; or a pattern: /camera/**."
-        if new
-        else name,
+        f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type a name (/scan) or a pattern (/camera/**)." if new else name,
         blank="type to look for what either side has",
     )
     if new:

@@ -23,7 +23,10 @@ FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DIS
 
 
 class TopicsTable(SelectableList):
-    """Shows the routes of a snapshot, one per line, and the patterns that make some of them. The cursor stays on its route when the order changes."""
+    """Shows the routes of a snapshot, one per line, and the patterns that make some of them.
+
+    The cursor stays on its route when the order changes.
+    """
 
     sticky = 1
     begins_at_top = True
