@@ -55,7 +55,8 @@ def _state(patterns: LinkPatterns, entry: PatternEntry, count: str) -> tuple[Sta
         return State.WAITING, f"{some}what the other side has is not known: {why}"
     if not count:
         side = f"in domain {link.context.domain_id}" if here else "on the other side"
-        return State.WAITING, f"nothing {side} matches {entry.source.text}"
+        but = ", but for what it leaves out" if entry.topic.excepts else ""
+        return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
     return State.OK, count
 
 
