@@ -17,13 +17,14 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.arming import BridgeArming
 from rsb_bridge.benchmarking import carry_out
 from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
-from rsb_bridge.config.difference import changes, described
+from rsb_bridge.config.difference import changes
 from rsb_bridge.config.shared_keys import shared_key_problem
 from rsb_bridge.config.validation import validate
 from rsb_bridge.contents import Contents
 from rsb_bridge.instruments import Instruments
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.graph_watch import GraphWatch
+from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.link.reloading import Step
 from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
@@ -34,9 +35,9 @@ from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
-from rsb_bridge.route.pause import pause_word
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.topic_commands import TopicCommands
 from rsb_bridge.transport.transport import ListenError
 
 if TYPE_CHECKING:
@@ -45,10 +46,10 @@ if TYPE_CHECKING:
     from rsb_bridge.config.keys import Key
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
+    from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.session import Client, Session, Topic
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
-    from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
 _ERROR_LOGGED_EVERY = 10.0
@@ -78,9 +79,12 @@ class Bridge:
         self.context = context
         self._snapshots = snapshots
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
-        self.graph_watch = GraphWatch(context, self._role.links)
-        self.arming = BridgeArming(self.links, self._find, self._command)
-        self.contents = Contents(context, self._find, self._command, self._did)
+        self._names = NameWatch(context, self._followers)
+        context.names_changed = self._names.changed
+        self.graph_watch = GraphWatch(context, self._role.links, self._names.changed)
+        self._topic_commands = TopicCommands(self._role, self._did)
+        self.arming = BridgeArming(self.links, self._topic_commands.find, self._command)
+        self.contents = Contents(context, self._topic_commands.find, self._command, self._did)
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
@@ -123,7 +127,7 @@ class Bridge:
         context, graph_watch = self.context, self.graph_watch
         context.ros.watch(graph_watch.changed, lambda reason: context.call(lambda: self._ros_failed(reason)))
         try:
-            for work in (self._tick, graph_watch.run, lambda: self._snapshots.run(self._role)):
+            for work in (self._tick, graph_watch.run, self._names.run, lambda: self._snapshots.run(self._role)):
                 self._tasks.keep(work, Backoff(_TICK, _LONGEST_PAUSE))
             await self._stopping.wait()
         finally:
@@ -205,40 +209,24 @@ class Bridge:
     # --- commands: `rsb_bridge.api.EngineApi` says what each does. Those that change the session run one at a time.
 
     async def add_topic(self, topic: Topic, link: str = "") -> str:
-        """Bridge one more topic; its route's key."""
+        """Bridge one more topic, or follow one more pattern; its key."""
         with self._command():
-            route = self._role.add(topic, link)
-            self._did(EventCode.OPERATOR_ADDED, "added", route, new=described(route.spec))
-            return route.key
+            return self._topic_commands.add(topic, link)
 
     async def edit_topic(self, key: str, topic: Topic) -> str:
-        """Put another topic in a route's place; the new route's key."""
+        """Put another topic in a route's place, or another pattern in a pattern's; the new key."""
         with self._command():
-            link, route = self._find(key)
-            old = route.spec
-            if topic.topic != old.topic:
-                topic = link.client_names(topic)
-            new = link.proposed.replace(route, topic)
-            what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
-            self._did(EventCode.OPERATOR_EDITED, what, new, old=described(old), new=described(topic))
-            return new.key
+            return self._topic_commands.edit(key, topic)
 
     async def remove_topic(self, key: str) -> None:
-        """Stop bridging a topic."""
+        """Stop bridging a topic, or following a pattern."""
         with self._command():
-            link, route = self._find(key)
-            link.bench.removed(route)
-            link.table.remove(route, "removed by an operator")
-            self._did(EventCode.OPERATOR_REMOVED, "removed", route, old=described(route.spec))
+            self._topic_commands.remove(key)
 
     async def pause(self, key: str, *, paused: bool) -> None:
-        """Stop or resume carrying a topic's messages."""
+        """Stop or resume carrying a topic's messages, or those of all that a pattern matches."""
         with self._command():
-            link, route = self._find(key)
-            old = pause_word(paused=route.paused)
-            link.table.pause(route, paused=paused)
-            code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
-            self._did(code, "paused" if paused else "resumed", route, old=old, new=pause_word(paused=paused))
+            self._topic_commands.pause(key, paused=paused)
 
     async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Let one more client in, on a server."""
@@ -359,15 +347,18 @@ class Bridge:
             before.close()
 
     def _did(
-        self, code: EventCode, what: str, route: Route | None = None, *, link: str = "", old: str = "", new: str = ""
+        self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = ""
     ) -> None:
-        """Record what an operator has done."""
-        who, topic = operator(), ""
-        text = f"{what} by {who}"
-        if route is not None:
-            topic, link = route.local_topic, route.peer.name
-            text = f"{topic}: {text}"
+        """Record what an operator has done; of a topic, by its name on this side."""
+        who = operator()
+        text = f"{f'{topic}: ' if topic else ''}{what} by {who}"
         self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
+
+    def _followers(self) -> Iterator[Follower]:
+        """Who follows the names of this side's graph."""
+        for link in self.links():
+            yield link.patterns
+            yield link.patterns.followed
 
     async def bench(self, order: Order) -> Outcome:
         """Measure a link."""
@@ -391,9 +382,3 @@ class Bridge:
         finally:
             if not self._stopping.is_set():  # the last snapshot, which says so, stays
                 self._snapshots.refresh_now(self._role)
-
-    def _find(self, key: str) -> tuple[Link, Route]:
-        for link in self.links():
-            if key in link.routes:
-                return link, link.routes[key]
-        raise LinkError(f"there is no route {key!r} any more")

@@ -24,19 +24,14 @@ from rsb_bridge.wire.by_hand import ByHand
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
-    from typing import Protocol
 
     from rsb_bridge.cdr.decoder import Decoded
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
     from rsb_bridge.model.peek import PeekedMessage
     from rsb_bridge.route.route import Route
+    from rsb_bridge.topic_commands import Recorder
     from rsb_bridge.wire.records import LaneEntry
-
-    class Did(Protocol):
-        """Records what an operator has done to a route."""
-
-        def __call__(self, code: EventCode, what: str, route: Route, *, new: str = "") -> None: ...
 
 
 CALLS_AT_ONCE = 32
@@ -59,7 +54,7 @@ class Contents:
         context: Context,
         find: Callable[[str], tuple[Link, Route]],
         command: Callable[[], AbstractContextManager[None]],
-        did: Did,
+        did: Recorder,
     ) -> None:
         self._context = context
         self._find = find
@@ -137,7 +132,7 @@ class Contents:
             link.send(message)
         code = EventCode.OPERATOR_CALL_ENDED if message.outcome else EventCode.OPERATOR_CALLED
         what = called(route, message.lane, message.outcome)
-        self._did(code, what, route, new=message.outcome or message.request)
+        self._did(code, what, topic=route.local_topic, link=route.peer.name, new=message.outcome or message.request)
 
     def _serialized(self, route: CallsRoute, lane: int, entry: LaneEntry, request: str) -> tuple[bytes, str]:
         """A request as bytes, and what its operator should know of it; on a thread that may take some time."""

@@ -49,6 +49,7 @@ class Context:
         parameter_events: of the nodes whose parameters are bridged.
         similar_topics: finds what an operator may have meant.
         meant: likewise, by the name of something that is called.
+        names_changed: to be called when somebody follows other names of the graph (`rsb_bridge.link.name_watch`).
     """
 
     session: Session
@@ -67,6 +68,7 @@ class Context:
     parameter_events: ParameterEvents = field(init=False)
     similar_topics: SimilarTopics = field(init=False)
     meant: Meant = field(init=False)
+    names_changed: Callable[[], None] = lambda: None
 
     def __post_init__(self) -> None:
         self.now = self.loop.time

@@ -138,7 +138,7 @@ def test_what_is_saved_is_read_again_in_the_lists_of_each_kind() -> None:
         (entry("services", "{topic: /d, provider: client, service: /d}"), 7, "topic: list this entry under topics, or"),
         (entry("actions", "{action: /a, provider: client, type: p/srv/A}"), 7, "type: 'p/srv/A' is the type of a"),
         (service("type: p/action/A"), 7, "is the type of an action: list this"),
-        (entry("services", "{service: /d/*, provider: client}"), 7, "'/d/*' is a pattern"),
+        (entry("services", "{service: /d/**x, provider: client}"), 7, "'/d/**x' is not a pattern"),
         (entry("parameters", "{node: n, provider: client}"), 7, "parameters of n, node: 'n' is not an abs"),
         (entry("parameters", "{node: /n, provider: client, type: x}"), 7, "parameters of /n, type: parameters h"),
         (entry("topics", "{topic: /a, direction: transmit, kind: service}"), 7, "topic /a, kind: not a key: what"),

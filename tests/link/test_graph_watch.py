@@ -70,7 +70,7 @@ def watch(
     tasks = []
 
     def start(links: Links) -> tuple[GraphWatch, Callable[[float], None]]:
-        made = GraphWatch(make_context(), links)
+        made = GraphWatch(make_context(), links, lambda: None)
         tasks.append(loop.create_task(made.run()))
         return made, lambda seconds: loop.run_until_complete(asyncio.sleep(seconds))
 

@@ -14,7 +14,7 @@ from rsb_bridge.model.limits import DEPTH, QOS_TIME, RATE, REASON_LENGTH, STALE_
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Kind
 from rsb_bridge.route.calls.refusals import Refused
-from rsb_bridge.wire import calls, messages, preamble, records
+from rsb_bridge.wire import calls, following, messages, preamble, records
 from rsb_bridge.wire.fields import RefuseCode
 
 DOCUMENT = (Path(rsb_bridge.__file__).parent / "PROTOCOL.md").read_text(encoding="utf-8")
@@ -28,6 +28,8 @@ STRUCTS = {
     "LaneEntry": records.LaneEntry,
     "CallsReport": records.CallsReport,
     "TopicEntry": records.TopicEntry,
+    "NamePattern": following.NamePattern,
+    "FoundName": following.FoundName,
     "qos": Qos,
 } | {message.__name__: message for message in typing.get_args(messages.ControlMessage)}
 

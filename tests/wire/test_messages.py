@@ -14,6 +14,7 @@ from rsb_bridge.wire.arming import Arm, Armed, Disarm
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.by_hand import ByHand
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
+from rsb_bridge.wire.following import Follow, Followed, FoundName, NamePattern
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import (
     Accept,
@@ -48,6 +49,13 @@ from rsb_bridge.wire.records import (
 PROPOSE = Propose(route=1, topic="/scan", remote_topic="/robot1/scan", from_client=True)
 EXAMPLES = [
     PROPOSE,
+    Follow(request=1, patterns=(NamePattern("/camera/**"), NamePattern("/nav/*", "service"))),
+    Followed(
+        request=1,
+        present=(FoundName("/camera/image", "sensor_msgs/msg/Image"), FoundName("/nav/plan", kind="action")),
+        gone=(FoundName("/camera/depth"),),
+        more=3,
+    ),
     Propose(
         route=2**32 - 1,
         topic="/map",

@@ -40,16 +40,22 @@ DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, pr
 """The direction of requests, by which side's node answers."""
 
 
+_RENAMED = {"excepts": "except"}
+"""Keys of entries that are no names in Python, by the fields of `Topic`."""
+
+
 def _keys(name: str) -> dict[str, str]:
     known = (field.name for field in fields(Topic) if field.name not in (*_OF_TOPICS, *_OF_CALLS))
-    renamed = {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}"}
+    renamed = _RENAMED | {"topic": name, "direction": "provider", "remote_topic": f"remote_{name}"}
     keys = {renamed.get(field, field): field for field in known if not (name == "node" and field == "type")}
     first = [name, "provider", *(["type"] if "type" in keys else [])]
     return {key: keys[key] for key in first} | {"timeout": "timeout"} | keys
 
 
 KEYS: Final[dict[Kind, dict[str, str]]] = {
-    "topic": {field.name: field.name for field in fields(Topic) if field.name not in _OF_CALLS},
+    "topic": {
+        _RENAMED.get(field.name, field.name): field.name for field in fields(Topic) if field.name not in _OF_CALLS
+    },
     "service": _keys("service"),
     "action": _keys("action"),
     "parameters": _keys("node"),

@@ -10,6 +10,7 @@ from rsb_bridge.config.grants import CALL_USES, TOPIC_USES, protocols_of
 from rsb_bridge.config.rights import Use, listed_as, rights_of_client, rights_of_server
 from rsb_bridge.model import transports
 from rsb_bridge.model.limits import PORTS_PER_CLIENT
+from rsb_bridge.model.patterns import Pattern, is_pattern
 from rsb_bridge.model.text import join_first
 
 if TYPE_CHECKING:
@@ -150,9 +151,12 @@ def _without(grant: Grant, pattern: str) -> str:
 
 
 def _moves(rights: Rights, carried: Sequence[str]) -> Iterator[str]:
+    received = (name for _, name, direction in rights.listed or () if direction == listed_as("publish"))
+    followed = [Pattern(name) for name in received if is_pattern(name)]
     for pattern, names in MOVES_A_ROBOT.items():
         listed = [topic for _, topic, _ in rights.listed or () if fnmatch.fnmatchcase(topic, pattern)]
-        if any(_may(rights, Use(name, "publish"), carried) for name in (*names, *listed)):
+        by_pattern = any(each.match(name) is not None for each in followed for name in names)
+        if by_pattern or any(_may(rights, Use(name, "publish"), carried) for name in (*names, *listed)):
             yield pattern
 
 

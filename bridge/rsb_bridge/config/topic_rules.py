@@ -9,10 +9,12 @@ from rsb_bridge.config.decoding import did_you_mean, join, read, show
 from rsb_bridge.config.file_form import key_of
 from rsb_bridge.config.grants import rate_problems
 from rsb_bridge.config.keys import conceal
+from rsb_bridge.config.pattern_rules import exception_problems, pattern_problems
 from rsb_bridge.model import transports
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, NO_PORT, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name, server_topic, well_formed
+from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Kind, Problem, Protocol, Session, Topic
 from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
@@ -68,10 +70,14 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
         client: the client's name where it is the prefix of the topic's name on the server.
     """
     name, remote = join(location, key_of(topic.kind, "topic")), join(location, key_of(topic.kind, "remote_topic"))
-    yield from name_problems(topic.topic, name, topic.kind)
-    if topic.remote_topic is not None:
-        yield from name_problems(topic.remote_topic, remote, topic.kind)
-    elif client is not None and len(topic.topic) <= TOPIC_LENGTH:
+    yield from exception_problems(topic, location)
+    if topic.is_pattern:
+        yield from pattern_problems(topic, location, transport_of(topic, session))
+    else:
+        yield from name_problems(topic.topic, name, topic.kind)
+        if topic.remote_topic is not None:
+            yield from name_problems(topic.remote_topic, remote, topic.kind)
+    if topic.remote_topic is None and client is not None and len(topic.topic) <= TOPIC_LENGTH:
         yield from _length(server_topic(topic.topic, client), name, topic.kind, " with its prefix")
     if topic.kind == "topic":
         yield from _type(topic.type, join(location, "type"))
@@ -99,10 +105,8 @@ def _arming(topic: Topic, location: str) -> Iterator[Problem]:
 
 def name_problems(name: str, location: str, kind: Kind = "topic") -> Iterator[Problem]:
     """Whether ROS has such a name, and a bridge may carry it."""
-    if "*" in name:
-        yield Problem(
-            location, f"{show(name)} is a pattern, as in allow and deny: list each {_NAMED[kind]} by its name"
-        )
+    if is_pattern(name):
+        yield Problem(location, f"{show(name)} is a pattern: give the name of one {_NAMED[kind]}")
     elif not is_topic_name(name):
         better = well_formed(name)
         hint = f" (did you mean /{better}?)" if better else ""

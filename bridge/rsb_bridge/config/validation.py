@@ -26,6 +26,7 @@ from rsb_bridge.config.grants import grant_problems, leave_problems
 from rsb_bridge.config.key_files import key_file_problems
 from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.operators import operator_problems
+from rsb_bridge.config.pattern_rules import too_many_patterns
 from rsb_bridge.config.topic_rules import (
     A_KIND,
     name_problems,
@@ -259,6 +260,7 @@ def _topics(topics: Sequence[Topic], where: str, session: Session, client: str |
     for topic, here in zip(topics, locations(topics), strict=True):
         yield from topic_problems(topic, join(where, here), session, client)
     yield from _clashes(topics, where, session)
+    yield from too_many_patterns(topics, where)
     yield from overlaps(topics, where)
 
 

@@ -10,6 +10,7 @@ from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.proposals import kind_of, topic_of
 from rsb_bridge.model.limits import ROUTES_PER_LINK, ROUTES_PROPOSED_BY_SERVER
+from rsb_bridge.model.patterns import is_pattern
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -44,6 +45,8 @@ def authorized(proposal: Propose, authority: Authority, session: Session) -> Pro
     Raises:
         LinkError: the peer may not have it.
     """
+    if is_pattern(proposal.topic + proposal.remote_topic):
+        raise LinkError(f"{proposal.topic} is a pattern: the other side has to propose each that matches by its name")
     for problem in validate_topic(topic_of(proposal)):  # first: a prefix can make a valid name of an invalid one
         raise LinkError(str(problem))
     ours = authority.with_local_name(proposal)

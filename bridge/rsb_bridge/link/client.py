@@ -274,8 +274,9 @@ class ClientLink(Link):
 
     def change_listed(self, topics: set[Identity]) -> None:
         """Go on with the rights of another session, which lists these topics."""
-        self.table.listed = topics
+        self.table.listed = topics | {route.spec.identity for route in self.routes.values() if route.pattern}
         self.table.rights_changed()
+        self.patterns.renew()
 
     def with_local_name(self, proposal: Propose) -> Propose:
         return proposal

@@ -30,11 +30,13 @@ class GraphWatch:
     Args:
         context: the engine's.
         links: gives the links whose routes look.
+        look_for_names: called when a change is looked at.
     """
 
-    def __init__(self, context: Context, links: Callable[[], list[Link]]) -> None:
+    def __init__(self, context: Context, links: Callable[[], list[Link]], look_for_names: Callable[[], None]) -> None:
         self._context = context
         self._links = links
+        self._look_for_names = look_for_names
         self._due = asyncio.Event()
         self._noted = False
         self._settled: asyncio.TimerHandle | None = None
@@ -54,6 +56,8 @@ class GraphWatch:
                         await self._due.wait()
                 except TimeoutError:
                     pass
+                else:
+                    self._look_for_names()
                 self._due.clear()
                 self._noted = False
                 cost = await self._look()

@@ -13,6 +13,7 @@ from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.neighbourhood import Neighbourhood
+from rsb_bridge.link.patterns import LinkPatterns
 from rsb_bridge.link.proposed_topics import ProposedTopics
 from rsb_bridge.link.reporting import reports
 from rsb_bridge.link.route_table import RouteTable
@@ -29,6 +30,7 @@ from rsb_bridge.route.peer_budget import PeerBudget
 from rsb_bridge.tasks import Tasks
 from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
+from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Shutdown
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
@@ -64,6 +66,7 @@ class Link(ABC):
         status: whether it is up, since when, and why not.
         table: the routes.
         proposed: the topics that this side proposes.
+        patterns: likewise, those of names, and what the peer follows here.
         topic_lists, type_questions: what the two sides ask each other about graphs and types.
         control: the authenticated connection; None: not linked.
         keys: what the present connection's handshake left; None: not linked.
@@ -99,6 +102,7 @@ class Link(ABC):
         self.table = RouteTable(context, self)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
         self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
+        self.patterns = LinkPatterns(self)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.bench = LinkBench(self)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
@@ -239,6 +243,7 @@ class Link(ABC):
         self.log(Level.INFO, EventCode.LINK_UP, linked, link_status=True)
         self.neighbourhood.tell()
         self.table.connected()
+        self.patterns.connected()
 
     def lost(self, reason: str, code: EventCode) -> None:
         """The control connection is over."""
@@ -247,8 +252,8 @@ class Link(ABC):
         self.status.down(_CAUSES.get(code, LinkCause.CLOSED), reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
-        parts = (self.neighbourhood, self.channels, self.topic_lists, self.type_questions, self.bench, self.contention)
-        for part in parts:
+        asked = (self.patterns, self.topic_lists, self.type_questions)
+        for part in (self.neighbourhood, self.channels, *asked, self.bench, self.contention):
             part.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
         how = "lost" if code is EventCode.LINK_LOST else "closed"
@@ -298,6 +303,8 @@ class Link(ABC):
                 self.keepalive.answered(message)
             case ListTopics() | TopicList():
                 self.topic_lists.handle(message)
+            case Follow() | Followed():
+                self.patterns.handle(message)
             case Neighbours():
                 self.neighbourhood.heard(message)
             case AskType() | TypeText():
@@ -356,6 +363,7 @@ class Link(ABC):
 
     def tick(self) -> None:
         """Once a second, after the routes' own tick: keepalive, reports, retries."""
+        self.patterns.tick()
         if self.control is None:
             return
         self.contention.tick(self.keepalive, self.features, self.connections)

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import validate_topic
 from rsb_bridge.link.errors import LinkError
-from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.link.proposals import proposal_of, same_route
 from rsb_bridge.model.benchmark import is_bench_topic
 from rsb_bridge.model.profiles import PLAIN
+from rsb_bridge.route.keys import route_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,18 +49,39 @@ class ProposedTopics:
         self._profile = profile
 
     def all(self) -> tuple[Topic, ...]:
-        """What this side proposes, in a session's order. May be called from any thread."""
-        proposed = [route.spec for route in tuple(self._table.routes.values()) if route.proposed_here]
+        """What this side proposes by its name, in a session's order. May be called from any thread."""
+        routes = tuple(self._table.routes.values())
+        proposed = [route.spec for route in routes if route.proposed_here and not route.pattern]
         topics = [topic for topic in proposed if not is_bench_topic(topic.topic)]
         return (*topics, *tuple(self._table.yielded.values()))
 
     def add(self, topic: Topic) -> Route:
-        """Bridge one more topic, which this side proposes.
+        """Bridge one more topic, which this side proposes; where a pattern has made its route, that is the topic's now.
 
         Raises:
             LinkError: the topic has a mistake, or there is such a route.
         """
-        return self._table.add(topic, self._proposal(topic), proposed_here=True)
+        proposal = self._proposal(topic)
+        route = self._table.routes.get(route_key(self._client_name, proposal))
+        if route is not None and route.pattern:
+            return self.replace(route, topic)
+        return self._table.add(topic, proposal, proposed_here=True)
+
+    def check(self, topic: Topic) -> None:
+        """Check a pattern.
+
+        Raises:
+            LinkError: it has a mistake.
+        """
+        for problem in validate_topic(topic, self._context.session):
+            raise LinkError(str(problem))
+
+    def is_bridged(self, topic: Topic) -> bool:
+        """Whether there is a route for a topic, which has no mistake, be it under another name on the client."""
+        try:
+            return route_key(self._client_name, self._proposal(topic)) in self._table.routes
+        except LinkError:
+            return False
 
     def can_amend(self, route: Route, topic: Topic) -> bool:
         """Whether a route can go on, with its counts, if another topic takes its place.
@@ -67,16 +89,19 @@ class ProposedTopics:
         Raises:
             LinkError: the topic has a mistake.
         """
-        return self._table.can_amend(route, self._proposal(topic))
+        return _can_amend(route, self._proposal(topic))
 
     def replace(self, route: Route, topic: Topic) -> Route:
-        """Put another topic in a route's place; the route goes on if only limits differ, else there is a new one.
+        """Put another topic in a route's place, which is no pattern's then.
+
+        The route goes on if only limits differ, else there is a new one.
 
         Raises:
             LinkError: the topic has a mistake, or there is such a route; the old one stays.
         """
         table, proposal = self._table, self._proposal(topic)
-        if table.can_amend(route, proposal):
+        if _can_amend(route, proposal):
+            route.pattern = ""
             table.amend(route, topic, proposal)
             return route
         at = list(table.routes).index(route.key)
@@ -84,7 +109,9 @@ class ProposedTopics:
         try:
             new = table.add(topic, proposal, proposed_here=True, edited=True)
         except LinkError:
-            table.move(self.add(route.spec), at)
+            old = self.add(route.spec)
+            old.pattern = route.pattern
+            table.move(old, at)
             raise
         table.move(new, at)
         return new
@@ -95,3 +122,8 @@ class ProposedTopics:
             raise LinkError(str(problem))
         transport = transports[transport_of(topic, self._context.session).name]
         return proposal_of(topic, transport, client_name=name, use_name=prefixed, profile=self._profile())
+
+
+def _can_amend(route: Route, proposal: Propose) -> bool:
+    """Whether a route can go on as this is proposed: nothing but limits change, and its proposer can be asked."""
+    return same_route(route.proposal, proposal) and bool(route.proposed_here or route.id)

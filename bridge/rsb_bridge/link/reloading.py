@@ -16,10 +16,11 @@ from rsb_bridge.config.difference import changes, described, named
 from rsb_bridge.config.keys import fingerprint
 from rsb_bridge.config.rights import rights_of_server
 from rsb_bridge.link.authorizing import denied
+from rsb_bridge.link.listed import list_topic
 from rsb_bridge.model.session import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from rsb_bridge.config.keys import Key
     from rsb_bridge.config.rights import Rights
@@ -129,8 +130,10 @@ def _denial_effect(link: Link, rights: Rights) -> str:
 
 
 def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
-    wanted = {topic.identity: topic for topic in topics}
-    routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here}
+    topics = tuple(topics)
+    yield from _pattern_steps(link, [topic for topic in topics if topic.is_pattern])
+    wanted = {topic.identity: topic for topic in topics if not topic.is_pattern}
+    routes = {route.spec.identity: route for route in link.routes.values() if route.proposed_here and not route.pattern}
     yielded = {topic.identity: key for key, topic in link.table.yielded.items()}
     for identity, route in routes.items():
         if identity not in wanted:
@@ -154,6 +157,23 @@ def _topic_steps(link: Link, topics: Iterable[Topic]) -> Iterator[Step]:
             yield Step(_added(topic), partial(_add, link, topic))
 
 
+def _pattern_steps(link: Link, topics: Sequence[Topic]) -> Iterator[Step]:
+    patterns = link.patterns
+    wanted, known = {topic.identity: topic for topic in topics}, {topic.identity: topic for topic in patterns.all()}
+    for identity, topic in known.items():
+        if identity not in wanted:
+            yield Step(_removed(topic), partial(patterns.remove, identity))
+    for identity, topic in wanted.items():
+        if identity not in known:
+            yield Step(_added(topic), partial(patterns.add, topic))
+        elif known[identity] != topic:
+            text = f"{named(topic)}: {', '.join(changes(known[identity], topic))}"
+            yield Step(text, partial(patterns.replace, identity, topic))
+    stay = [identity for identity in known if identity in wanted]
+    if [*stay, *(identity for identity in wanted if identity not in known)] != [*wanted]:
+        yield Step("the order of the patterns", partial(patterns.arrange, tuple(wanted)))
+
+
 def _added(topic: Topic) -> str:
     return f"{named(topic)}: added: {described(topic)}"
 
@@ -163,12 +183,12 @@ def _removed(topic: Topic) -> str:
 
 
 def _add(link: Link, topic: Topic) -> None:
-    link.proposed.add(topic)
+    list_topic(link, topic)
 
 
 def _add_to_client(server: Server, name: str, topic: Topic) -> None:
     if name in server.links:
-        server.links[name].proposed.add(topic)
+        list_topic(server.links[name], topic)
 
 
 def _remove(link: Link, identity: Identity) -> None:

@@ -16,9 +16,10 @@ from rsb_bridge.link.cipher_preference import preferred_suite
 from rsb_bridge.link.client import ClientLink
 from rsb_bridge.link.entry import Entry
 from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.listed import list_topic, listed_topics
 from rsb_bridge.link.reloading import Step, client_steps, server_steps
 from rsb_bridge.link.server import Server
-from rsb_bridge.model import benchmark, lanes, priority
+from rsb_bridge.model import benchmark, lanes, patterns, priority
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import client_topic
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.server_link import ServerLink
     from rsb_bridge.model.session import Session, Topic
-    from rsb_bridge.route.route import Route
 
 _RESTART_WITHIN = 5.0
 _LOOK_EVERY = 0.05
@@ -44,7 +44,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, tuple[Key, ...]]
 """Those that are valid, the next one last, by client's name; none: without encryption."""
-FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE)
+FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE)
 """What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
 """Is told each step of a restart, as text for an operator."""
@@ -79,8 +79,12 @@ class BridgeRole(Protocol):
         """Once a second, before the links' own ticks."""
         ...
 
-    def add(self, topic: Topic, link: str) -> Route:
-        """Bridge one more topic; LinkError where that can't be."""
+    def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
+        """Bridge one more topic, or follow a pattern: its link, its key, and the topic as the client sees it.
+
+        Raises:
+            LinkError: that can't be.
+        """
         ...
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
@@ -130,7 +134,7 @@ class ClientRole:
 
     async def start(self) -> None:
         for topic in self._context.session.topics:
-            self.add(topic, "")
+            list_topic(self._link, topic)
         self._tasks.keep(self._link.run, Backoff(_RESTARTED_AFTER, _LONGEST_PAUSE, self._context.random))
 
     async def stop(self) -> None:
@@ -140,7 +144,7 @@ class ClientRole:
 
     @property
     def session(self) -> Session:
-        return msgspec.structs.replace(self._context.session, topics=self._link.proposed.all())
+        return msgspec.structs.replace(self._context.session, topics=listed_topics(self._link))
 
     @property
     def keys(self) -> Keys:
@@ -152,8 +156,8 @@ class ClientRole:
     def tick(self) -> None:
         """There is nothing to do besides the link's own tick."""
 
-    def add(self, topic: Topic, link: str) -> Route:
-        return self._link.proposed.add(topic)
+    def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
+        return self._link, list_topic(self._link, topic), topic
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
         return list(client_steps(self._link, session, _own(keys, session)))
@@ -203,7 +207,7 @@ class ServerRole:
     async def start(self) -> None:
         for link in self._server.links.values():
             for topic in link.entry.client.topics:
-                link.proposed.add(topic)
+                list_topic(link, topic)
         try:
             await self._server.start()
         except ListenError as error:
@@ -222,7 +226,7 @@ class ServerRole:
     @property
     def session(self) -> Session:
         links = tuple(self._server.links.values())
-        clients = tuple(msgspec.structs.replace(link.entry.client, topics=link.proposed.all()) for link in links)
+        clients = tuple(msgspec.structs.replace(link.entry.client, topics=listed_topics(link)) for link in links)
         session = self._context.session
         if not session.clients and not any(client.topics for client in clients):
             return session
@@ -238,9 +242,10 @@ class ServerRole:
     def tick(self) -> None:
         self._server.tick()
 
-    def add(self, topic: Topic, link: str) -> Route:
+    def add(self, topic: Topic, link: str) -> tuple[Link, str, Topic]:
         chosen = self._chosen(link, topic.topic)
-        return chosen.proposed.add(chosen.client_names(topic))
+        topic = chosen.client_names(topic)
+        return chosen, list_topic(chosen, topic), topic
 
     def steps_to(self, session: Session, keys: Keys) -> list[Step]:
         return list(server_steps(self._server, _entries(session, keys)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from rsb_bridge.link.authorizing import Authority
 from rsb_bridge.route.peer import Owner
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from rsb_bridge.model.codes import EventCode
     from rsb_bridge.model.snapshot import Level
     from rsb_bridge.route.route import Route
+
+    OnRemoved: TypeAlias = Callable[[Route], None]
 
 
 class RouteOwner(Owner, Authority, Protocol):

@@ -30,7 +30,7 @@ from rsb_bridge.wire.messages import Accept, Close, Describe, Propose, Provide, 
 
 if TYPE_CHECKING:
     from rsb_bridge.context import Context
-    from rsb_bridge.link.route_owner import RouteOwner
+    from rsb_bridge.link.route_owner import OnRemoved, RouteOwner
     from rsb_bridge.model.session import Identity, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.fields import RefuseCode
@@ -49,12 +49,14 @@ class RouteTable:
         arming: arms and disarms them.
         yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
         listed: identities of the topics that this side proposes, also while the other side has removed them.
+        on_removed: called with a route that an operator of the other side has removed.
     """
 
     def __init__(self, context: Context, owner: RouteOwner) -> None:
         self.routes: dict[str, Route] = {}
         self.yielded: dict[str, Topic] = {}
         self.listed: set[Identity] = set()
+        self.on_removed: OnRemoved = lambda _: None
         self._context = context
         self._owner = owner
         self.ids = RouteIds(is_client=owner.is_client)
@@ -166,10 +168,6 @@ class RouteTable:
         self.ids.forget(route)
         route.log(Level.INFO, code, reason)
 
-    def can_amend(self, route: Route, proposal: Propose) -> bool:
-        """Whether a route can go on as this is proposed: nothing but limits change, and its proposer can be asked."""
-        return same_route(route.proposal, proposal) and bool(route.proposed_here or route.id)
-
     def amend(self, route: Route, spec: Topic, proposal: Propose) -> None:
         """Change the limits of a route on both sides, while it stays open.
 
@@ -195,6 +193,7 @@ class RouteTable:
         route.amend(amended_topic(route.spec, proposal), proposal)
         if message.who:
             self._peer_operators.edited(route, message.who, old)
+            route.pattern = ""
         if route.proposed_here and route.id:
             self._owner.send(amendment(proposal, route.id))
 
@@ -296,7 +295,7 @@ class RouteTable:
             # this side's.
             if known.proposed_here:
                 self._tell_removed(known, "replaced by the client's")
-                self.yielded[known.key] = known.spec
+                self.yielded |= {} if known.pattern else {known.key: known.spec}
             self._forget(known, EventCode.ROUTE_REPLACED, "replaced by the other side's")
             known = None
         if known is not None:
@@ -347,9 +346,10 @@ class RouteTable:
         reason = f"removed by the other side: {message.reason}"
         if route.id != message.route:
             self._tell_removed(route, reason)
+        self._forget(route, EventCode.ROUTE_REMOVED, reason)
         if message.who:
             self._peer_operators.removed(route, message.who)
-        self._forget(route, EventCode.ROUTE_REMOVED, reason)
+            self.on_removed(route)
 
     def _about_route(self, route: Route, message: _AboutOpenRoute) -> None:
         match message:

@@ -10,6 +10,7 @@ import msgspec
 from rsb_bridge.channel.udp_channel import ServerUdpChannel
 from rsb_bridge.link.duplicate_client import DuplicateClients, name_taken
 from rsb_bridge.link.link import Link
+from rsb_bridge.link.listed import listed_topics
 from rsb_bridge.link.shut_down import ASKED_EVERY, ShutDown
 from rsb_bridge.link.topic_ports import TopicPorts, check_topic_port
 from rsb_bridge.model.codes import EventCode
@@ -184,6 +185,7 @@ class ServerLink(Link):
         if old.use_name != entry.use_name:
             self._rename_topics()
         self.table.rights_changed()
+        self.patterns.renew()
 
     def stays_valid(self, entry: Entry) -> bool:
         """Whether the key that the linked client has is valid with another entry of it."""
@@ -193,11 +195,12 @@ class ServerLink(Link):
         """Open everything anew, under other names on this side."""
         if self.control is not None:
             self.control.shut_down("the server has other names for the topics now (use_name)", retry_after=0.0)
-        own = self.proposed.all()
+        own = listed_topics(self)
         self.table.destroy()
         self.table.yielded.clear()
         for topic in own:
-            self.proposed.add(topic)
+            if not topic.is_pattern:
+                self.proposed.add(topic)
 
     def open_stream(self, route: Route, transport: StreamTransport) -> None:
         """The client opens it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.link.pattern_snapshots import snapshots_of
 from rsb_bridge.model.snapshot import LinkSnapshot
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.telemetry.meters import ClockOffset
@@ -43,4 +44,5 @@ def snapshot_of(link: Link) -> LinkSnapshot:
         warning=link.warning,
         capacity_out=link.contention.sending.capacity,
         capacity_in=link.contention.receiving.capacity,
+        patterns=tuple(snapshots_of(link.patterns)),
     )

@@ -115,6 +115,10 @@ class EventCode(StrEnum):
     LINK_UDP_RESTORED = "link.udp_restored"
     LINK_UDP_BUFFER = "link.udp_buffer"
     """A kernel's limit for receive buffers is too small for the messages that come by UDP."""
+    LINK_PATTERN_FULL = "link.pattern_full"
+    """More names match a pattern than one may bridge; the rest is not bridged."""
+    LINK_PATTERN_ROOM = "link.pattern_room"
+    """All that match a pattern are bridged again."""
     LINK_EVENTS_LEFT_OUT = "link.events_left_out"
     """The link had more events than its share of the log; the text says how many."""
 

@@ -8,7 +8,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot
 
 _NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.OK})
 
@@ -16,6 +16,11 @@ _NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.O
 def link_is_wrong(link: LinkSnapshot) -> bool:
     """Whether a link has a fault, be it up or down. One that waits for its first connection has none."""
     return link.state not in _NOTHING_WRONG or bool(link.warning)
+
+
+def pattern_is_wrong(pattern: PatternSnapshot) -> bool:
+    """Whether a pattern has a fault; one that matches nothing has none."""
+    return pattern.state not in _NOTHING_WRONG
 
 
 def route_is_wrong(route: RouteSnapshot) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import msgspec
 
 from rsb_bridge.model.benchmark import Leave  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.priority import Priority  # noqa: TC001 - msgspec resolves the annotation at run time
 from rsb_bridge.model.profiles import Compression, ProfileName  # noqa: TC001 - likewise
 from rsb_bridge.model.qos import Qos, parse_qos
@@ -68,7 +69,8 @@ class Problem:
 class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """One bridged topic, service, action or node's parameters, as the *client* sees it (thesis, chapter 3).
 
-    In a session file those that are not topics stand under ``services``, ``actions`` and ``parameters``.
+    In a session file those that are not topics stand under ``services``, ``actions`` and ``parameters``. Where the name
+    is a pattern (`rsb_bridge.model.patterns`), the entry is what becomes of each that matches on the sending side.
 
     Attributes:
         topic: its name on the client, absolute (``/scan``); of parameters, their node's.
@@ -90,6 +92,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         kind: what it is.
         timeout: s after which a call without an answer is given up; None: `CALL_TIMEOUT`. Not of topics.
         priority: less of lower ones crosses while the link carries less than is asked for. Only of topics.
+        excepts: of a pattern, the names on the client that are left out, patterns or not; ``except`` in a file.
     """
 
     topic: str
@@ -109,6 +112,12 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     kind: Kind = "topic"
     timeout: float | None = None
     priority: Priority = "normal"
+    excepts: tuple[str, ...] = ()
+
+    @property
+    def is_pattern(self) -> bool:
+        """Whether it stands for all whose names match."""
+        return is_pattern(self.topic)
 
     @property
     def identity(self) -> Identity:

@@ -207,6 +207,7 @@ class RouteSnapshot:
         goals: of an action, the newest ones, those that are not over first.
         lanes: of what is not a topic, the names that a call may be made to by hand: ``set_parameters``; a service has
             one, ``""``.
+        pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
     """
 
     key: str
@@ -247,11 +248,41 @@ class RouteSnapshot:
     calls: CallsSnapshot | None = None
     goals: tuple[GoalSnapshot, ...] = ()
     lanes: tuple[str, ...] = ()
+    pattern: str = ""
 
     @property
     def max_rate(self) -> float | None:
         """Hz that cross at most, whoever says so; None: all."""
         return min((rate for rate in (self.spec.max_rate, self.allowed_rate) if rate), default=None)
+
+
+@dataclass(frozen=True, slots=True)
+class PatternSnapshot:
+    """A pattern of a session, which makes a route of each name that matches.
+
+    Attributes:
+        key: identifies it in commands, as `RouteSnapshot.key` does a route.
+        link: the peer's name.
+        spec: what the session says of it.
+        state: WAITING while nothing matches, DOWN if something that matches is not bridged, else OK.
+        reason: how much is bridged, and what is not, and why.
+        here: whether this side's graph is followed, or the other side's.
+        source: the pattern as it is held against that graph's names.
+        routes: that it has made.
+        gone: of them, those whose topic nobody publishes now.
+        beyond: how many names match and are not bridged, because there are too many.
+    """
+
+    key: str
+    link: str
+    spec: Topic
+    state: State
+    reason: str
+    here: bool
+    source: str
+    routes: int = 0
+    gone: int = 0
+    beyond: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,6 +314,7 @@ class LinkSnapshot:
         capacity_in: what it is known to carry to here; None: nothing yet.
         rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
         tx_bytes_total: sent, likewise.
+        patterns: those of this side's session, in their order.
     """
 
     name: str
@@ -310,6 +342,7 @@ class LinkSnapshot:
     capacity_in: Capacity | None = None
     rx_bytes_total: int = 0
     tx_bytes_total: int = 0
+    patterns: tuple[PatternSnapshot, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,8 @@ OWN_NAMES = "/_rsb_bridge/"
 """Before the names of what bridges themselves publish or serve."""
 ANNOUNCEMENT_TOPIC = f"{OWN_NAMES}published"
 """What the bridges of a domain tell each other; hidden from ``ros2 topic list``, and never bridged."""
+OF_EVERY_NODE = ("/parameter_events", "/rosout", ANNOUNCEMENT_TOPIC)
+"""The topics that each node has, and each bridge; lists leave them out."""
 
 MOST_HOPS = 16
 MOST_SOURCES = 16

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rsb_bridge.model.qos import match_publishers
 from rsb_bridge.model.snapshot import TopicInfo
-from rsb_bridge.model.sources import ANNOUNCEMENT_TOPIC
+from rsb_bridge.model.sources import OF_EVERY_NODE
 from rsb_bridge.ros.api import RosError
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from rsb_bridge.ros.api import Endpoint, RosInterface
 
 Asked = TypeVar("Asked", bound="Hashable")
-
-_OWN = ("/parameter_events", "/rosout", ANNOUNCEMENT_TOPIC)
 
 _ASKED_EVERY = 1.0
 """s from one search to the next: each takes up to 20 ms among a thousand topics."""
@@ -77,7 +75,7 @@ class SimilarTopics:
         return self._searches.of(topic)
 
     def _search(self, topic: str) -> str:
-        return most_similar(topic, self._ros.topics().keys() - {topic, *_OWN}, self._ros.publishers)
+        return most_similar(topic, self._ros.topics().keys() - {topic, *OF_EVERY_NODE}, self._ros.publishers)
 
 
 def most_similar(name: str, names: Iterable[str], ends: Callable[[str], Sequence[Endpoint]]) -> str:
@@ -90,7 +88,7 @@ def topics_of(ros: RosInterface) -> list[TopicInfo]:
     """Every topic of the graph, by name; what each node has anyway is left out. Takes about 50 µs a topic."""
     found = []
     for topic in sorted(ros.topics()):
-        if topic in _OWN:
+        if topic in OF_EVERY_NODE:
             continue
         publishers, subscriptions = ros.publishers(topic), ros.subscriptions(topic)
         endpoints = publishers or subscriptions

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.lanes import LANES
+from rsb_bridge.model.patterns import is_hidden
 from rsb_bridge.model.snapshot import TopicInfo
 from rsb_bridge.ros.graph import agreed_type, topics_of
 
@@ -69,11 +70,6 @@ def called_in(ros: RosInterface, kinds: Collection[Kind]) -> list[TopicInfo]:
 def _services_of(kind: Kind, whole: str) -> Iterator[str]:
     """Of its topics there is no service: that of parameters has the suffix of none, and so the node's own name."""
     return (whole + lane.suffix for lane in LANES[kind] if not lane.is_topic)
-
-
-def is_hidden(name: str) -> bool:
-    """Whether ``ros2 service list`` leaves a name out: a part of it begins with an underscore."""
-    return "/_" in name
 
 
 def _wholes(kind: Kind, services: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:

@@ -58,6 +58,7 @@ class Route:
         remote_topic: its name on the receiving side.
         from_client: whether the client sends.
         proposed_here: whether this side opens it anew after a reconnect.
+        pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
         id: route id on the present connection; 0: not open.
         instance: of the peer's process that its present or last opening is with.
         life: what the two sides have agreed on so far.
@@ -85,6 +86,7 @@ class Route:
         self.transport = context.transports[proposal.transport]
         self.proposed_here = proposed_here
         self.key = route_key(peer.name, proposal)
+        self.pattern = ""
         self.id = 0
         self.instance = ""
         self.life = Lifecycle()

@@ -44,6 +44,7 @@ def snapshot_of(route: Route) -> partial[RouteSnapshot]:
         since=route.context.wall() - (now - route.judged.since(verdict, now)),
         arming=route.arming.snapshot(now),
         allowed_rate=route.limit.allowed or None,
+        pattern=route.pattern,
     )
 
 

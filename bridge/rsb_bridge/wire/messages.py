@@ -37,6 +37,7 @@ from rsb_bridge.wire.fields import (
     Transport,
     check_limits,
 )
+from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.message import ControlMessageBase as _Message
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
 from rsb_bridge.wire.records import (
@@ -372,6 +373,8 @@ ControlMessage: TypeAlias = (
     | TopicList
     | AskType
     | TypeText
+    | Follow
+    | Followed
     | BenchAsk
     | BenchAnswer
     | Duplicate

@@ -10,7 +10,7 @@ from rsb_console.command.target import (
     UsageError,
     attached,
     check_link,
-    chosen_route,
+    chosen,
     done,
     result,
 )
@@ -68,7 +68,7 @@ def _say_cost(arguments: Namespace, topic: Topic, engine: RemoteEngine, link: st
 def edit(arguments: Namespace) -> int:
     """Change one that is bridged. Returns the exit code."""
     with attached(arguments) as engine:
-        route = chosen_route(engine, arguments)
+        route = chosen(engine, arguments)
         if not arguments.keys:
             raise UsageError(f"edit {arguments.topic}: nothing to change; for example: max_rate=5")
         topic = _topic(values_of(route.spec), arguments.keys, engine, route.spec)

@@ -112,9 +112,10 @@ def _route(topic: Topic, session: Session, profile: LinkProfile) -> str:
     transport = transport_of(topic, session)
     details = list(_details(topic, compression))
     if topic.kind == "topic":
-        what = f"{topic.direction} {topic.topic}"
+        what = f"{topic.direction} {'each that matches ' if topic.is_pattern else ''}{topic.topic}"
     else:
-        what = f"{NOUNS[LISTS[topic.kind]]} {topic.topic}, provided by the {topic.provider},"
+        noun = f"each {topic.kind} that matches" if topic.is_pattern else NOUNS[LISTS[topic.kind]]
+        what = f"{noun} {topic.topic}, provided by the {topic.provider},"
     return f"{what} over {transport.name}: {', '.join(details)}"
 
 
@@ -126,6 +127,8 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         yield f"port {topic.port}"
     if compression != "none":
         yield f"{compression} compression"
+    if topic.excepts:
+        yield f"not {join_first(topic.excepts, _NAMED)}"
     if topic.remote_topic is not None:
         yield f"{topic.remote_topic} on the server"
     if topic.max_rate is not None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.health import link_is_wrong, route_is_wrong, route_waits
+from rsb_bridge.model.health import link_is_wrong, pattern_is_wrong, route_is_wrong, route_waits
 from rsb_bridge.model.snapshot import State
-from rsb_console.command.reports import link_fault, of_links_that_are_up, rate_text
+from rsb_console.command.reports import link_fault, of_links_that_are_up, pattern_text, patterns_of, rate_text
 
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
@@ -22,7 +22,8 @@ def wrong(now: Snapshot) -> list[str]:
     if not now.running:
         return ["the bridge is stopped"]
     links = [f"link {link.name} {link_fault(link)}" for link in now.links if link_is_wrong(link)]
-    return links + [rate_text(route) for route in of_links_that_are_up(now) if route_is_wrong(route)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if pattern_is_wrong(each)]
+    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if route_is_wrong(route)]
 
 
 def waiting(now: Snapshot) -> list[str]:

@@ -19,7 +19,10 @@ from rsb_console.command.reports import (
     json_event,
     json_line,
     links_of,
+    made_by,
     of_links_that_are_up,
+    pattern_text,
+    patterns_of,
     rate_text,
     route_of,
     status_of,
@@ -32,6 +35,7 @@ from rsb_console.command.target import (
     ANSWERED_WITHIN,
     attached,
     check_link,
+    chosen,
     chosen_route,
     done,
     failed,
@@ -79,7 +83,9 @@ def _status(arguments: Namespace) -> int:
                 if waits_for_link := topics_of_link_that_is_down(now, link):
                     print_line(f"    {waits_for_link}")
             for route in faults_first(of_links_that_are_up(now)):
-                print_line(f"  {rate_text(route)}")
+                print_line(f"  {rate_text(route)}{made_by(route)}")
+            for pattern in patterns_of(now):
+                print_line(f"  {pattern_text(pattern)}")
         return FAILURE if faults else OK
 
 
@@ -103,7 +109,10 @@ def _topics(arguments: Namespace) -> int:
             print_line(json_line({"ok": True, "links": links_of(now), "topics": topics}))
         for route in () if arguments.json else now.routes:
             link = f"{route.link}: " if engine.bridge.role == "server" else ""
-            print_line(f"{link}{rate_text(route)}")
+            print_line(f"{link}{rate_text(route)}{made_by(route)}")
+        for pattern in () if arguments.json else patterns_of(now):
+            link = f"{pattern.link}: " if engine.bridge.role == "server" else ""
+            print_line(f"{link}{pattern_text(pattern)}")
         return OK
 
 
@@ -156,13 +165,13 @@ def _echo(arguments: Namespace) -> int:
 
 def _remove(arguments: Namespace) -> int:
     with attached(arguments) as engine:
-        result(engine.remove_topic(chosen_route(engine, arguments).key))
+        result(engine.remove_topic(chosen(engine, arguments).key))
         return done(arguments)
 
 
 def _pause(arguments: Namespace, *, paused: bool = True) -> int:
     with attached(arguments) as engine:
-        result(engine.pause(chosen_route(engine, arguments).key, paused))
+        result(engine.pause(chosen(engine, arguments).key, paused))
         return done(arguments)
 
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 TOPIC_KEYS = (
     "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, priority=, expected_rate=, stale_after=, "
-    "paused=, arm=, deadman="
+    "paused=, arm=, deadman=, except="
 )
 CALL_KEYS = (
     "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "
-    "paused=, arm=, deadman="
+    "paused=, arm=, deadman=, except="
 )
 KINDS = ("topic", "service", "action", "parameters")
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.calls import CallsSnapshot
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot
 
 _SHOWN_IN_STATUS = 8
 _COUNTED: dict[Kind, str] = {
@@ -191,9 +191,43 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
             "rtt": link.rtt,
             "fingerprint": link.fingerprint,
             "next_fingerprint": link.next_fingerprint,
+            "patterns": [pattern_of(pattern) for pattern in link.patterns],
         }
         for link in snapshot.links
     }
+
+
+def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
+    """Those of one pattern."""
+    return {
+        "pattern": pattern.spec.topic,
+        "kind": pattern.spec.kind,
+        "direction": pattern.spec.direction,
+        "except": pattern.spec.excepts,
+        "state": pattern.state,
+        "reason": pattern.reason,
+        "routes": pattern.routes,
+        "gone": pattern.gone,
+        "beyond": pattern.beyond,
+    }
+
+
+def pattern_text(pattern: PatternSnapshot) -> str:
+    """A pattern in a few words: what it bridges, and what not."""
+    spec = pattern.spec
+    what = f"pattern {spec.topic}" if spec.kind == "topic" else f"pattern of {spec.kind} names {spec.topic}"
+    return f"{what} ({spec.direction}) {pattern.state.upper()}: {pattern.reason}"
+
+
+def made_by(route: RouteSnapshot) -> str:
+    """Which pattern has made a route; empty: none has."""
+    return f" [{route.pattern}]" if route.pattern else ""
+
+
+def patterns_of(snapshot: Snapshot) -> list[PatternSnapshot]:
+    """All patterns, those with faults first."""
+    found = [pattern for link in snapshot.links for pattern in link.patterns]
+    return sorted(found, key=lambda pattern: pattern.state.rank)
 
 
 def route_of(route: RouteSnapshot) -> dict[str, object]:
@@ -207,6 +241,7 @@ def route_of(route: RouteSnapshot) -> dict[str, object]:
         "topic": route.topic,
         "kind": route.spec.kind,
         "link": route.link,
+        "pattern": route.pattern or None,
         "outgoing": route.outgoing,
         "state": route.state,
         "cause": route.cause,

@@ -13,6 +13,7 @@ from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError, hidden_services
+from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.text import join_first
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, USAGE, print_error, print_line
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.model.snapshot import RouteSnapshot
+    from rsb_bridge.model.snapshot import PatternSnapshot, RouteSnapshot
 
 ANSWERED_WITHIN = 60.0
 Attach: TypeAlias = "Callable[[], RemoteEngine]"
@@ -213,6 +214,33 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
         raise UsageError(f"{arguments.topic} is bridged as {only}, and not as {_either(kinds)}")
     known = [route.topic for route in now.routes if route.spec.kind in kinds]
     raise UsageError(f"{arguments.topic} is not bridged{suggestion(arguments.topic, known)}")
+
+
+def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:
+    """The route that the arguments mean, or the pattern.
+
+    Raises:
+        UsageError: none or several do.
+    """
+    if not is_pattern(arguments.topic):
+        return chosen_route(engine, arguments)
+    check_link(engine, arguments.link)
+    kinds = arguments.kinds if arguments.kind is None else (arguments.kind,)
+    known = [
+        pattern
+        for link in engine.snapshot().links
+        for pattern in link.patterns
+        if pattern.spec.kind in kinds and arguments.link in ("", link.name)
+    ]
+    meant = [each for each in known if each.spec.topic == arguments.topic]
+    found = [each for each in meant if arguments.direction in (None, each.spec.direction)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        options = (f"--link {each.link} --direction {each.spec.direction} --kind {each.spec.kind}" for each in found)
+        raise UsageError(f"{arguments.topic} is followed {len(found)} times; say which: {'; '.join(options)}")
+    names = [each.spec.topic for each in known]
+    raise UsageError(f"there is no pattern {arguments.topic}{suggestion(arguments.topic, names)}")
 
 
 def _which(route: RouteSnapshot, others: Sequence[RouteSnapshot]) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
+from rsb_console.look.patterns import PatternRow
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -30,6 +31,12 @@ def arming_means(route: RouteSnapshot) -> str:
         f"From now on its {what} cross the link of {route.link}, {way}: {route.link} may move.\n"
         f"It disarms when the link drops, this console ends{keys}."
     )
+
+
+def _removal(route: RouteSnapshot) -> str:
+    if isinstance(route, PatternRow):
+        return f"All that it has brought ({route.routes}) stop crossing at once"
+    return "It stops crossing at once"
 
 
 class BridgeOperations:
@@ -112,7 +119,9 @@ class BridgeOperations:
         engine, route = self._console.engine, self._selected()
         if route is None or engine is None:
             return
-        message = f"It stops crossing at once, on both sides of the link with {self._console.peer_of(route)}."
+        message = f"{_removal(route)}, on both sides of the link with {self._console.peer_of(route)}."
+        if route.pattern:
+            message += f" {route.pattern} leaves it out from then on (except)."
         if await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
             await self._console.command(engine.remove_topic(route.key))
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
-    "topic", "kind", "direction", "provider", "type", "qos", "remote_topic", "timeout", "protocol", "port", "max_rate",
-    "priority", "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
+    "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
+    "max_rate", "priority", "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
@@ -90,7 +90,7 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
     yield Spec(
         "topic",
         _LABELS[kind],
-        f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type the full name: /scan." if new else name,
+        f"{name} Type to search, ↑ ↓ and ⏎ to pick; or type a name (/scan) or a pattern (/camera/**)." if new else name,
         blank="type to look for what either side has",
     )
     if new:
@@ -116,6 +116,12 @@ def _which(ends: Ends, kind: Kind, *, new: bool) -> Iterator[Spec]:
             "The side whose node answers. The other side's nodes call it.",
             options=(("server", f"the server ({there})"), ("client", f"the client ({here})")),
         )
+    yield Spec(
+        "excepts",
+        "Except",
+        "Of a pattern (/camera/**, /nav/*): names and patterns on the client that it leaves out, with blanks between.",
+        blank="nothing",
+    )
     if kind in _FOLDERS:
         short = ", or a common type's short name (LaserScan)" if kind == "topic" else ""
         form = f"package/{_FOLDERS[kind]}/Name{short}. Empty: the type in either graph."

@@ -51,6 +51,8 @@ def plain(key: str, text: str) -> Any:
     """What a field's text would be in a session file. A text that is no number stays one, for the rules to refuse."""
     if key == "qos":
         return _plain_qos(text)
+    if key == "excepts":
+        return tuple(text.replace(",", " ").split())
     if key not in NUMBERS:
         return text
     for kind in (int, float):
@@ -97,6 +99,8 @@ def values_of(topic: Topic) -> dict[str, str]:
 
 
 def _text(value: object) -> str:
+    if isinstance(value, list):
+        return " ".join(map(_text, value))
     if isinstance(value, dict):
         return f"{{{', '.join(f'{key}: {_text(each)}' for key, each in value.items())}}}"
     return f"{value:g}" if isinstance(value, float) else str(value)

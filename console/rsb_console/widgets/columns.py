@@ -7,9 +7,11 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.text import plural
 from rsb_console.look import formats
 from rsb_console.look.glyphs import ARMED, ARMED_WORD, IN, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.look.kinds import SHORT
+from rsb_console.look.patterns import PatternRow
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -70,10 +72,14 @@ def is_armed(route: RouteSnapshot) -> bool:
 def via(route: RouteSnapshot) -> str:
     """The way of a topic, or of requests, and what carries it."""
     way = OUT if route.outgoing else IN
+    if isinstance(route, PatternRow):
+        return f"{way} match"
     return f"{way} BT {route.port}" if route.transport == "bluetooth" else f"{way} {route.transport.upper()}"
 
 
 def _rate(route: RouteSnapshot) -> str:
+    if isinstance(route, PatternRow):
+        return f"{route.routes} {plural(route.routes, 'name')}"
     rate = formats.hertz(present_rate(route)) if carries(route) else "-"
     if route.calls is not None:
         return f"{rate} +{route.calls.in_flight}" if route.calls.in_flight else rate
@@ -87,6 +93,8 @@ def present_rate(route: RouteSnapshot) -> float:
 
 def carries(route: RouteSnapshot) -> bool:
     """Whether a topic's rate and throughput have a meaning in its present state."""
+    if isinstance(route, PatternRow):
+        return False
     return route.state.flows or route.state in {State.STALE, State.STOPPED}
 
 

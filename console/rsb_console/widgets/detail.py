@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from rsb_console.actions.registry import Group, bindings
 from rsb_console.look import formats
 from rsb_console.look.glyphs import IN, OUT
+from rsb_console.look.patterns import PatternRow
 from rsb_console.widgets import detail_parts as parts
 from rsb_console.widgets.call_detail import call_lines
 from rsb_console.widgets.lines import Line, LiveLines, fit
@@ -80,7 +81,23 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
         peer: the other side's name or address.
         width: of the pane, cells.
     """
+    if isinstance(route, PatternRow):
+        return _pattern_lines(route, width)
     return _topic_lines(route, peer, width) if route.calls is None else call_lines(route, route.calls, peer, width)
+
+
+def _pattern_lines(row: PatternRow, width: int) -> Iterator[Line]:
+    yield from parts.heading(row, "message", width)
+    yield ()
+    yield parts.labelled("pattern", f"{row.topic} on this side")
+    yield parts.labelled("", f"{row.remote_topic} on the other side")
+    yield parts.labelled("bridges", f"{row.routes} now")
+    for at, name in enumerate(row.spec.excepts):
+        yield parts.labelled("" if at else "except", name)
+    if row.type_name:
+        yield from parts.figure("only", [row.type_name], width)
+    yield ()
+    yield from parts.wrapped("Each name that matches has a line of its own in the table.", width, "dim")
 
 
 def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:

@@ -60,7 +60,7 @@ def _until(arming: ArmingSnapshot) -> str:
 
 
 def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
-    """The type, where it goes, what carries it, and its name there.
+    """The type, where it goes, what carries it, its name there, and the pattern that it matches.
 
     Args:
         route: what it is about.
@@ -73,6 +73,8 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
     yield from (towards,) if width_of(towards) <= width else (towards[:1], ((f"   {carrier}", "dim"),))
     if route.remote_topic and route.remote_topic != route.topic:
         yield ((f"   there: {route.remote_topic}", "dim"),)
+    if route.pattern:
+        yield ((f"   matches {route.pattern}", "dim"),)
 
 
 def _type(route: RouteSnapshot) -> str:

@@ -11,6 +11,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import Cause, LinkCause
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN
+from rsb_console.look.patterns import pattern_rows
 from rsb_console.widgets.lines import Line, LiveLines, fit
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
 
 def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
     several = len(snapshot.links) > 1
-    for route in sorted(snapshot.routes, key=lambda route: (route.state.rank, route.topic)):
+    for route in sorted((*snapshot.routes, *pattern_rows(snapshot)), key=lambda route: (route.state.rank, route.topic)):
         if _needs_words(route):
             robot = route.link if several else ""
             yield Fault(STATE_SIGN[route.state], route.state.value, robot, route.topic, _reason(route), of_link=False)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.snapshot import State
 from rsb_console.look.glyphs import STATE_WORD
 from rsb_console.look.kinds import SHORT
+from rsb_console.look.patterns import pattern_rows
 from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, layout, via
 from rsb_console.widgets.lines import clip, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
@@ -22,7 +23,10 @@ FAULTS = tuple(state for state in State if state not in (State.PAUSED, State.DIS
 
 
 class TopicsTable(SelectableList):
-    """Shows the routes of a snapshot, one per line. The cursor stays on its route when the order changes."""
+    """Shows the routes of a snapshot, one per line, and the patterns that make some of them.
+
+    The cursor stays on its route when the order changes.
+    """
 
     sticky = 1
     begins_at_top = True
@@ -57,9 +61,9 @@ class TopicsTable(SelectableList):
             self.sync()
 
     def show(self, snapshot: Snapshot) -> None:
-        self.routes = {route.key: route for route in snapshot.routes}
+        self.routes = {route.key: route for route in (*snapshot.routes, *pattern_rows(snapshot))}
         self._peers = len(snapshot.links) > 1
-        self._calls = any(route.spec.kind != "topic" for route in snapshot.routes)
+        self._calls = any(route.spec.kind != "topic" for route in self.routes.values())
         self.relist()
 
     def relist(self) -> None:
@@ -76,7 +80,7 @@ class TopicsTable(SelectableList):
         return self.pattern is None or self.pattern.matches(
             {
                 "kind": f"{route.spec.kind} {SHORT[route.spec.kind]}",
-                "topic": route.topic,
+                "topic": f"{route.topic} {route.pattern}" if route.pattern else route.topic,
                 "robot": route.link,
                 "state": STATE_WORD[route.state],
                 "via": f"{via(route)} {route.port}",

@@ -1,0 +1,121 @@
+"""Patterns of names: ``*`` stands for characters of one segment, ``**`` for segments."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from rsb_bridge.model.names import is_topic_name
+
+FEATURE = "patterns"
+"""What a side that tells which names of its graph match names among its features."""
+ROUTES_PER_PATTERN: Final = 100
+"""Routes that one pattern makes on one link."""
+ROUTES_BY_PATTERNS: Final = 250
+"""Routes that all patterns of one side make on one link: a client takes 256 of a server's
+(`rsb_bridge.model.limits.ROUTES_PROPOSED_BY_SERVER`)."""
+PATTERNS_PER_LINK: Final = 64
+"""Patterns of one side, on one link."""
+EXCEPTIONS_PER_PATTERN: Final = 256
+NAMES_FOLLOWED: Final = 1000
+"""Names that one side of a link tells the other because they match its patterns."""
+GONE_AFTER: Final = 300.0
+"""s for which a route stays whose topic nobody publishes any more."""
+
+_WILDCARD = re.compile(r"\*+")
+
+
+def is_pattern(name: str) -> bool:
+    """Whether a name stands for others."""
+    return "*" in name
+
+
+def is_hidden(name: str) -> bool:
+    """Whether ROS hides a name from lists: a segment of it begins with an underscore."""
+    return "/_" in name
+
+
+def is_valid(text: str) -> bool:
+    """Whether some name can match: a name's form, with ``**`` for whole segments only."""
+    segments = text.split("/")
+    whole = all("**" not in segment or segment == "**" for segment in segments)
+    return whole and is_topic_name(_WILDCARD.sub("x", text))
+
+
+class Pattern:
+    """A valid pattern, or a name, which matches itself.
+
+    ``*`` stands for any characters of one segment, and where it is a whole segment, for one at least. ``**`` stands for
+    any number of segments, none included, and at the end for one at least: ``/camera/**`` is all below ``/camera``, and
+    not ``/camera`` itself. Where a name can be taken apart in several ways, the first wildcards take the least.
+
+    A name is matched in time that does not grow with the number of ways: who makes names is not trusted.
+
+    Args:
+        text: as it is written.
+
+    Attributes:
+        text: likewise.
+        wildcards: those in it, in order.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.wildcards: tuple[str, ...] = tuple(_WILDCARD.findall(text))
+        self._fixed = _WILDCARD.split(text)
+        self._expression = re.compile(_expression(text.split("/")[1:]))
+
+    def __repr__(self) -> str:
+        return f"Pattern({self.text!r})"
+
+    def match(self, name: str) -> tuple[str, ...] | None:
+        """What the wildcards stand for in a name; None: it does not match. Of ``**``, slashes are between segments."""
+        found = self._expression.fullmatch(name)
+        return None if found is None else tuple(part.lstrip("/") for part in found.groups())
+
+    def fill(self, parts: tuple[str, ...]) -> str:
+        """The name in which the wildcards stand for something: the inverse of `match`."""
+        pieces = [self._fixed[0]]
+        for part, fixed in zip(parts, self._fixed[1:], strict=True):
+            if part:
+                pieces.append(part)
+            elif fixed.startswith("/") and pieces[-1].endswith("/"):  # ** that stands for no segment
+                pieces[-1] = pieces[-1][:-1]
+            pieces.append(fixed)
+        return "".join(pieces)
+
+
+def _expression(segments: list[str]) -> str:
+    """A regular expression with a group for each wildcard.
+
+    Everything up to the next ``**`` is found at the first place where it matches, and no other is tried: what follows
+    can take up whatever is left. That is what keeps the time in bounds, as in `fnmatch.translate`.
+    """
+    runs: list[list[str]] = [[]]
+    for segment in segments:
+        if segment == "**":
+            runs.append([])
+        else:
+            runs[-1].append(segment)
+    first, *others = ("".join(map(_segment, run)) for run in runs)
+    parts = [first]
+    for at, run in enumerate(others):
+        is_last = at == len(others) - 1
+        if not is_last:
+            parts.append(f"(?>((?:/[^/]+)*?){run})")
+        elif run:
+            parts.append(f"((?:/[^/]+)*){run}")
+        else:
+            parts.append("((?:/[^/]+)+)")
+    return "".join(parts)
+
+
+def _segment(text: str) -> str:
+    """The expression for one segment, with the slash before it; after it, the segment ends."""
+    if text == "*":
+        return "/([^/]+)(?![^/])"
+    first, *fixed = map(re.escape, text.split("*"))
+    if not fixed:
+        return f"/{first}(?![^/])"
+    between = "".join(f"(?>([^/]*?){each})" for each in fixed[:-1])
+    return f"/{first}{between}([^/]*){fixed[-1]}(?![^/])"

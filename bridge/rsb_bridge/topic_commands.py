@@ -1,0 +1,118 @@
+"""What operators do with what is bridged: with single routes, and with patterns, which make routes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+
+from rsb_bridge.config.difference import changes, described
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.route.pause import pause_word
+
+if TYPE_CHECKING:
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.link.roles import BridgeRole
+    from rsb_bridge.model.session import Topic
+    from rsb_bridge.route.route import Route
+
+_INSTEAD = "remove the one, and add the other"
+
+
+class Recorder(Protocol):
+    """Records what an operator has done."""
+
+    def __call__(
+        self, code: EventCode, what: str, *, topic: str = "", link: str = "", old: str = "", new: str = ""
+    ) -> None:
+        """Record it; of a topic, by its name on this side."""
+        ...
+
+
+class TopicCommands:
+    """Commands of one bridge, on its event loop. Each may raise `LinkError`.
+
+    Args:
+        role: has the links.
+        did: records what was done.
+    """
+
+    def __init__(self, role: BridgeRole, did: Recorder) -> None:
+        self._role = role
+        self._did = did
+
+    def find(self, key: str) -> tuple[Link, Route]:
+        """A route and its link by the route's key."""
+        for link in self._role.links():
+            if key in link.routes:
+                return link, link.routes[key]
+            if link.patterns.find(key) is not None:
+                raise LinkError("a pattern carries nothing itself: choose one of the topics that it matches")
+        raise LinkError(f"there is no route {key!r} any more")
+
+    def _pattern(self, key: str) -> tuple[Link, Topic] | None:
+        found = ((link, link.patterns.find(key)) for link in self._role.links())
+        return next(((link, topic) for link, topic in found if topic is not None), None)
+
+    def add(self, topic: Topic, link: str) -> str:
+        """Bridge one more topic, or follow one more pattern; its key."""
+        chosen, key, topic = self._role.add(topic, link)
+        route = chosen.routes.get(key)
+        topic, name = (topic, topic.topic) if route is None else (route.spec, route.local_topic)
+        self._did(EventCode.OPERATOR_ADDED, "added", topic=name, link=chosen.name, new=described(topic))
+        return key
+
+    def edit(self, key: str, topic: Topic) -> str:
+        """Put another topic in a route's place, or another pattern in a pattern's; the new key."""
+        if (pattern := self._pattern(key)) is not None:
+            link, old = pattern
+            if not topic.is_pattern:
+                raise LinkError(
+                    f"{old.topic} is a pattern, and {topic.topic} is none: remove the one, and add the other"
+                )
+            new_key, name = link.patterns.replace(old.identity, topic), topic.topic
+        else:
+            link, route = self.find(key)
+            old = route.spec
+            if topic.is_pattern:
+                raise LinkError(
+                    f"{topic.topic} is a pattern, and {old.topic} is none: remove the one, and add the other"
+                )
+            if topic.topic != old.topic:
+                topic = link.client_names(topic)
+            new = link.proposed.replace(route, topic)
+            new_key, name = new.key, new.local_topic
+        what = f"changed ({', '.join(changes(old, topic)) or 'nothing differs'})"
+        self._did(EventCode.OPERATOR_EDITED, what, topic=name, link=link.name, old=described(old), new=described(topic))
+        return new_key
+
+    def remove(self, key: str) -> None:
+        """Stop bridging a topic, or following a pattern. What a pattern matches, it leaves out from then on."""
+        if (pattern := self._pattern(key)) is not None:
+            link, topic = pattern
+            link.patterns.remove(topic.identity)
+            name = topic.topic
+        else:
+            link, route = self.find(key)
+            topic, name = route.spec, route.local_topic
+            link.bench.removed(route)
+            link.table.remove(route, "removed by an operator")
+            link.patterns.leave_out(route)
+        self._did(EventCode.OPERATOR_REMOVED, "removed", topic=name, link=link.name, old=described(topic))
+
+    def pause(self, key: str, *, paused: bool) -> None:
+        """Stop or resume carrying a topic's messages; of a pattern, those of all that it matches."""
+        code = EventCode.OPERATOR_PAUSED if paused else EventCode.OPERATOR_RESUMED
+        if (pattern := self._pattern(key)) is not None:
+            link, topic = pattern
+            old, name = pause_word(paused=topic.paused), topic.topic
+            link.patterns.replace(topic.identity, msgspec.structs.replace(topic, paused=paused))
+            routes = [route for route in link.routes.values() if link.patterns.has_made(route, topic)]
+        else:
+            link, route = self.find(key)
+            old, name, routes = pause_word(paused=route.paused), route.local_topic, [route]
+        for route in routes:
+            link.table.pause(route, paused=paused)
+        word = pause_word(paused=paused)
+        self._did(code, "paused" if paused else "resumed", topic=name, link=link.name, old=old, new=word)

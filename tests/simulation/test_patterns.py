@@ -1,0 +1,218 @@
+"""Patterns over hours: topics that come and go, more of them than there is room for, and links that are cut."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+import msgspec
+from tests.simulation.climate import STILL
+from tests.simulation.ros import STRING, Writer, hash_of
+from tests.simulation.test_calls import until
+from tests.simulation.world import World
+
+from rsb_bridge.link import roles
+from rsb_bridge.link.name_watch import NameWatch
+from rsb_bridge.model import patterns
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.patterns import GONE_AFTER, ROUTES_BY_PATTERNS, ROUTES_PER_PATTERN, Pattern
+from rsb_bridge.model.qos import Qos
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import PatternSnapshot, State
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+    from tests.simulation.conftest import Play
+    from tests.simulation.station import Station
+
+    from rsb_bridge.link.link import Link
+    from rsb_bridge.route.route import Route
+
+_SEEN = 5.0
+"""s within which a change of a graph has made routes on both sides."""
+
+
+class Yard:
+    """A robot and a server, on which topics come and go.
+
+    Args:
+        listed: the topics of the robot's session.
+
+    Attributes:
+        world: in which they are.
+        robot: the client.
+        server: likewise.
+    """
+
+    def __init__(self, *listed: Topic) -> None:
+        self.world = World(1, replace(STILL, topics=(0,)))
+        self.robot: Station = self.world.robots[0].station
+        self.server: Station = self.world.server
+        self.robot.session = msgspec.structs.replace(self.robot.session, topics=listed)
+        self._name = self.world.robots[0].name
+
+    def publish(self, *topics: str, on_server: bool = False) -> list[Writer]:
+        """Publishers of a program."""
+        domain = (self.server if on_server else self.robot).domain
+        return [Writer(domain, "/program", topic, STRING, hash_of(STRING), Qos()) for topic in topics]
+
+    def link(self, *, on_server: bool = False) -> Link:
+        """The link, on either side."""
+        run = (self.server if on_server else self.robot).run
+        assert run is not None
+        return next(link for link in run.links() if link.name == self._name)
+
+    def routes(self, *, on_server: bool = False) -> dict[str, Route]:
+        """The routes by their topics' names on the robot."""
+        return {route.spec.topic: route for route in self.link(on_server=on_server).routes.values()}
+
+    def patterns(self) -> list[PatternSnapshot]:
+        """The robot's."""
+        return list(self.link().snapshot().patterns)
+
+    def codes(self) -> list[str]:
+        """What the robot's engine has said."""
+        assert self.robot.run is not None
+        return [event.code for event in self.robot.run.events.after(0)]
+
+
+def lived(play: Play, yard: Yard, life: Coroutine[None, None, None], seconds: float) -> None:
+    """Play a world until a life is over; whatever fails in it fails here."""
+    outcome: list[BaseException | None] = []
+
+    async def live() -> None:
+        await asyncio.sleep(10.0)
+        try:
+            await life
+        except BaseException as error:
+            outcome.append(error)
+            raise
+        outcome.append(None)
+
+    play(yard.world, seconds, live())
+    assert outcome == [None]
+
+
+def test_a_topic_that_is_gone_keeps_its_route_for_a_while(play: Play) -> None:
+    """A node that is started again finds its route as it was; one that never comes back leaves none."""
+    yard = Yard(Topic("/camera/**", "transmit"))
+
+    async def live() -> None:
+        (writer,) = yard.publish("/camera/image")
+        await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
+        first = yard.routes()["/camera/image"]
+        for _ in range(5):
+            writer.close()
+            await until(lambda: yard.patterns()[0].gone == 1, _SEEN)
+            await asyncio.sleep(GONE_AFTER - 2 * _SEEN)
+            assert yard.routes() == {"/camera/image": first}
+            (writer,) = yard.publish("/camera/image")
+            await until(lambda: yard.patterns()[0].gone == 0, _SEEN)
+        writer.close()
+        await until(lambda: yard.patterns()[0].gone == 1, _SEEN)
+        await asyncio.sleep(GONE_AFTER - _SEEN)
+        assert "/camera/image" in yard.routes(on_server=True)
+        await until(lambda: not yard.routes() and not yard.routes(on_server=True), 2 * _SEEN)
+        assert yard.patterns()[0].state is State.WAITING
+        yard.publish("/camera/image")
+        await until(lambda: "/camera/image" in yard.routes(on_server=True), _SEEN)
+
+    lived(play, yard, live(), 6.5 * GONE_AFTER)
+
+
+def test_a_link_that_is_down_is_no_reason_to_take_topics_for_gone(play: Play) -> None:
+    """What the server has is not known then; what is gone once it is back is counted from there on."""
+    yard = Yard(Topic("/cmd/*", "receive"))
+
+    async def live() -> None:
+        stays, goes = yard.publish(*(f"/{yard.link().name}/cmd/{name}" for name in ("stays", "goes")), on_server=True)
+        await until(lambda: yard.routes().keys() == {"/cmd/stays", "/cmd/goes"}, _SEEN)
+        with yard.world.trouble("server away", *yard.world.robots):
+            await yard.server.stop()
+            goes.close()
+            await asyncio.sleep(3 * GONE_AFTER)
+            assert yard.routes().keys() == {"/cmd/stays", "/cmd/goes"}
+            assert yard.patterns()[0].gone == 0
+            assert yard.patterns()[0].state is State.WAITING
+            yard.server.start()
+        await until(lambda: yard.patterns()[0].gone == 1, 60.0)
+        await asyncio.sleep(GONE_AFTER - _SEEN)
+        assert "/cmd/goes" in yard.routes()
+        await until(lambda: yard.routes().keys() == {"/cmd/stays"}, 2 * _SEEN)
+        assert not stays.closed
+
+    lived(play, yard, live(), 5 * GONE_AFTER)
+
+
+def test_a_pattern_ends_at_its_limit_and_says_so(play: Play) -> None:
+    yard = Yard(Topic("/a/*", "transmit"), Topic("/b/**", "transmit"), Topic("/c/*", "transmit"))
+
+    async def live() -> None:
+        writers = yard.publish(*(f"/a/t{n}" for n in range(ROUTES_PER_PATTERN + 20)))
+        await until(lambda: yard.patterns()[0].beyond == 20, _SEEN)
+        assert (yard.patterns()[0].routes, yard.patterns()[0].state) == (ROUTES_PER_PATTERN, State.DOWN)
+        assert yard.codes().count(EventCode.LINK_PATTERN_FULL) == 1
+        await until(lambda: len(yard.routes(on_server=True)) == ROUTES_PER_PATTERN, 30.0)
+        bridged = [writer for writer in writers if writer.topic in yard.routes()]
+        for writer in bridged[:20]:
+            writer.close()  # what is gone makes room at once for what is there
+        await until(lambda: yard.patterns()[0].beyond == 0, _SEEN)
+        assert {writer.topic for writer in bridged[:20]}.isdisjoint(yard.routes())
+        assert yard.codes().count(EventCode.LINK_PATTERN_ROOM) == 1
+        rest = ROUTES_BY_PATTERNS - 2 * ROUTES_PER_PATTERN
+        yard.publish(*(f"/b/x/t{n}" for n in range(ROUTES_PER_PATTERN)), *(f"/c/t{n}" for n in range(rest + 1)))
+        await until(lambda: yard.patterns()[2].beyond == 1, _SEEN)
+        assert [each.routes for each in yard.patterns()] == [ROUTES_PER_PATTERN, ROUTES_PER_PATTERN, rest]
+        assert len(yard.routes()) == ROUTES_BY_PATTERNS
+
+    lived(play, yard, live(), 120.0)
+
+
+def test_a_peer_that_cannot_be_followed_is_named(play: Play) -> None:
+    yard = Yard(Topic("/cmd/*", "receive"))
+
+    async def live() -> None:
+        yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
+        await asyncio.sleep(_SEEN)
+        assert not yard.routes()
+        assert yard.patterns()[0].state is State.DOWN
+        assert "update" in yard.patterns()[0].reason
+
+    older = tuple(each for each in roles.FEATURES if each != patterns.FEATURE)
+    with patch.object(roles, "FEATURES", older):
+        lived(play, yard, live(), 60.0)
+
+
+def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
+    """500 topics and 20 patterns: a name is held against patterns once, and a graph that rests is not looked at."""
+    yard = Yard(*(Topic(f"/group{n}/**/none", "transmit") for n in range(19)), Topic("/group0/*", "transmit"))
+    yard.publish(*(f"/group{n % 20}/t{n}" for n in range(500)))
+    matched: list[str] = []
+    looks: list[float] = []
+    match, look = Pattern.match, NameWatch._look
+
+    def note_match(self: Pattern, name: str) -> tuple[str, ...] | None:
+        matched.append(name)
+        return match(self, name)
+
+    async def note_look(self: NameWatch) -> None:
+        looks.append(yard.world.loop.time())
+        await look(self)
+
+    async def live() -> None:
+        await until(lambda: yard.patterns()[-1].routes == 25, 30.0)
+        await asyncio.sleep(60.0)
+        matched.clear()
+        looks.clear()
+        await asyncio.sleep(600.0)
+        assert len(looks) <= 2 * 600.0 / 60.0, "two engines, and each once a minute in case a change was missed"
+        assert matched == []
+        yard.publish("/group0/new", "/another")
+        await until(lambda: yard.patterns()[-1].routes == 26, _SEEN)
+        assert set(matched) == {"/group0/new", "/another"}
+
+    with patch.object(Pattern, "match", note_match), patch.object(NameWatch, "_look", note_look):
+        lived(play, yard, live(), 800.0)
