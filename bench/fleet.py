@@ -99,6 +99,7 @@ class Figures:
         steady: with the usual load.
         resident, proportional: MB of the control side; `robot` MB of a robot's side.
         again, again_flowing: since the control side listened again.
+        routed: until all were linked again since the Zenoh router ran again; None: there is none.
         attempts: to link, by bins of 100 ms from the death of the control side.
         refused: of them, by the control side.
         flooded: while one robot sends as fast as it can.
@@ -116,6 +117,7 @@ class Figures:
     robot: float
     again: Delays
     again_flowing: Delays
+    routed: Delays | None
     attempts: list[int]
     refused: int
     flooded: Steady
@@ -177,6 +179,7 @@ def measure(
         again_flowing = Delays.of((max(robot.open) for robot in robots.values()), returned)
         tried = [each for robot in robots.values() for each in (*robot.attempts, robot.up[-1]) if each > killed]
         refused = sum(robot.refused for robot in robots.values())
+        routed = _without_router(running, plan.down) if running.router is not None else None
         _wait_until_heard(listener)
         time.sleep(plan.settles)
         before, since = running.look()[flooding].published, time.monotonic()
@@ -194,12 +197,24 @@ def measure(
             a_robot,
             again,
             again_flowing,
+            routed,
             _bins(tried, killed),
             refused,
             flooded,
             flood,
             _told(running, flooding),
         )
+
+
+def _without_router(running: Fleet, down: float) -> Delays:
+    """Kill the router, and start it again: until when all are linked, and all routes open."""
+    assert running.router is not None
+    running.router.kill()
+    time.sleep(down)
+    running.router.start()
+    returned, routes = time.time(), running.load.routes
+    robots = running.wait(lambda robot: len(robot.open) >= 3 * routes, _WITHIN)
+    return Delays.of((robot.up[-1] for robot in robots.values()), returned)
 
 
 def _wait_until_heard(listener: Process) -> None:
@@ -283,6 +298,9 @@ def _described(talk: Talk) -> str:
 def _print_one(figures: Figures) -> None:
     print(f"\n{figures.count} robots, {figures.routes} routes")
     print(f"attempts to link per 100 ms from the death of the control side: {' '.join(map(str, figures.attempts))}")
+    if figures.routed is not None:
+        half, last = figures.routed.half, figures.routed.last
+        print(f"router killed and back: linked again after {half:.1f} s (half of them), {last:.1f} s (the last)")
     print(f"refused: {figures.refused}; the robot that floods publishes {figures.flood:,.0f} msg/s:")
     for line in figures.told:
         print(f"  {line}")

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
-from rsb_bridge.model.session import Client, Session, Topic
+from rsb_bridge.config.session_file import load, save
+from rsb_bridge.model.session import ZENOH_HOST, Client, Session, Topic, ZenohSettings
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
 from rsb_console.bench import beds
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-ROBOTS = "rsb_console.bench.robots"
+ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 MOST_IN_ONE = 50
 """Robots of one process."""
@@ -35,16 +35,65 @@ _HOST = "127.0.0.1"
 _PORTS = range(20_000, 32_000)
 """None that the kernel gives to a client, who would then sit on the server's port, or connect to itself."""
 _LOOK_EVERY = 0.25
+_READY_WITHIN = 60.0
+
+
+class Router:
+    """A Zenoh router in a process of its own, which may be killed and started again.
+
+    Attributes:
+        endpoint: where it listens.
+        process: the one that runs, or ran last.
+    """
+
+    def __init__(self) -> None:
+        self.endpoint = f"tcp/{_HOST}:{_free_port()}"
+        self.start()
+
+    def start(self) -> None:
+        """Run; returns once it listens."""
+        self.process = Process("-m", ROUTER, self.endpoint)
+        if not self.process.line():
+            raise BenchError("the Zenoh router does not start: pip install 'rsb-console[zenoh]'")
+
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        self.process.signal(signal.SIGKILL)
+        self.process.stop()
+
+
+@dataclass(slots=True)
+class Way:
+    """What the links go over.
+
+    Attributes:
+        fields: of all sessions.
+        router: that they go through; None: none.
+    """
+
+    fields: dict[str, Any]
+    router: Router | None = None
 
 
 @contextlib.contextmanager
-def tcp(_: Path) -> Iterator[dict[str, Any]]:
+def tcp() -> Iterator[Way]:
     """Robots connect to the control side."""
-    yield {"server_ip": _HOST, "server_port": _free_port()}
+    yield Way({"server_ip": _HOST, "server_port": _free_port()})
 
 
-WAYS: dict[str, Callable[[Path], AbstractContextManager[dict[str, Any]]]] = {"tcp": tcp}
-"""What the links go over, by name: each runs what that takes, in a folder, and gives the fields of all sessions."""
+@contextlib.contextmanager
+def zenoh() -> Iterator[Way]:
+    """Robots and the control side connect to a router."""
+    router = Router()
+    try:
+        settings = ZenohSettings((router.endpoint,), fleet="bench")
+        yield Way({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
+    finally:
+        router.process.stop()
+
+
+WAYS: dict[str, Callable[[], AbstractContextManager[Way]]] = {"tcp": tcp, "zenoh": zenoh}
+"""What the links go over, by name: each runs what that takes."""
 
 
 @dataclass(slots=True)
@@ -59,6 +108,7 @@ class Fleet:
         processes: of the robots.
         control: the control side's process.
         started: s since the epoch, when the robots were started.
+        router: that the links go through; None: none.
     """
 
     folder: Path
@@ -66,6 +116,7 @@ class Fleet:
     load: Load
     session: Path
     command: Sequence[str]
+    router: Router | None = None
     processes: list[Process] = field(default_factory=list)
     control: Process | None = None
     started: float = 0.0
@@ -164,7 +215,7 @@ def fleet(
     """
     names = [f"robot{number:03d}" for number in range(count)]
     topics = [*((talk.topic, "transmit") for talk in load.talks), *((topic, "receive") for topic in load.hears)]
-    with WAYS[over](folder) as way:
+    with WAYS[over]() as way:
         for name in names:
             write_key(folder / f"{name}.key")
             bridged = tuple(Topic(topic=topic, direction=to, type=STRING) for topic, to in topics)  # type: ignore[arg-type]
@@ -176,13 +227,15 @@ def fleet(
                 shutdown_topic=None,
                 diagnostics_topic=None,
                 topics=bridged,
-                **way,
+                **way.fields,
             )
             save(session, folder / f"{name}.yaml")
         clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
         path = folder / "control.yaml"
-        save(Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way), path)
-        running = Fleet(folder, names, load, path, control)
+        save(
+            Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way.fields), path
+        )
+        running = Fleet(folder, names, load, path, control, way.router)
         try:
             yield running
         finally:
@@ -191,10 +244,15 @@ def fleet(
 
 def listening(process: Process, session: Path) -> float:
     """Wait until the control side's server listens; s since the epoch then."""
-    from rsb_bridge.config.session_file import load  # noqa: PLC0415
-
-    monotonic = beds.listening(process, load(session).server_port)
-    return time.time() - (time.monotonic() - monotonic)
+    if port := load(session).server_port:
+        monotonic = beds.listening(process, port)
+        return time.time() - (time.monotonic() - monotonic)
+    deadline = time.monotonic() + _READY_WITHIN
+    while "listening on" not in (session.parent / "control.log").read_text(encoding="utf-8"):
+        if time.monotonic() > deadline or not process.running:
+            raise BenchError("the server of the benchmark does not start")
+        time.sleep(0.01)
+    return time.time()
 
 
 def _free_port() -> int:
