@@ -5,8 +5,8 @@ Whoever listens makes a stream of each connection that comes, and a protocol for
 ``connection_made``, ``data_received``, ``eof_received`` and ``connection_lost`` of the protocol, in order and on that
 loop. It has ``write``, ``close``, ``abort``, ``is_closing``, ``pause_reading``, ``get_write_buffer_size`` and
 ``get_extra_info``, whose ``"peername"`` says where the connection comes from, as a socket has it or as a text, true or
-not. It may be closed and aborted again. A stream whose other end is gone has to call ``connection_lost``: nothing in here
-asks whether it is there.
+not. It may be closed and aborted again. A stream whose other end is gone has to call ``connection_lost``: nothing in
+here asks whether it is there.
 """
 
 from __future__ import annotations
