@@ -211,7 +211,8 @@ class Stalled:
     def abort(self) -> None:
         self.aborted.set()
 
-    close = abort
+    def close(self) -> None:
+        """Wait until everything is taken, for ever."""
 
 
 def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,6 +234,20 @@ def test_an_operator_who_takes_nothing_is_given_up(machine: Machine, monkeypatch
         asyncio.run_coroutine_threadsafe(attach(), robot.server.loop).result(60)
         assert stream.aborted.wait(60)
     eventually(lambda: robot.server.attached() == 0)
+
+
+def test_a_refusal_that_nobody_takes_is_given_up(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sealed, "_TOLD_WITHIN", 0.1)
+    robot = Reachable(machine)
+    stream = Stalled()
+
+    async def fail() -> None:
+        serving = robot.acceptor.protocol()
+        serving.connection_made(stream)  # type: ignore[arg-type]
+        serving.data_received(b"GET / HTTP/1.1\r\n\r\n")
+
+    asyncio.run_coroutine_threadsafe(fail(), robot.server.loop).result(60)
+    assert stream.aborted.wait(60)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ Whoever listens makes a stream of each connection that comes, and a protocol for
 ``connection_made``, ``data_received``, ``eof_received`` and ``connection_lost`` of the protocol, in order and on that
 loop. It has ``write``, ``close``, ``abort``, ``is_closing``, ``pause_reading``, ``get_write_buffer_size`` and
 ``get_extra_info``, whose ``"peername"`` says where the connection comes from, as a socket has it or as a text, true or
-not. A stream whose other end is gone has to call ``connection_lost``: nothing in here asks whether it is there.
+not. It may be closed and aborted again. A stream whose other end is gone has to call ``connection_lost``: nothing in
+here asks whether it is there.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ _PLACES = protocol.CONSOLES - 8
 _MOST_WAITING = 32
 """Connections that have not authenticated."""
 _HANDSHAKE_WITHIN = 5.0
+_TOLD_WITHIN = 5.0
+"""s in which a refusal has to be taken."""
 _TICK = 1.0
 _PEER_LENGTH = 80
 _LINES, _LINES_A_SECOND = 64, 0.2
@@ -200,6 +203,7 @@ class SealedConsole(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._leave()
+        self._stop_waiting()
         self._acceptor.remove(self)
 
     # --- before it is attached
@@ -269,9 +273,10 @@ class SealedConsole(asyncio.Protocol):
         self._acceptor.refusals.log_of(self._host, f"a console at {self._peer}", code, message)
 
     def _tell(self) -> None:
+        self._leave()
+        self._deadline = self._loop.call_later(_TOLD_WITHIN, self._transport.abort)
         self._transport.write(self._refusal)
         self._transport.close()
-        self._leave()
 
     def _stop_waiting(self) -> None:
         if self._deadline is not None:
