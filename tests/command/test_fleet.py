@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,6 +114,13 @@ def test_the_screen_needs_a_terminal(
         monkeypatch.setattr("sys.stdin", nothing)
         ran = Ran(capsys)
     assert (ran.code, "fleet --json" in ran.err) == (2, True)
+
+
+def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    section = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text().partition("| field of a robot |")[2]
+    rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
+    printed = Ran(capsys, "--json", *QUICK).json["robots"][0]
+    assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()
 
 
 # --- a command for some robots
