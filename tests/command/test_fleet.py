@@ -133,6 +133,15 @@ def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[
     assert engine.commands == [("pause", "robot1 /camera", True), ("pause", "robot3 /camera", True)]
 
 
+def test_options_may_stand_before_the_command(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    """As well as behind it."""
+    assert Ran(capsys, "--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
+    assert Ran(capsys, "exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
+    for arguments in (("--bridge", "no", "exec", "robot1"), ("exec", "robot1", "--bridge", "no")):
+        assert Ran(capsys, *arguments, "--", "status").code == 3
+    assert Ran(capsys, "exec", "robot1", "--", "status").code == 0
+
+
 def test_for_a_group_as_json(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
     ran = Ran(capsys, "exec", "--group", "hall", "--json", "--", "topics")
     (one,) = ran.json["robots"]
