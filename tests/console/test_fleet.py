@@ -394,8 +394,9 @@ def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: M
             await shown(pilot, "/robot2/scan")
             await shown(pilot, "robot2 at control")
             assert "/robot1/scan" not in text(app)
-            await pilot.press("f", "escape")
+            await pilot.press("o", "f2", "f5", "f", "escape")  # nothing else is opened in its place
             assert app.is_running
+            assert app.screen is app.main
             await pilot.press("escape")
             await until(pilot, lambda: not app.is_running or app._exit, "the end")
 

@@ -176,7 +176,7 @@ class FleetTable(SelectableList):
         if (group := self.selected_group) is not None:
             keys = {row.robot.key for row in self._groups.get(group, ())}
         else:
-            keys = {self.cursor_key} - {None} if self.selected is not None else set()  # type: ignore[assignment]
+            keys = set() if self.selected is None else {self.selected.key}
         if keys <= self.view.marked:
             self.view.marked -= keys
         else:
