@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.widgets.fleet import FleetView
 
+_OPENS_ANOTHER = frozenset({"sessions", "new_session", "import_session", "demo", "welcome"})
+
 
 class FleetApp(TerminalApp["Robot"]):
     """Shows the robots of a fleet until the operator opens one, which it returns, or quits.
@@ -93,6 +95,10 @@ class RobotApp(ConsoleApp):
     """The console on one robot. It ends without a question: nothing else does, and the fleet comes back."""
 
     main_screen = RobotScreen
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Nothing else is opened in the robot's place (Textual's): the end would end that without a question."""
+        return action not in _OPENS_ANOTHER and super().check_action(action, parameters)
 
     def request_quit(self) -> None:
         self.shut_down(ShutdownReason.QUIT)

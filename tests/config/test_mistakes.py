@@ -340,6 +340,24 @@ def test_addresses_are_text_without_quotes(server_ip: str) -> None:
     assert session.is_bluetooth is (server_ip == "80:32:53:10:12:20")
 
 
+@pytest.mark.parametrize("group", ["''", "' '", '"hall\\e[2J"', "x" * 256, "[hall]", "5"])
+def test_groups_are_text(group: str) -> None:
+    of_client = f"clients:\n  - {{name: robot1, group: {group}}}\n"
+    for text, line, place in (
+        (f"{CLIENT}group: {group}\n", 6, "group"),
+        (SERVER + of_client, 7, "client robot1, group"),
+    ):
+        (refusal,) = refusals(text)
+        assert f":{line}: {place}: " in refusal
+
+
+def test_a_group_is_kept() -> None:
+    assert parse(f"{CLIENT}group: Halle 3, größere\n", FILE).group == "Halle 3, größere"
+    assert parse(f"{SERVER}group: hall\n", FILE).accepted_clients[0].group == "hall"
+    session = parse(f"{SERVER}clients:\n  - {{name: robot1, group: yard}}\n  - {{name: robot2}}\n", FILE)
+    assert [client.group for client in session.accepted_clients] == ["yard", None]
+
+
 def test_a_form_has_the_same_rules_as_a_file() -> None:
     (problem,) = validate_topic(Topic(topic="scan", direction="transmit"))
     assert (problem.location, problem.line) == ("topic", None)

@@ -7,7 +7,7 @@ from tests.console.driving import drive, engine_of, gone, scripted_app, shown, t
 from textual.pilot import Pilot
 
 from rsb_console.actions.keymap import KeymapError, load_keymap, split_keys
-from rsb_console.actions.registry import ACTIONS, BY_ID, Action, Group
+from rsb_console.actions.registry import ACTIONS, BY_ID, FLEET_ACTIONS, Action, Group
 
 EATEN = {"ctrl+s", "ctrl+q", "ctrl+a", "ctrl+b", "ctrl+j", "ctrl+enter"}
 
@@ -22,7 +22,8 @@ def test_every_action_has_its_handler(action: Action) -> None:
 def test_no_id_and_no_key_twice() -> None:
     keys = [key for action in ACTIONS for key in split_keys(action.keys)]
     assert len(set(keys)) == len(keys)
-    assert len(BY_ID) == len(ACTIONS)
+    assert len({action.id for action in ACTIONS}) == len(ACTIONS)
+    assert set(BY_ID) == {action.id for action in (*ACTIONS, *FLEET_ACTIONS)}
 
 
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.id)

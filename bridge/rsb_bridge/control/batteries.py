@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 TOPIC: Final = "/battery_state"
 TYPE: Final = "sensor_msgs/msg/BatteryState"
+_TYPES = 16
+"""Descriptions that are kept: every robot should have the same one."""
 EVERY = 30.0
 """s between two messages of one robot that are looked at."""
 AT_ONCE = 4
@@ -72,6 +74,8 @@ class Batteries:
                 return True
             description = self._described.get(peeked.type_hash)
             if description is None:
+                if len(self._described) >= _TYPES:
+                    self._described.clear()
                 description = self._described[peeked.type_hash] = self._engine.describe(route.key)
             if not description.done():
                 return False

@@ -106,6 +106,9 @@ def _add(
     )
     parser.set_defaults(command=lazily(name, "fleet"))
     bridge_options(parser, complete)
+    for option in parser._actions:
+        if option.dest in ("bridge", "control", "json"):
+            option.default = argparse.SUPPRESS  # `fleet` has them, too: what stands there counts
     parser.add_argument("--group", default="", metavar="GROUP", help="all robots of this group, too")
     parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")
     return parser

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import threading
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -56,7 +57,7 @@ class Robot(NamedTuple):
 
 
 class Fleet:
-    """The robots of some sources.
+    """The robots of some sources. `robots`, `chosen` and `dismiss` may be called from any thread.
 
     Args:
         sources: of different names.
@@ -71,6 +72,7 @@ class Fleet:
         self._rates: dict[str, deque[float]] = {}
         self._sampled_at = self._saved_at = float("-inf")
         self._known: set[str] = set()
+        self._lock = threading.RLock()
 
     def start(self) -> None:
         """Begin to know robots.
@@ -92,8 +94,9 @@ class Fleet:
 
     def robots(self) -> list[Robot]:
         """All robots as they are now, the worst first; those that are equally well by name."""
-        found = [robot for source in self.sources for robot in self._of(source)]
-        self._remember(found)
+        with self._lock:
+            found = [robot for source in self.sources for robot in self._of(source)]
+            self._remember(found)
         return sorted(found, key=lambda robot: (robot.summary.state.rank, robot.order))
 
     def _of(self, source: FleetSource) -> list[Robot]:
@@ -142,10 +145,11 @@ class Fleet:
 
     def dismiss(self, robots: Iterable[Robot]) -> None:
         """Forget the robots among these that have gone."""
-        for robot in robots:
-            if robot.gone:
-                self._memory.forget(robot.source.name, robot.summary.name)
-        self._memory.save()
+        with self._lock:
+            for robot in robots:
+                if robot.gone:
+                    self._memory.forget(robot.source.name, robot.summary.name)
+            self._memory.save()
 
     def chosen(
         self, names: Collection[str], group: str = "", *, everyone: bool = False, gone: bool = False

@@ -135,6 +135,8 @@ class Rollout:
             return Step(robot, problem=f"{self.topic} is bridged {len(routes)} times: edit it on the robot itself")
         old = routes[0].spec
         new = typed_topic(values_of(old), self.keys, engine.session, old)
+        if new.identity != old.identity:
+            return Step(robot, problem="another direction makes it another topic: remove it, and add it anew")
         differs = tuple(changes(old, new))
         return Step(robot, routes[0].key, old, new if differs else None, differs)
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from rsb_bridge.model.history import HistoryReport
     from rsb_bridge.model.reloaded import Reloaded
     from rsb_bridge.model.robot_summary import Loss, RobotSummary
     from rsb_bridge.model.session import Topic
@@ -109,6 +110,30 @@ class RobotEngine(RemoteEngine):
 
     def retry(self, link: str = "") -> Future[None]:
         return super().retry(link or self._robot)
+
+    def history(self, seconds: float) -> Future[HistoryReport]:
+        """What happened to the robot, and to the server as a whole."""
+        own: Future[HistoryReport] = Future()
+
+        def take(asked: Future[HistoryReport]) -> None:
+            if own.set_running_or_notify_cancel():
+                try:
+                    own.set_result(self._own_history(asked.result()))
+                except EngineError as error:
+                    own.set_exception(error)
+
+        super().history(seconds).add_done_callback(take)
+        return own
+
+    def _own_history(self, whole: HistoryReport) -> HistoryReport:
+        robot = self._robot
+        return replace(
+            whole,
+            name=f"{robot} at {whole.name}",
+            tracks=tuple(each for each in whole.tracks if each.link == robot),
+            outages=tuple(each for each in whole.outages if each.link == robot),
+            actions=tuple(self._own([*whole.actions])),
+        )
 
     # --- what would concern the other robots, too
 

@@ -13,6 +13,7 @@ from textual.binding import Binding
 from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
+from rsb_bridge.api import EngineError
 from rsb_bridge.model.text import join_first
 from rsb_console.fleet.rolling import Rollout
 from rsb_console.fleet.words import report, said, way_back
@@ -130,7 +131,8 @@ class RolloutScreen(ModalScreen[None]):
         self.query_one("#problem", Static).update(problem)
 
     def _sleep(self, seconds: float) -> None:
-        self._gone.wait(seconds)
+        if self._gone.wait(seconds):
+            raise EngineError("nobody waits for the robot any more")
 
     @work(exclusive=True, exit_on_error=False)
     async def _plan(self, rollout: Rollout) -> None:

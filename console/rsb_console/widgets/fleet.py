@@ -71,7 +71,7 @@ class FleetTable(SelectableList):
         self._groups: dict[str, list[Row]] = {}
         self._servers = False
         self._empty: list[str] = []
-        self._begun = False
+        self._restore = view.cursor
 
     # -- what is listed -----------------------------------------------------------------------------------------------
 
@@ -86,9 +86,9 @@ class FleetTable(SelectableList):
         self._servers = len(fleet.sources) > 1
         self.view.marked.intersection_update(self.rows)
         self.relist()
-        if not self._begun and self.view.cursor in self.keys:
-            self._begun = True
-            self.move_to(self.keys.index(self.view.cursor))
+        if self._restore in self.keys:
+            self.move_to(self.keys.index(self._restore))
+        self._restore = None
 
     def relist(self) -> None:
         view = self.view
@@ -176,7 +176,7 @@ class FleetTable(SelectableList):
         if (group := self.selected_group) is not None:
             keys = {row.robot.key for row in self._groups.get(group, ())}
         else:
-            keys = {self.cursor_key} - {None} if self.selected is not None else set()  # type: ignore[assignment]
+            keys = set() if self.selected is None else {self.selected.key}
         if keys <= self.view.marked:
             self.view.marked -= keys
         else:
@@ -313,6 +313,7 @@ class FleetStatus(LiveLines):
         tx = sum(robot.summary.bytes_to_robot for robot in robots)
         first: Line = (
             (" fleet ", "head"),
+            *(((" READ-ONLY ", "waiting"),) if readonly else ()),
             (f" {names} ", "strong"),
             (f" {formats.counted(len(robots), 'robot')}", ""),
             *state_counts(robots),
@@ -321,7 +322,6 @@ class FleetStatus(LiveLines):
                 if self.width >= ROOMY
                 else ()
             ),
-            *((("  READ-ONLY", "waiting"),) if readonly else ()),
         )
         problems = [
             (("  ✗ ", "down"), (f"{source.name}: {source.problem}", "")) for source in fleet.sources if source.problem

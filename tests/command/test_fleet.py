@@ -1,0 +1,290 @@
+"""The commands of a fleet: what they print, what they do on each robot, and how they exit."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.console.scripted import NOW, ScriptedEngine
+from tests.support.fleet import ServerEngine
+
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.fleet_arguments import ALLOWED
+from rsb_console.fleet.memory import Memory, Remembered, memory_path
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+
+QUICK = ("--seconds", "0.1")
+SETTLE = ("--settle", "0.2")
+
+
+@pytest.fixture(autouse=True)
+def _here(machine: Machine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def engine(machine: Machine) -> ServerEngine:
+    made = ServerEngine("robot1", "robot2", "robot3")
+    machine.serve(made)
+    return made
+
+
+class Ran:
+    """What became of a command."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> None:
+        parsed = parser_and_commands()[0].parse_args(("fleet", *arguments))
+        self.code = parsed.command(parsed)
+        self.out, self.err = capsys.readouterr()
+
+    @property
+    def json(self) -> Any:
+        """Its one line."""
+        return json.loads(self.out)
+
+
+def answers(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """Somebody is there, and types this."""
+    stdin = io.StringIO(text)
+    monkeypatch.setattr(stdin, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stdin", stdin)
+
+
+# --- how they are
+
+
+def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = Ran(capsys, "--json", *QUICK)
+    assert ran.code == 0
+    assert ran.json["ok"] is True
+    assert ran.json["summary"]["robots"] == 3
+    assert ran.json["summary"]["states"] == {"missing": 0, "fault": 0, "warn": 0, "waiting": 0, "ok": 3}
+    first = ran.json["robots"][0]
+    assert (first["name"], first["group"], first["server"], first["gone"]) == ("robot1", "hall", "control", False)
+    assert (first["flowing"], first["routes"], first["links_up"], first["links"]) == (2, 2, 1, 1)
+    assert (first["messages_from_robot"], first["battery"]) == (20.0, None)
+    assert first["since"] == NOW - 300.0
+
+
+def test_something_is_wrong(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    engine.link("robot2", state=State.DOWN, reason="the peer is silent")
+    ran = Ran(capsys, "--json", *QUICK)
+    assert ran.code == 1
+    assert (ran.json["ok"], ran.json["robots"][0]["name"], ran.json["robots"][0]["state"]) == (
+        False,
+        "robot2",
+        "missing",
+    )
+
+
+def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    memory = Memory(memory_path())
+    memory.saw(Remembered("control", "robot9", NOW - 3600))
+    memory.save()
+    ran = Ran(capsys, "--json", *QUICK)
+    assert (ran.code, ran.json["robots"][0]["name"], ran.json["robots"][0]["gone"]) == (1, "robot9", True)
+    assert Ran(capsys, "dismiss", "robot1").code == 2  # it is there
+    assert Ran(capsys, "dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
+    assert Ran(capsys, "--json", *QUICK).code == 0
+
+
+def test_no_server(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    machine.serve(ScriptedEngine())  # a client
+    for arguments, code in ((("--json",), 3), (("--json", "--bridge", "robot1"), 2), (("--json", "--bridge", "no"), 3)):
+        ran = Ran(capsys, *arguments)
+        assert (ran.code, ran.json["ok"]) == (code, False)
+
+
+def test_the_screen_needs_a_terminal(
+    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Path(os.devnull).open() as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
+        ran = Ran(capsys)
+    assert (ran.code, "fleet --json" in ran.err) == (2, True)
+
+
+def test_the_fields_that_are_documented_are_printed(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    section = (Path(__file__).parents[2] / "docs" / "fleet.md").read_text().partition("| field of a robot |")[2]
+    rows = [line.split("|")[1] for line in section.partition("\n\n")[0].splitlines()[2:]]
+    printed = Ran(capsys, "--json", *QUICK).json["robots"][0]
+    assert {field for row in rows for field in re.findall(r"`(\w+)`", row)} == printed.keys()
+
+
+# --- a command for some robots
+
+
+def test_a_command_for_each(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = Ran(capsys, "exec", "robot1", "robot3", "--", "pause", "/camera")
+    assert ran.code == 0
+    assert ran.out.splitlines() == ["robot1: done", "robot3: done"]
+    assert engine.commands == [("pause", "robot1 /camera", True), ("pause", "robot3 /camera", True)]
+
+
+def test_options_may_stand_before_the_command(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    """As well as behind it."""
+    assert Ran(capsys, "--json", "--bridge", "control", "exec", "robot1", "--", "status").json["ok"] is True
+    assert Ran(capsys, "exec", "robot1", "--json", "--bridge", "control", "--", "status").json["ok"] is True
+    for arguments in (("--bridge", "no", "exec", "robot1"), ("exec", "robot1", "--bridge", "no")):
+        assert Ran(capsys, *arguments, "--", "status").code == 3
+    assert Ran(capsys, "exec", "robot1", "--", "status").code == 0
+
+
+def test_for_a_group_as_json(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = Ran(capsys, "exec", "--group", "hall", "--json", "--", "topics")
+    (one,) = ran.json["robots"]
+    assert (ran.code, ran.json["ok"], one["robot"], one["code"]) == (0, True, "robot1", 0)
+    assert {topic["topic"] for topic in one["output"][0]["topics"]} == {"/robot1/scan", "/robot1/camera"}
+
+
+def test_what_fails_for_one_is_named(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    now = engine.now
+    engine.now = replace(now, routes=tuple(each for each in now.routes if each.key != "robot2 /camera"))
+    ran = Ran(capsys, "exec", "--all", "--", "pause", "/camera")
+    assert ran.code == 1
+    one, two, three = ran.out.splitlines()
+    assert (one, three) == ("robot1: done", "robot3: done")
+    assert two.startswith("robot2: /camera is not bridged")
+    ran = Ran(capsys, "exec", "--all", "--json", "--", "pause", "/camera")
+    assert [each["code"] for each in ran.json["robots"]] == [0, 2, 0]
+
+
+def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    engine.link("robot1", state=State.DOWN, reason="the peer is silent")
+    ran = Ran(capsys, "exec", "--all", "--json", "--", "status")
+    assert [each["code"] for each in ran.json["robots"]] == [1, 0, 0]
+    assert [*ran.json["robots"][1]["output"][0]["links"]] == ["robot2"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("robot1",),
+        ("robot1", "--"),
+        ("robot1", "--", "stop"),
+        ("robot1", "--", "restart"),
+        ("robot1", "--", "run", "x.yaml"),
+        ("--", "status"),
+        ("robto1", "--", "status"),
+        ("--group", "attic", "--", "status"),
+        ("robot1", "--", "echo", "/scan"),
+        ("robot1", "--", "echo", "/scan", "--once"),
+        ("robot1", "--", "events", "--follow"),
+        ("robot1", "--", "wait", "--for", "linked"),
+        ("robot1", "--", "status", "--bridge", "other"),
+        ("robot1", "--", "pause", "/scan", "--link", "robot2"),
+    ],
+)
+def test_what_is_no_command_for_a_robot(
+    engine: ServerEngine, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+) -> None:
+    assert Ran(capsys, "exec", *arguments).code == 2
+    assert engine.commands == []
+
+
+def test_every_command_that_is_allowed_exists() -> None:
+    assert set(ALLOWED) <= set(parser_and_commands()[1])
+
+
+# --- a change from robot to robot
+
+
+def test_what_would_change(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -> None:
+    ran = Ran(capsys, "edit", "robot1", "robot2", "/camera", "max_rate=5", "--dry-run")
+    assert (ran.code, ran.out.splitlines()) == (0, [f"{name}: max_rate none → 5" for name in ("robot1", "robot2")])
+    ran = Ran(capsys, "edit", "--all", "/camra", "max_rate=5", "--dry-run", "--json")
+    assert (ran.code, len(ran.json["plan"])) == (1, 3)
+    assert engine.commands == []
+
+
+def test_a_change_after_a_yes(
+    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = ("edit", "--group", "yard", "/camera", "max_rate=5", *SETTLE)
+    answers(monkeypatch, "\n")
+    assert Ran(capsys, *wanted).code == 1
+    assert engine.commands == []
+    answers(monkeypatch, "y\n")
+    assert Ran(capsys, *wanted).code == 0
+    assert [(each[0], each[1]) for each in engine.commands] == [("edit", "robot2 /camera")]
+    assert Ran(capsys, *wanted).code == 0  # nothing is to change any more
+    assert len(engine.commands) == 1
+
+
+def test_nobody_is_asked(
+    engine: ServerEngine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert Ran(capsys, "edit", "robot1", "/camera", "max_rate=5").code == 2
+    assert Ran(capsys, "edit", "robot1", "/camera", "max_rate=5", "--json").code == 2
+    assert engine.commands == []
+
+
+@pytest.mark.parametrize(
+    "words", [("robot1", "/camera"), ("robot1", "max_rate=5"), ("robot1", "/a", "/b", "max_rate=5")]
+)
+def test_what_is_no_change(engine: ServerEngine, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+    assert Ran(capsys, "edit", *words).code == 2
+
+
+def max_rate(edit: tuple[object, ...]) -> float | None:
+    """What an edit makes of it."""
+    topic = edit[2]
+    assert isinstance(topic, Topic)
+    return topic.max_rate
+
+
+def broken_at(name: str) -> ServerEngine:
+    """A server on which the camera of one robot breaks when it is edited."""
+
+    def edited(route: RouteSnapshot) -> RouteSnapshot:
+        breaks = route.link == name and route.spec.max_rate == 5.0
+        return (
+            replace(route, state=State.DOWN, reason="refused") if breaks else replace(route, state=State.OK, reason="")
+        )
+
+    return ServerEngine("robot1", "robot2", "robot3", edited=edited)
+
+
+def test_it_stops_and_says_the_way_back(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    engine = broken_at("robot2")
+    machine.serve(engine)
+    ran = Ran(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", *SETTLE)
+    assert ran.code == 1
+    assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
+    assert "stopped at robot2" in ran.err
+    assert "rsb-console fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
+
+
+def test_it_goes_back_by_itself(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:
+    engine = broken_at("robot2")
+    machine.serve(engine)
+    ran = Ran(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--undo", "--json", *SETTLE)
+    assert ran.code == 1
+    assert (ran.json["done"], ran.json["failed"]["robot"], ran.json["left"]) == (["robot1"], "robot2", ["robot3"])
+    assert (ran.json["undone"], ran.json["not_undone"]) == (True, [])
+    assert [(each[1], max_rate(each)) for each in engine.commands] == [
+        ("robot1 /camera", 5.0), ("robot2 /camera", 5.0), ("robot2 /camera", None), ("robot1 /camera", None),
+    ]  # fmt: skip
+
+
+def test_it_offers_to_go_back(
+    machine: Machine, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = broken_at("robot1")
+    machine.serve(engine)
+    answers(monkeypatch, "y\ny\n")
+    assert Ran(capsys, "edit", "--all", "/camera", "max_rate=5", *SETTLE).code == 1
+    assert [max_rate(each) for each in engine.commands] == [5.0, None]

@@ -1,0 +1,455 @@
+"""The fleet's screen: the worst first, groups, marks, and a change for several robots."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import sys
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.console.driving import NARROW, NOWHERE, WIDE, shown, text, until
+from tests.console.scripted import NOW, ScriptedEngine
+from tests.console.tmux import Tmux
+from tests.support.fleet import ScriptedSource, ServerEngine, fleet_of, robot, topics
+from textual.pilot import Pilot
+from textual.widgets import Input
+
+from rsb_bridge.model.robot_summary import Battery, Loss, RobotState
+from rsb_bridge.model.session import Topic
+from rsb_console.actions.registry import FLEET_ACTIONS, Group
+from rsb_console.fleet.servers import ServerFleet
+from rsb_console.fleet_app import FleetApp, RobotApp
+from rsb_console.screens.rollout import Phase, RolloutScreen
+from rsb_console.widgets.fleet import FleetView
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from pathlib import Path
+
+    from tests.support.control import Machine
+
+    from rsb_console.actions.registry import Action
+    from rsb_console.fleet.rolling import Step
+
+SILENT = robot(
+    "robot2", RobotState.MISSING, why="the peer is silent", seen=NOW - 600, since=NOW - 600, links_up=0, flowing=0,
+    group="yard",
+)  # fmt: skip
+STALE = robot(
+    "robot11", RobotState.FAULT, why="/scan STALE: nothing for 15 s", flowing=2, group="hall", loss=Loss(0.12, 60.0),
+    battery=Battery(0.14, NOW - 20),
+)  # fmt: skip
+ROBOTS = (
+    robot("robot1", group="hall", battery=Battery(0.8, NOW - 5), loss=Loss(0.0, 60.0)), SILENT,
+    robot("robot3", RobotState.WARN, why="/camera SLOW: 5 Hz of 30", group="hall", loss=Loss(0.004, 60.0)),
+    robot("robot4", RobotState.WAITING, why="not connected yet", seen=None, links_up=0, flowing=0, version=""), STALE,
+    robot("robot12", group="yard", version="0.2.0"),
+)  # fmt: skip
+
+
+class Bed:
+    """The fleet's screen without a terminal.
+
+    Args:
+        robots: as they begin.
+        options: of the app.
+    """
+
+    def __init__(self, *robots: Any, view: FleetView | None = None, **options: Any) -> None:
+        self.source = ScriptedSource(*(robots or ROBOTS))
+        self.fleet = fleet_of(self.source)
+        self.view = view or FleetView()
+        self.app = FleetApp(self.fleet, self.view, **{"config": NOWHERE, "theme": "dark", **options})
+        self.pilot: Pilot[Any] = Pilot(self.app)
+
+    @property
+    def listed(self) -> list[str]:
+        """The names on the screen, of robots and, in brackets, of groups."""
+        rows = self.app.main.table.rows
+        return [rows[key].robot.summary.name if key in rows else f"[{key[1:]}]" for key in self.app.main.table.keys]
+
+    @property
+    def cursor(self) -> str:
+        robot = self.app.main.table.selected
+        return "" if robot is None else robot.summary.name
+
+    async def press(self, *keys: str) -> None:
+        await self.pilot.press(*keys)
+
+    async def shown(self, words: str) -> None:
+        await shown(self.pilot, words)
+
+    async def until(self, condition: Callable[[], object], what: str) -> None:
+        await until(self.pilot, condition, what)
+
+    def run(self, steps: Callable[[Bed], Awaitable[None]], size: tuple[int, int] = NARROW) -> None:
+        async def run() -> None:
+            async with self.app.run_test(size=size, notifications=True):
+                await until(self.pilot, lambda: self.app.main.table.rows, "robots")
+                await steps(self)
+
+        asyncio.run(run())
+
+
+@pytest.fixture(autouse=True)
+def _now(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time of the script."""
+    monkeypatch.setattr("rsb_console.screens.fleet.time.time", lambda: NOW)
+
+
+@pytest.mark.parametrize("action", FLEET_ACTIONS, ids=lambda action: action.id)
+def test_every_action_has_its_handler(action: Action) -> None:
+    app = Bed().app
+    owner: object = {Group.MOVE: app.main.table, Group.CONSOLE: app}.get(action.group, app.main)
+    assert callable(getattr(owner, f"action_{action.id}"))
+
+
+def test_no_key_twice() -> None:
+    keys = [key for action in FLEET_ACTIONS for key in action.keys.split(",")]
+    assert len(set(keys)) == len(keys)
+
+
+def test_the_worst_first_and_why() -> None:
+    async def steps(bed: Bed) -> None:
+        assert bed.listed == ["robot2", "robot11", "robot3", "robot4", "robot1", "robot12"]
+        await bed.shown("the peer is silent")
+        await bed.press("j")
+        await bed.shown("/scan STALE")
+        await bed.shown("lost 12% in 60 s")
+        await bed.shown("battery 14%")
+
+    Bed().run(steps)
+
+
+@pytest.mark.parametrize("size", [(40, 12), NARROW, WIDE, (170, 40)])
+def test_every_size(size: tuple[int, int]) -> None:
+    async def steps(bed: Bed) -> None:
+        lines = text(bed.app).splitlines()
+        assert len(lines) == size[1]
+        for name in ("robot2", "robot11", "robot12"):
+            (line,) = [line for line in lines if f" {name} " in line and "─" not in line and "fleet" not in line]
+            assert len(line) == size[0]
+
+    Bed().run(steps, size)
+
+
+def test_the_cursor_stays_on_its_robot() -> None:
+    async def steps(bed: Bed) -> None:
+        assert bed.cursor == "robot2"  # the worst, whichever that is, until the operator moves
+        bed.source.put("robot2", state=RobotState.OK, why="")
+        await bed.until(lambda: bed.cursor == "robot11", "the worst under the cursor")
+        await bed.press("j")
+        assert bed.cursor == "robot3"
+        bed.source.put("robot12", state=RobotState.FAULT)
+        await bed.until(lambda: bed.listed[1] == "robot12", "a new fault")
+        assert bed.cursor == "robot3"
+
+    Bed().run(steps)
+
+
+def test_filter_and_faults_only() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.press("f")
+        assert bed.listed == ["robot2", "robot11", "robot3"]
+        await bed.press("escape", "slash", *"group:hall", "enter")
+        await bed.until(lambda: bed.listed == ["robot11", "robot3", "robot1"], "those of the hall")
+        await bed.shown("3 of 6")
+        await bed.press("escape")
+        assert len(bed.listed) == 6
+        await bed.press("slash", *"why:silent", "enter")
+        await bed.until(lambda: bed.listed == ["robot2"], "the silent one")
+        await bed.press("slash", *"zzz", "enter")
+        await bed.shown("No robot matches")
+
+    Bed().run(steps)
+
+
+def test_groups_fold() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.press("u", "g")
+        everything = ["[hall]", "robot11", "robot3", "robot1", "[yard]", "robot2", "robot12", "[]", "robot4"]
+        assert bed.listed == everything
+        await bed.press("enter")
+        assert bed.listed == ["[hall]", *everything[4:]]
+        await bed.shown("▸ hall  3 robots")
+        await bed.shown("/scan STALE")  # what is wrong in it is said all the same
+        await bed.press("space")
+        assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
+        await bed.press("space", "enter")
+        assert (bed.view.marked, bed.listed) == (set(), everything)
+        await bed.press("u")
+        assert "[hall]" not in bed.listed
+
+    Bed().run(steps)
+
+
+def test_without_groups_there_are_no_headings() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.press("u")
+        assert bed.listed == ["robot1", "robot2"]
+
+    Bed(robot("robot1"), robot("robot2")).run(steps)
+
+
+def test_marks() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.press("space", "space")
+        assert (bed.view.marked, bed.cursor) == ({"control/robot2", "control/robot11"}, "robot3")
+        await bed.shown("2 marked")
+        assert text(bed.app).count("✓") == 2
+        await bed.press("escape")
+        assert bed.view.marked == set()
+
+    Bed().run(steps)
+
+
+def test_sorting() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.press("greater_than_sign")  # by name
+        assert bed.listed == ["robot1", "robot2", "robot3", "robot4", "robot11", "robot12"]
+        await bed.press("s")
+        assert bed.listed == ["robot12", "robot11", "robot4", "robot3", "robot2", "robot1"]
+
+    Bed().run(steps)
+
+
+def test_what_has_gone_is_dismissed() -> None:
+    async def steps(bed: Bed) -> None:
+        bed.source.given = [each for each in bed.source.given if each.name != "robot1"]
+        await bed.until(lambda: bed.listed[:2] == ["robot1", "robot2"], "it is missing")
+        await bed.press("g", "enter")  # nothing to open
+        assert bed.app.return_value is None
+        await bed.shown("d dismiss")
+        await bed.press("d")
+        await bed.until(lambda: "robot1" not in bed.listed, "it is forgotten")
+        await bed.until(lambda: "d dismiss" not in text(bed.app), "no such key any more")
+
+    Bed().run(steps)
+
+
+def test_a_source_that_knows_nothing_says_so() -> None:
+    async def steps(bed: Bed) -> None:
+        bed.source.problem = "the bridge does not answer"
+        await bed.shown("control: the bridge does not answer")
+
+    Bed().run(steps)
+
+
+def test_no_robots_yet() -> None:
+    bed = Bed()
+    bed.source.given = []
+
+    async def steps() -> None:
+        async with bed.app.run_test(size=NARROW):
+            await bed.shown("No robots yet")
+            await bed.press("enter", "space", "e", "d", "n")
+
+    asyncio.run(steps())
+
+
+def test_opening_one_and_coming_back() -> None:
+    bed = Bed()
+
+    async def steps(bed: Bed) -> None:
+        await bed.press("j", "j", "enter")
+
+    bed.run(steps)
+    assert bed.app.return_value is not None
+    assert bed.app.return_value.summary.name == "robot3"
+
+    async def back(later: Bed) -> None:
+        await later.until(lambda: later.cursor == "robot3", "the cursor where it was")
+
+    Bed(view=bed.view).run(back)
+
+
+def test_the_help_has_the_fleets_actions() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.press("question_mark")
+        await bed.until(lambda: "edit_marked" in text(bed.app) or bed.app.screen is not bed.app.main, "the help")
+        await bed.press("G")
+        await bed.shown("edit_marked")
+        assert "add_topic" not in text(bed.app)
+        await bed.press("q")
+
+    Bed().run(steps)
+
+
+# --- a change for several robots
+
+
+def with_cameras(*names: str) -> Bed:
+    bed = Bed(*(robot(name) for name in names))
+    for name in names:
+        bed.source.engines[name] = ScriptedEngine(routes=topics(name, Topic("/camera", "transmit", max_rate=30.0)))
+    return bed
+
+
+def rollout(bed: Bed) -> RolloutScreen:
+    assert isinstance(bed.app.screen, RolloutScreen)
+    return bed.app.screen
+
+
+async def planned(bed: Bed, change: str) -> RolloutScreen:
+    """Type a change, and wait for what it would be."""
+    await bed.press("space", "space", "e")
+    await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
+    screen = rollout(bed)
+    screen._settle = 0.05
+    screen.query_one(Input).value = change
+    await bed.press("enter")
+    return screen
+
+
+def test_a_change_is_shown_then_made() -> None:
+    bed = with_cameras("robot1", "robot2", "robot3")
+
+    async def steps(bed: Bed) -> None:
+        screen = await planned(bed, "/camera max_rate=5")
+        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.shown("max_rate 30.0 → 5")
+        assert not any(engine.commands for engine in bed.source.engines.values())
+        await bed.press("y")
+        await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
+        assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
+        await bed.press("escape")
+        await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
+
+    bed.run(steps)
+
+
+def test_a_change_is_not_made_without_a_yes() -> None:
+    bed = with_cameras("robot1", "robot2")
+
+    async def steps(bed: Bed) -> None:
+        screen = await planned(bed, "/camera max_rate=5")
+        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.press("enter", "n", "escape")
+        assert screen.phase is Phase.TYPING
+        await bed.press("escape")
+        await bed.until(lambda: bed.app.screen is bed.app.main, "the fleet")
+        assert not any(engine.commands for engine in bed.source.engines.values())
+
+    bed.run(steps)
+
+
+@pytest.mark.parametrize("change", ["/camera", "max_rate=5", "camera max_rate=5", "/a /b max_rate=5"])
+def test_what_is_no_change(change: str) -> None:
+    async def steps(bed: Bed) -> None:
+        screen = await planned(bed, change)
+        await bed.shown("for example")
+        assert screen.phase is Phase.TYPING
+
+    with_cameras("robot1", "robot2").run(steps)
+
+
+def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    bed = with_cameras("robot1", "robot2")
+
+    async def steps(bed: Bed) -> None:
+        screen = await planned(bed, "/camera max_rate=5")
+        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+
+        def worse(step: Step, what: str) -> None:
+            if what == "settling":
+                bed.source.put(step.name, state=RobotState.FAULT, why="refused")
+
+        monkeypatch.setattr(screen, "_tell", worse)
+        await bed.press("y")
+        await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
+        await bed.shown("stopped at robot1")
+        await bed.shown("not begun: robot2")
+        await bed.shown("rsb-console fleet edit robot1 /camera max_rate=30")
+        await bed.press("u")
+        await bed.shown("put back on robot1")
+        assert [each[2].max_rate for each in bed.source.engines["robot1"].commands] == [5.0, 30.0]  # type: ignore[attr-defined]
+
+    bed.run(steps)
+
+
+def test_read_only() -> None:
+    async def steps(bed: Bed) -> None:
+        await bed.shown("READ-ONLY")
+        await bed.press("e")
+        assert bed.app.screen is bed.app.main
+
+    Bed(readonly=True).run(steps)
+
+
+# --- the console on one robot
+
+
+def test_the_console_on_a_robot_shows_that_one_and_leaves_with_escape(machine: Machine) -> None:
+    engine = ServerEngine("robot1", "robot2")
+    machine.serve(engine)
+    fleet = ServerFleet("control", machine.folder / "control.sock")
+    app = RobotApp(None, None, config=NOWHERE, theme="dark", attach_to=lambda: fleet.open("robot2", read_only=False))
+
+    async def run() -> None:
+        async with app.run_test(size=NARROW):
+            pilot = Pilot(app)
+            await shown(pilot, "/robot2/scan")
+            await shown(pilot, "robot2 at control")
+            assert "/robot1/scan" not in text(app)
+            await pilot.press("o", "f2", "f5", "f", "escape")  # nothing else is opened in its place
+            assert app.is_running
+            assert app.screen is app.main
+            await pilot.press("escape")
+            await until(pilot, lambda: not app.is_running or app._exit, "the end")
+
+    asyncio.run(run())
+    app.stop()
+    assert app.return_value is None
+
+
+# --- pictures, and a terminal
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
+@pytest.mark.parametrize("theme", ["dark", "terminal"])
+def test_picture(snap_compare: Callable[..., bool], size: tuple[int, int], theme: str) -> None:
+    bed = Bed(theme=theme)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "✗ MISSING")
+        await pilot.press("u", "j", "j", "space")
+        await shown(pilot, "1 marked")
+
+    assert snap_compare(bed.app, terminal_size=size, run_before=steps)
+
+
+def test_picture_in_ascii(snap_compare: Callable[..., bool]) -> None:
+    bed = Bed(theme="terminal", ascii_only=True)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "x MISSING")
+
+    assert snap_compare(bed.app, terminal_size=NARROW, run_before=steps)
+
+
+def test_in_a_terminal(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the fleet to a robot and back, as an operator does it."""
+    if shutil.which("tmux") is None:
+        pytest.skip("needs tmux")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.setenv("RSB_CONSOLE_ISOLATED", "1")
+    engine = ServerEngine("robot1", "robot2")
+    machine.serve(engine)
+    engine.now = replace(engine.now, time=NOW + 1)
+    command = (
+        f"PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m rsb_console fleet --theme dark; sleep 60"
+    )
+    with Tmux(tmp_path, "sh", "-c", command, size=NARROW) as tmux:
+        tmux.wait_for("2 ● ok")
+        tmux("send-keys", "j", "Enter")
+        tmux.wait_for("/robot2/scan")
+        assert "/robot1/scan" not in tmux.picture
+        tmux("send-keys", "p")
+        tmux("send-keys", "q")
+        tmux.wait_for("2 ● ok")
+        assert [command[:1] for command in engine.commands] == [("pause",)]
+        tmux("send-keys", "q")
+        tmux.wait_for("2 ● ok", there=False)

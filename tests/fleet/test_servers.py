@@ -1,0 +1,113 @@
+"""A server's clients as a fleet, through its control socket; and one of them by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.console.scripted import NOW, REMEMBERED
+from tests.support.fleet import ServerEngine
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import Event, Level, State
+from rsb_console.fleet.servers import RobotEngine, ServerFleet
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.support.control import Machine
+
+
+@pytest.fixture
+def engine(machine: Machine) -> ServerEngine:
+    """A server of three robots, served."""
+    made = ServerEngine("robot1", "robot2", "robot3")
+    machine.serve(made)
+    return made
+
+
+@pytest.fixture
+def fleet(machine: Machine, engine: ServerEngine) -> Iterator[ServerFleet]:
+    source = ServerFleet("control", machine.folder / "control.sock")
+    source.start()
+    yield source
+    source.stop()
+
+
+@pytest.fixture
+def robot2(fleet: ServerFleet) -> Iterator[RobotEngine]:
+    """The engine as far as it concerns robot2."""
+    opened = fleet.open("robot2", read_only=False)
+    assert isinstance(opened, RobotEngine)
+    yield opened
+    opened.stop()
+
+
+def test_one_robot_for_each_client(fleet: ServerFleet, engine: ServerEngine) -> None:
+    one, two, three = fleet.robots()
+    assert [one.name, one.group, two.group, three.group] == ["robot1", "hall", "yard", ""]
+    assert (one.state, one.flowing, one.routes) == (RobotState.OK, 2, 2)
+    engine.link("robot2", state=State.DOWN, reason="the peer is silent", since=NOW)
+    eventually(lambda: fleet.robots()[1].state is RobotState.MISSING)
+    assert fleet.robots()[1].why == "the peer is silent"
+    assert fleet.problem == ""
+
+
+def test_a_server_that_ends_leaves_its_robots_missing(fleet: ServerFleet, machine: Machine) -> None:
+    assert [each.state for each in fleet.robots()] == [RobotState.OK] * 3
+    machine.served[0].close()
+    eventually(lambda: fleet.problem)
+    eventually(lambda: [each.state for each in fleet.robots()] == [RobotState.MISSING] * 3)
+
+
+def test_no_server_no_fleet(machine: Machine) -> None:
+    with pytest.raises(EngineError):
+        ServerFleet("control", machine.folder / "control.sock").start()
+
+
+def test_an_opened_robot_is_all_there_is(robot2: RobotEngine, engine: ServerEngine) -> None:
+    engine.happened += [
+        Event(number, NOW, Level.INFO, "link.up", "linked", link)
+        for number, link in enumerate(("robot1", "robot2", "", "robot3"), len(engine.happened) + 1)
+    ]
+    engine.now = replace(engine.now, time=NOW + 1)
+    eventually(lambda: robot2.snapshot().time > NOW)
+    now = robot2.snapshot()
+    assert [link.name for link in now.links] == ["robot2"]
+    assert [each.topic for each in now.routes] == ["/robot2/scan", "/robot2/camera"]
+    eventually(lambda: len(robot2.events()) == 2)
+    assert [event.link for event in robot2.events()] == ["robot2", ""]
+    assert [event.link for event in robot2.wait_for_events(0, 1.0)] == ["robot2", ""]
+    assert [event.link for event in robot2.remembered_events(1.0)][-2:] == ["robot2", ""]
+
+
+def test_the_history_of_an_opened_robot(fleet: ServerFleet, robot2: RobotEngine) -> None:
+    nothing = robot2.history(3600.0).result(30)
+    assert (nothing.tracks, nothing.outages, nothing.actions) == ((), (), ())
+    robot1 = fleet.open("robot1", read_only=True)
+    try:
+        whole = robot1.history(3600.0).result(30)
+    finally:
+        robot1.stop()
+    assert (whole.tracks, whole.outages, whole.actions) == (REMEMBERED.tracks, REMEMBERED.outages, REMEMBERED.actions)
+    with pytest.raises(EngineError):
+        robot1.history(3600.0).result(30)  # it is detached
+
+
+def test_what_is_added_is_added_to_the_opened_robot(robot2: RobotEngine, engine: ServerEngine) -> None:
+    topic = Topic("/map", "transmit")
+    robot2.add_topic(topic).result(30)
+    robot2.retry().result(30)
+    robot2.pause("robot2 /scan", True).result(30)
+    assert engine.commands == [("add", topic, "robot2"), ("retry", "robot2"), ("pause", "robot2 /scan", True)]
+
+
+def test_what_concerns_all_robots_is_refused(robot2: RobotEngine, engine: ServerEngine) -> None:
+    for command in (robot2.restart(), robot2.shut_down(), robot2.reload(), robot2.stop_bridge()):
+        with pytest.raises(EngineError, match="all robots"):
+            command.result(30)
+    assert engine.commands == []
