@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import Snapshot
     from rsb_console.bench.fleet import Fleet
 
-_OPEN_WITHIN = 60.0
+_OPEN_WITHIN, _SEEN_WITHIN = 60.0, 10.0
 _AFTER = 5.0
 """s until the first trouble."""
 _AWAY, _THERE = 10.0, 20.0
@@ -103,10 +103,14 @@ def _trouble(running: Fleet, signals: Signals, faulty: str, restless: str, ends:
 
 
 def _seen(running: Fleet) -> Snapshot:
-    engine = RemoteEngine(running.socket, read_only=True)
+    """What the control side sees now, which it renews once a second."""
+    engine, asked = RemoteEngine(running.socket, read_only=True), time.time()
     engine.start()
     try:
-        return engine.snapshot()
+        ends = time.monotonic() + _SEEN_WITHIN
+        while (seen := engine.snapshot()).time < asked and time.monotonic() < ends:
+            time.sleep(_LOOK_EVERY)
+        return seen
     finally:
         engine.stop()
 
