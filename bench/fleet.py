@@ -27,6 +27,7 @@ from rsb_console.bench import beds
 from rsb_console.bench.ends import BenchError
 from rsb_console.bench.fleet import USUAL, WAYS, Fleet, fleet, listening
 from rsb_console.bench.robots import Load
+from rsb_console.command.shell import allow_many_descriptors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -102,6 +103,7 @@ class Figures:
         routed: until all were linked again since the Zenoh router ran again; None: there is none.
         attempts: to link, by bins of 100 ms from the death of the control side.
         refused: of them, by the control side.
+        dropped: links that were made again more than once.
         flooded: while one robot sends as fast as it can.
         flood: messages a second that it published.
         told: what the control side's log says of that, by code; and its worst topic's reason.
@@ -120,6 +122,7 @@ class Figures:
     routed: Delays | None
     attempts: list[int]
     refused: int
+    dropped: list[str]
     flooded: Steady
     flood: float
     told: list[str] = field(default_factory=list)
@@ -134,6 +137,7 @@ def main() -> None:
     parser.add_argument("--scan", type=float, default=5.0, help="Hz of 2,500 bytes (%(default)s)")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that what runs is ended first
+    allow_many_descriptors()
     status, *_rest = (talk for talk in USUAL.talks if talk.topic == "/status")
     load = Load((Talk("/pose", arguments.pose, 200), status, Talk("/scan", arguments.scan, 2500)), USUAL.hears)
     print(f"robots' ROS is a stand-in; each sends {', '.join(map(_described, load.talks))}, and hears /goal at 1 Hz")
@@ -179,6 +183,11 @@ def measure(
         again_flowing = Delays.of((max(robot.open) for robot in robots.values()), returned)
         tried = [each for robot in robots.values() for each in (*robot.attempts, robot.up[-1]) if each > killed]
         refused = sum(robot.refused for robot in robots.values())
+        dropped = [
+            f"{name} at {', '.join(f'{each - returned:.1f}' for each in ups)} s"
+            for name, robot in robots.items()
+            if len(ups := [each for each in robot.up if each > killed]) > 1
+        ]
         routed = _without_router(running, plan.down) if running.router is not None else None
         _wait_until_heard(listener)
         time.sleep(plan.settles)
@@ -200,6 +209,7 @@ def measure(
             routed,
             _bins(tried, killed),
             refused,
+            dropped,
             flooded,
             flood,
             _told(running, flooding),
@@ -298,6 +308,7 @@ def _described(talk: Talk) -> str:
 def _print_one(figures: Figures) -> None:
     print(f"\n{figures.count} robots, {figures.routes} routes")
     print(f"attempts to link per 100 ms from the death of the control side: {' '.join(map(str, figures.attempts))}")
+    print(f"linked more than once after that: {'; '.join(figures.dropped) or 'none'}")
     if figures.routed is not None:
         half, last = figures.routed.half, figures.routed.last
         print(f"router killed and back: linked again after {half:.1f} s (half of them), {last:.1f} s (the last)")

@@ -38,14 +38,16 @@ if TYPE_CHECKING:
 
 _HANDSHAKE_TIMEOUT = 5.0
 _FIRST_DELAY = 0.5
-_LONGEST_DELAY_UNREACHED = 1.25
-"""s between attempts while the server is not reached: once it is back, the link must be up within 3 s, with handshake
-and DDS discovery."""
+_JITTER = 0.5
+"""Share of a delay: all clients of a server lose it at the same moment, and must not all come back at another."""
+_LONGEST_DELAY_UNREACHED = 1.0
+"""s between attempts while the server is not reached, before jitter: once it is back, the link must be up within 3 s,
+with handshake and DDS discovery."""
 _MOVED_AND_QUIET = 1.5
 """s without a byte (pings come every second) after which a connection is closed whose source address this machine no
 longer has."""
-_LONGEST_DELAY = 10.0
-"""s between attempts while the server refuses: its answer seldom changes soon."""
+_LONGEST_DELAY = 8.0
+"""s between attempts while the server refuses, before jitter: its answer seldom changes soon."""
 _KEY_CHANGED = "the client has another key now"
 _NAME_MAY_BE_FREED = 5
 """Attempts that come soon although another client has this one's name."""
@@ -77,7 +79,7 @@ class ClientLink(Link):
         self._duplicates_logged_at = 0.0
         self._udp_failure = ""
         self._udp_retry: asyncio.TimerHandle | None = None
-        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random)
+        self._backoff = Backoff(_FIRST_DELAY, _LONGEST_DELAY, context.random, _JITTER)
         self._asking = Backoff(ASKED_EVERY, ASKED_EVERY, context.random)
         self._streams_opening: dict[int, asyncio.Task[None]] = {}
         self._may_open = asyncio.Semaphore(_STREAMS_AT_ONCE)

@@ -14,7 +14,7 @@ from rsb_console.command.call_arguments import add_call_commands
 from rsb_console.command.fleet_arguments import add_fleet_commands
 from rsb_console.command.remote_arguments import add_client_commands, add_remote_commands, lazily
 from rsb_console.command.shell import print_line
-from rsb_console.command.values import seconds
+from rsb_console.command.values import count, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -83,6 +83,8 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
+    demo.add_argument("--fleet", action="store_true", help="several simulated robots and one control side instead")
+    demo.add_argument("--robots", type=count, metavar="N", default=8, help="with --fleet: how many (%(default)s)")
     _service_arguments(command("service", commands.service, "run a session as a service of systemd"))
     add_remote_commands(command, _complete, commands.attach, _console_options)
     add_call_commands(command, _complete)

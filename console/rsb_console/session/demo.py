@@ -110,10 +110,10 @@ def running_demo() -> Iterator[Demo]:
     Raises:
         EngineError: ROS is missing, or the robot's side of the bridge could not start.
     """
-    _need_ros()
+    need_ros()
     # Other ROS programs must neither hear the demo nor disturb it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    robot_domain = _FIRST_DOMAIN + 2 * (os.getpid() % _DOMAIN_PAIRS)
+    robot_domain = own_domain()
     desk_domain = robot_domain + 1
     with tempfile.TemporaryDirectory(prefix="rsb-demo-") as name, contextlib.ExitStack() as stack:
         folder = Path(name)
@@ -156,7 +156,17 @@ def _bridge_process(path: Path) -> Iterator[None]:
             process.wait()
 
 
-def _need_ros() -> None:
+def own_domain() -> int:
+    """A ROS domain of this process's demo; the next one is its own, too."""
+    return _FIRST_DOMAIN + 2 * (os.getpid() % _DOMAIN_PAIRS)
+
+
+def need_ros() -> None:
+    """Refuse to go on where the demo's ROS packages are missing.
+
+    Raises:
+        EngineError: they are; it says what to do.
+    """
     missing = [
         name for name in ("rclpy", "sensor_msgs", "nav_msgs", "std_srvs") if importlib.util.find_spec(name) is None
     ]

@@ -12,11 +12,11 @@ from tests.console.scripted import NOW, route
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.batteries import AT_ONCE, EVERY, TYPE, Batteries
 from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
-from rsb_console.fleet.batteries import AT_ONCE, EVERY, TYPE, Batteries
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
