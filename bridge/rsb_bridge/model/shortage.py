@@ -25,7 +25,7 @@ def why_not_written(error: OSError, path: Path) -> str:
     match error.errno:
         case errno.ENOSPC:
             what = "the disk is full" if _has_inodes(mount) else "the disk has no room for more files (df -i)"
-            return f"{reason}: {what}; free space on {mount} (df -h {mount}), and try again"
+            return f"{reason}: {what}; free space on {mount} (df -h {mount})"
         case errno.EDQUOT:
             return f"{reason}: this user may have no more on {mount} (quota -s); remove files of yours there"
         case errno.EROFS:
