@@ -288,7 +288,7 @@ class HistoryScreen(ModalScreen[None]):
         try:
             paths = export_history(self._report)
         except OSError as error:
-            self.notify(why_not_written(error, Path.cwd()), title="Not exported", severity="error", markup=False)
+            self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify("written to " + " and ".join(map(str, paths)), markup=False)
 

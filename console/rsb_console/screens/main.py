@@ -394,6 +394,6 @@ class MainScreen(Screen[None]):
                 export_log(self.log_pane.listed) if self._list is self.log_pane else export_topics(self.topics.listed)
             )
         except OSError as error:
-            self.notify(why_not_written(error, Path.cwd()), title="Not exported", severity="error", markup=False)
+            self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify(f"written to {path}", markup=False)
