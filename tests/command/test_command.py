@@ -447,7 +447,9 @@ def test_an_unforeseen_failure_is_one_line_and_a_log(folder: Path) -> None:
         assert "Traceback" in in_process(broken, *arguments).stderr
     (folder / "state").rename(folder / "elsewhere")
     (folder / "state").write_text("not a folder")
-    assert in_process(broken, "check", "robot1.yaml").stderr.endswith("(details: again with --debug)\n")
+    stderr = in_process(broken, "check", "robot1.yaml").stderr
+    assert f"(details: again with --debug; {log}: " in stderr
+    assert stderr.count("\n") == 1
 
 
 def test_an_interrupt_is_quiet() -> None:
@@ -482,7 +484,7 @@ def test_names_outside_the_terminals_encoding_are_escaped() -> None:
     [
         ("rsb-console ke", {"keygen"}),
         ("rsb-console run --lo", {"--log-format"}),
-        ("rsb-console c", {"call", "check", "client", "control.yaml", "configs/"}),
+        ("rsb-console c", {"call", "check", "client", "completion", "control.yaml", "configs/"}),
         ("rsb-console check configs/", {"configs/a.yml"}),
         ("rsb-console run ", {"robot1.yaml", "control.yaml", "configs/"}),
         ("rsb-console control.yaml --log-format ", {"text", "json"}),

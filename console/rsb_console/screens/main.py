@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from textual.containers import Horizontal
 from textual.screen import Screen
 
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
 from rsb_console.widgets.columns import is_armed
@@ -392,6 +394,6 @@ class MainScreen(Screen[None]):
                 export_log(self.log_pane.listed) if self._list is self.log_pane else export_topics(self.topics.listed)
             )
         except OSError as error:
-            self.notify(str(error), title="Not exported", severity="error", markup=False)
+            self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify(f"written to {path}", markup=False)
