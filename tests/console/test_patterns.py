@@ -19,7 +19,13 @@ KEY = "key of /aa/**"
 
 def with_pattern(app: ConsoleApp, state: State = State.DOWN, **changes: Any) -> None:
     """The next snapshot has a pattern, with a route that it has made."""
-    told = {"spec": SPEC, "reason": "20 more match", "here": True, "source": "/aa/**", "routes": 3} | changes
+    told: dict[str, Any] = {
+        "spec": SPEC,
+        "reason": "20 more match",
+        "here": True,
+        "source": "/aa/**",
+        "routes": 3,
+    } | changes
     link = replace(LINK, patterns=(PatternSnapshot(key=KEY, link=LINK.name, state=state, **told),))
     put(app, route("/aa/scan", State.DOWN, reason="of a test", pattern="/aa/**"), *ROUTES, links=(link,))
 

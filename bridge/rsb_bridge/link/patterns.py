@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from rsb_bridge.config.rights import Use, uses
+from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.following import FollowedByPeer
 from rsb_bridge.link.pattern_entry import PatternEntry
@@ -249,7 +248,7 @@ class LinkPatterns:
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """What matches now, each with the pattern that wins, in the order of patterns and names."""
-        session, rights = self.link.context.session, _as_listed(self.link.rights)
+        session, rights = self.link.context.session, as_if_listed(self.link.rights)
         own = {session.shutdown_topic, session.diagnostics_topic}
         found: list[tuple[int, str, Topic]] = []
         for local, names in ((True, self._here), (False, self.there)):
@@ -281,7 +280,7 @@ class LinkPatterns:
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
         """The pattern that would match a route's topic if that was there; None: none does any more."""
-        rights = _as_listed(self.link.rights)
+        rights = as_if_listed(self.link.rights)
         for entry in self.entries:
             if self._claims(entry, route):
                 name = route.spec.topic
@@ -387,15 +386,3 @@ class LinkPatterns:
 def identity_of(route: Route) -> Identity:
     """Of the pattern that has made a route."""
     return route.spec.kind, route.pattern, route.spec.direction
-
-
-class _Everything(frozenset["Identity"]):
-    """A set that has everything."""
-
-    def __contains__(self, _: object) -> bool:
-        return True
-
-
-def _as_listed(rights: Rights) -> Rights:
-    """What the peer may do with what this side lists, which a pattern does."""
-    return rights if rights.listed is None else replace(rights, listed=_Everything())

@@ -341,9 +341,7 @@ class MainScreen(Screen[None]):
         if route is None or self.console.engine is None:
             return
         if isinstance(route, PatternRow):
-            self.notify(
-                f"{route.topic} is a pattern: choose one of the topics that it matches", markup=False, timeout=4
-            )
+            self.notify(f"{route.topic} is a pattern: choose a topic that it matches", markup=False, timeout=4)
         elif route.calls is None:
             self.app.push_screen(MessageScreen(self.console, route))
         else:
