@@ -68,6 +68,7 @@ class LinkPatterns:
         self._here: Names | None = None  # this side's graph; None: not known yet
         self.there: Names | None = None
         self._request = 0
+        self._due = False  # the peer has told something new
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
@@ -199,8 +200,7 @@ class LinkPatterns:
         for each in message.present:
             if (kind := _KINDS.get(each.kind)) is not None and len(names) < NAMES_FOLLOWED:
                 names[kind, each.name] = each.type
-        self.there, self.unseen = names, message.more
-        self.reconcile()
+        self.there, self.unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
         """What it asks of this side's graph."""
@@ -357,7 +357,10 @@ class LinkPatterns:
         self.link.table.remove(route, reason, told=False)
 
     def tick(self) -> None:
-        """Once a second: remove what has been gone for long."""
+        """Once a second: see what the peer has told, however often it has; remove what has been gone for long."""
+        if self._due:
+            self._due = False
+            self.reconcile()
         if not self.gone:
             return
         now = self.link.context.now()
