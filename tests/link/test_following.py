@@ -28,14 +28,9 @@ class Side:
     def __init__(self) -> None:
         self.sent: list[Followed] = []
         self.changes = 0
-        self.followed = FollowedByPeer(
-            cast("Context", self),
-            lambda name, _: "secret" not in name,
-            lambda message: self.sent.append(message),  # type: ignore[arg-type]
-        )
+        self.followed = FollowedByPeer(cast("Context", self), lambda name, _: "secret" not in name, self._sent)
 
-    def tell(self, message: object) -> None:
-        """A control message is sent."""
+    def _sent(self, message: object) -> None:
         assert isinstance(message, Followed)
         self.sent.append(message)
 
