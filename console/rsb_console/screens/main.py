@@ -13,6 +13,7 @@ from textual.screen import Screen
 from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
+from rsb_console.look.patterns import PatternRow
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.faults import FaultLines, MoreKeys, faults_of
@@ -341,7 +342,9 @@ class MainScreen(Screen[None]):
         route = self.selected
         if route is None or self.console.engine is None:
             return
-        if route.calls is None:
+        if isinstance(route, PatternRow):
+            self.notify(f"{route.topic} is a pattern: choose a topic that it matches", markup=False, timeout=4)
+        elif route.calls is None:
             self.app.push_screen(MessageScreen(self.console, route))
         else:
             by_hand = "" if self.console.readonly else f": {self._key('call')} calls it by hand"
