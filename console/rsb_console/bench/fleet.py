@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import save
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
@@ -178,10 +178,11 @@ def fleet(
                 topics=bridged,
                 **way,
             )
-            save(session, folder / f"{name}.yaml")
+            session_file.save(session, folder / f"{name}.yaml")
         clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
         path = folder / "control.yaml"
-        save(Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way), path)
+        control_side = Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way)
+        session_file.save(control_side, path)
         running = Fleet(folder, names, load, path, control)
         try:
             yield running
@@ -191,9 +192,7 @@ def fleet(
 
 def listening(process: Process, session: Path) -> float:
     """Wait until the control side's server listens; s since the epoch then."""
-    from rsb_bridge.config.session_file import load  # noqa: PLC0415
-
-    monotonic = beds.listening(process, load(session).server_port)
+    monotonic = beds.listening(process, session_file.load(session).server_port)
     return time.time() - (time.monotonic() - monotonic)
 
 
