@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import ZENOH_HOST, Client, Session, Topic, ZenohSettings
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
@@ -229,12 +229,11 @@ def fleet(
                 topics=bridged,
                 **way.fields,
             )
-            save(session, folder / f"{name}.yaml")
+            session_file.save(session, folder / f"{name}.yaml")
         clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
         path = folder / "control.yaml"
-        save(
-            Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way.fields), path
-        )
+        server = Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way.fields)
+        session_file.save(server, path)
         running = Fleet(folder, names, load, path, control, way.router)
         try:
             yield running
@@ -244,7 +243,7 @@ def fleet(
 
 def listening(process: Process, session: Path) -> float:
     """Wait until the control side's server listens; s since the epoch then."""
-    if port := load(session).server_port:
+    if port := session_file.load(session).server_port:
         monotonic = beds.listening(process, port)
         return time.time() - (time.monotonic() - monotonic)
     deadline = time.monotonic() + _READY_WITHIN
