@@ -1,0 +1,100 @@
+"""A Zenoh router of a test's own, in a process that may be killed, stopped and started again at the same port."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from typing import Any
+
+import zenoh
+from tests.support.ports import free_port
+
+_PROGRAM = """
+import sys, zenoh
+session = zenoh.open(zenoh.Config.from_json5(sys.argv[1]))
+print("up", flush=True)
+sys.stdin.read()
+"""
+
+
+class Router:
+    """Runs from the start on.
+
+    Args:
+        protocol: of its one endpoint.
+        settings: of its configuration, beside what every router here has.
+
+    Attributes:
+        port: of its endpoint, which it keeps.
+    """
+
+    def __init__(self, protocol: str = "tcp", **settings: Any) -> None:
+        self.port = free_port()
+        self._protocol = protocol
+        self._settings = settings
+        self._process: subprocess.Popen[str] | None = None
+        self.start()
+
+    @property
+    def endpoint(self) -> str:
+        """Where it is reached."""
+        return f"{self._protocol}/127.0.0.1:{self.port}"
+
+    def start(self) -> None:
+        """Run; returns once it listens."""
+        config = {
+            "mode": "router",
+            "listen": {"endpoints": [self.endpoint]},
+            "scouting": {"multicast": {"enabled": False}},
+            **self._settings,
+        }
+        self._process = subprocess.Popen(  # noqa: S603 (our own)
+            [sys.executable, "-c", _PROGRAM, json.dumps(config)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "up\n", "the router does not start"
+
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        self._signal(signal.SIGKILL)
+        process, self._process = self._process, None
+        assert process is not None
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.wait()
+        process.stdin.close()
+        process.stdout.close()
+
+    def pause(self) -> None:
+        """Have it take nothing any more, with all its connections open."""
+        self._signal(signal.SIGSTOP)
+
+    def go_on(self) -> None:
+        """Undo `pause`."""
+        self._signal(signal.SIGCONT)
+
+    def close(self) -> None:
+        """Be gone, whether it runs or not."""
+        if self._process is not None:
+            self.kill()
+
+    def _signal(self, number: int) -> None:
+        assert self._process is not None
+        os.kill(self._process.pid, number)
+
+
+def stranger(router: Router, **settings: Any) -> zenoh.Session:
+    """Somebody else in the network."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([router.endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
