@@ -6,7 +6,6 @@ import asyncio
 import builtins
 import contextlib
 import os
-import signal
 import socket
 import threading
 from pathlib import Path
@@ -22,7 +21,7 @@ from rsb_bridge.transport.zenoh.endpoint import ROOT, Header, Kind
 from rsb_bridge.transport.zenoh.network import Network
 
 zenoh = pytest.importorskip("zenoh")
-from tests.support.zenoh_router import Router, stranger  # noqa: E402 (it needs the package)
+from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402 (it needs the package)
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator
@@ -46,7 +45,7 @@ def router(_router: Router) -> Router:
 
 async def until(condition: Callable[[], object], what: str = "") -> None:
     """Wait on a loop."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(10):
         while not condition():
             await asyncio.sleep(0.01)
 
@@ -97,20 +96,12 @@ def test_a_process_that_is_killed_is_missed_at_once(router: Router) -> None:
     async def test() -> None:
         async with in_network(router, "server", "client") as server:
             end = End()
-            child = os.fork()
-            if child == 0:
-                with contextlib.suppress(BaseException):
-                    session = stranger(router)
-                    token = session.liveliness().declare_token(f"{ROOT}/fleet/here/client/{NOBODY}/x")
-                    signal.pause()
-                    del token
-                os._exit(0)
+            client = Announced(router, f"{ROOT}/fleet/here/client/{NOBODY}/x")
             try:
                 await until(lambda: NOBODY in server.seen)
                 server.add(NOBODY, NOBODY, end)
             finally:
-                os.kill(child, signal.SIGKILL)
-                os.waitpid(child, 0)
+                client.kill()
             await until(lambda: end.cut)
 
     asyncio.run(test())
