@@ -147,6 +147,8 @@ class Pair:
 
     async def settle(self) -> None:
         """Carry until nothing moves any more."""
-        while self.carry():
+        for _ in range(1000):
+            moved = self.carry()
             await asyncio.sleep(0)
-        await asyncio.sleep(0)
+            if not moved:
+                return

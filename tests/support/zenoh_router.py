@@ -25,7 +25,7 @@ class _Process:
     """A Zenoh session in a process of its own."""
 
     def __init__(self, *arguments: str) -> None:
-        self._process = subprocess.Popen(  # noqa: S603 (our own)
+        self._process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         assert self._process.stdout is not None
@@ -109,8 +109,8 @@ class Announced(_Process):
         super().__init__(json.dumps(config), key)
 
 
-def stranger(router: Router, **settings: Any) -> zenoh.Session:
-    """Somebody else in the network."""
+def stranger(router: Router, **settings: Any) -> Any:
+    """Somebody else in the network: a `zenoh.Session`, of which some methods have no types."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([router.endpoint]))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
+_SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes beside what is to be known of calls
 
 
@@ -69,7 +70,9 @@ def is_armed(route: RouteSnapshot) -> bool:
 def via(route: RouteSnapshot) -> str:
     """The way of a topic, or of requests, and what carries it."""
     way = OUT if route.outgoing else IN
-    return f"{way} BT {route.port}" if route.transport == "bluetooth" else f"{way} {route.transport.upper()}"
+    if route.transport == "bluetooth":
+        return f"{way} BT {route.port}"
+    return f"{way} {_SHORT_NAMES.get(route.transport, route.transport.upper())}"
 
 
 def _rate(route: RouteSnapshot) -> str:

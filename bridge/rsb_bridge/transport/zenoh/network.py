@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 LARGEST_SAMPLE = 2 * 1024 * 1024
 """Bytes; this side's own are half as long at most, and whatever else comes is refused before it is put together."""
 
-_OPEN_WITHIN = 10.0
+_OPEN_WITHIN = 20.0
+_HANDSHAKE = 3000
+"""ms that one endpoint has for Zenoh's own handshake."""
 _CLOSE_WITHIN = 1.0
 _QUEUES = ("control", "real_time", "interactive_high", "interactive_low", "data_high", "data", "data_low", "background")
 _BATCHES = 16
@@ -188,7 +190,9 @@ class Network:
         if settings.listen:
             _set(config, "listen/endpoints", list(settings.listen))
         _set(config, "connect/retry", {**_RETRY, "period_init_ms": int(_RETRY["period_init_ms"] * (1 + self._jitter))})
+        _set(config, "transport/unicast/open_timeout", _HANDSHAKE)
         _set(config, "transport/link/tx/lease", _LEASE)
+        _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave some behind
         _set(config, "transport/link/rx/max_message_size", 2 * LARGEST_SAMPLE)
         _set(config, "transport/link/tx/queue/size", dict.fromkeys(_QUEUES, _BATCHES))
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
