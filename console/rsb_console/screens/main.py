@@ -172,8 +172,10 @@ class MainScreen(Screen[None]):
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on
-        armed = route is not None and is_armed(route)
-        labels = {"arm": "disarm" if armed else "arm", "detail": "whole line" if reads_log else "detail"}
+        labels = {
+            "arm": "disarm" if route is not None and is_armed(route) else "arm",
+            "detail": "whole line" if reads_log else "detail",
+        }
         if not here:  # a dialog's keys are the only ones
             self.key_bar.show([])
             return
@@ -392,10 +394,9 @@ class MainScreen(Screen[None]):
         """Write what the focused list shows to a file in the working folder."""
         from rsb_console.session.export import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
+        log = self._list is self.log_pane
         try:
-            path = (
-                export_log(self.log_pane.listed) if self._list is self.log_pane else export_topics(self.topics.listed)
-            )
+            path = export_log(self.log_pane.listed) if log else export_topics(self.topics.listed)
         except OSError as error:
             self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
