@@ -144,9 +144,9 @@ class MainScreen(Screen[None]):
         """Why the table has no topic, and what to press."""
         if self.topics.routes:
             return f"Nothing here matches. {self._key('back')} shows all topics."
+        if self.console.engine is None and self.console.readonly:
+            return "No session. Start the console with one: rsb-console --readonly SESSION"
         if self.console.engine is None:
-            if self.console.readonly:
-                return "No session. Start the console with one: rsb-console --readonly SESSION"
             opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
             return f"No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
         if not snapshot.running:
@@ -172,10 +172,8 @@ class MainScreen(Screen[None]):
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on
-        labels = {
-            "arm": "disarm" if route is not None and is_armed(route) else "arm",
-            "detail": "whole line" if reads_log else "detail",
-        }
+        arm = "disarm" if route is not None and is_armed(route) else "arm"
+        labels = {"arm": arm, "detail": "whole line" if reads_log else "detail"}
         if not here:  # a dialog's keys are the only ones
             self.key_bar.show([])
             return
@@ -320,8 +318,7 @@ class MainScreen(Screen[None]):
         """Give one pane the screen; None: all of them share it."""
         for other in MODES:
             self.set_class(other == mode, other)
-        pane = {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics)
-        pane.focus()
+        {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics).focus()
         self.call_after_refresh(self.show_detail)
 
     def action_detail(self) -> None:
