@@ -149,7 +149,8 @@ def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router:
         async with in_network(router) as server:
             asked: list[str] = []
             server.on_stream = lambda who, which, header: asked.append(which) or End()  # type: ignore[func-returns-value]
-            other, ends = stranger(router), []
+            other = stranger(router)
+            ends: list[Any] = []
             other.declare_subscriber(f"{ROOT}/fleet/at/{NOBODY}/*/*", ends.append)
             key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
             for number in (7, 8):
