@@ -86,6 +86,7 @@ def _router(endpoint: str) -> Iterator[None]:
         "mode": "router",
         "listen": {"endpoints": [endpoint]},
         "scouting": {"multicast": {"enabled": False}},
+        "transport": {"shared_memory": {"enabled": False}},  # it is killed, and would leave some behind
     }
     command = [sys.executable, "-c", _ROUTER, json.dumps(config)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as router:
