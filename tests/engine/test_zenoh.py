@@ -10,8 +10,21 @@ import pytest
 pytest.importorskip("zenoh")  # an extra
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from tests.support.bridge import balance, carries, connections, happened, heard, link, linked, now, route, settled
+from tests.support.bridge import (
+    balance,
+    carries,
+    connections,
+    feedback_listeners,
+    happened,
+    heard,
+    link,
+    linked,
+    now,
+    route,
+    settled,
+)
 from tests.support.domain import text
+from tests.support.fibonacci import ACTION
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 from tests.support.zenoh_router import Router, stranger
@@ -28,6 +41,7 @@ if TYPE_CHECKING:
     import zenoh
     from tests.support.bridge import Bridge
     from tests.support.domain import Domain
+    from tests.support.fibonacci import FibonacciClient, FibonacciServer
     from tests.support.program import Programs
 
     from rsb_bridge.engine import Engine
@@ -235,6 +249,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     for number in range(3):
         out.publish(text(str(number) * 60_000))
     eventually(lambda: lost)
+    out.publish(text("next"))  # by its number the other side knows
     event = eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, "lost in the Zenoh network"))
     assert event.topic == "/odom"
     assert linked(server)
@@ -242,7 +257,7 @@ def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
     out.publish(text("after"))
     eventually(lambda: text("after") in there.payloads)
     ledger = eventually(lambda: found if not (found := route(client, "/odom").ledger).in_flight else None)
-    assert balance(ledger) == ledger.offered == 4
+    assert balance(ledger) == ledger.offered == 5
     assert ledger.delivered == len(there.payloads)
 
 
@@ -301,3 +316,15 @@ def test_without_a_router_who_listens_is_connected_to(bridge: Bridge, robot: Dom
     client.stop()
     eventually(lambda: not linked(server))
     assert link(server).cause in {LinkCause.CLOSED, LinkCause.LOST}
+
+
+def test_an_action_crosses(bridge: Bridge, router: Router, server: FibonacciServer, client: FibonacciClient) -> None:
+    engines = bridge.both(Topic(ACTION, "receive", kind="action"), **over(router))
+    goal = client.send(5)
+    assert goal.handle().accepted
+    goal.ask()
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
+    server.feedback(0, 1)
+    eventually(lambda: goal.feedbacks)
+    server.finish(0, 1, 1, 2, 3)
+    assert goal.result() == ("succeeded", [0, 1, 1, 2, 3])

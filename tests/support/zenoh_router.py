@@ -19,6 +19,8 @@ tokens = [session.liveliness().declare_token(key) for key in sys.argv[2:]]
 print("up", flush=True)
 sys.stdin.read()
 """
+_NO_SHARED_MEMORY = {"shared_memory": {"enabled": False}}
+"""A process that is killed would leave some behind."""
 
 
 class _Process:
@@ -70,6 +72,7 @@ class Router:
             "listen": {"endpoints": [self.endpoint]},
             "scouting": {"multicast": {"enabled": False}},
             **self._settings,
+            "transport": {**_NO_SHARED_MEMORY, **self._settings.get("transport", {})},
         }
         self._process = _Process(json.dumps(config))
 
@@ -105,6 +108,7 @@ class Announced(_Process):
             "mode": "client",
             "connect": {"endpoints": [router.endpoint]},
             "scouting": {"multicast": {"enabled": False}},
+            "transport": _NO_SHARED_MEMORY,
         }
         super().__init__(json.dumps(config), key)
 
@@ -115,6 +119,7 @@ def stranger(router: Router, **settings: Any) -> Any:
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([router.endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)

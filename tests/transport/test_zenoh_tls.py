@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+
     Start = Callable[..., Router]
 
 EXPIRED = datetime.timedelta(days=-1)
@@ -30,14 +32,16 @@ def start(tmp_path: Path) -> Iterator[Start]:
     """Starts routers with certificates of a folder."""
     made: list[Router] = []
 
-    def begin(certificate: str, key: str, *, asks_of: str | None = None, protocol: str = "tls") -> Router:
+    def begin(
+        certificate: str, key: str, *, asks_of: str | None = None, protocol: str = "tls", **settings: Any
+    ) -> Router:
         tls: dict[str, Any] = {
             "listen_certificate": str(tmp_path / certificate),
             "listen_private_key": str(tmp_path / key),
         }
         if asks_of is not None:
             tls |= {"enable_mtls": True, "root_ca_certificate": str(tmp_path / asks_of)}
-        made.append(Router(protocol, transport={"link": {"tls": tls}}))
+        made.append(Router(protocol, transport={"link": {"tls": tls}}, **settings))
         return made[-1]
 
     yield begin
@@ -136,3 +140,59 @@ def test_a_router_that_speaks_no_tls(tmp_path: Path) -> None:
         assert "no TLS there" in said
     finally:
         plain.close()
+
+
+def access_control(*names: str) -> dict[str, Any]:
+    """As docs/zenoh.md has it: only these certificates' owners may be in the fleet."""
+    messages = [
+        "put",
+        "declare_subscriber",
+        "liveliness_token",
+        "declare_liveliness_subscriber",
+        "liveliness_query",
+        "reply",
+    ]
+    rule = {"id": "fleet", "permission": "allow", "flows": ["ingress", "egress"], "messages": messages}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [{**rule, "key_exprs": ["rsb_console/fleet/**"]}],
+        "subjects": [{"id": "robots", "cert_common_names": [*names]}],
+        "policies": [{"rules": ["fleet"], "subjects": ["robots"]}],
+    }
+
+
+def test_access_control_keeps_others_out_of_the_fleet(tmp_path: Path, start: Start) -> None:
+    authority = Authority(tmp_path)
+    router = start(*authority.sign("hub"), asks_of=authority.file, access_control=access_control("pc", "robot1"))
+    networks: list[Network] = []
+
+    async def join(name: str, service: str) -> Endpoint:
+        certificate, key = authority.sign(name)
+        own = {"enable_mtls": True, "connect_certificate": certificate, "connect_private_key": key}
+        tls = {"root_ca_certificate": authority.file, **own}
+        (tmp_path / f"{name}.json5").write_text(json.dumps({"transport": {"link": {"tls": tls}}}))
+        networks.append(Network(ZenohSettings(connect=(router.endpoint,), config=f"{name}.json5"), tmp_path))
+        return await networks[-1].endpoint(service, name, ("client",))
+
+    async def test() -> None:
+        server = await join("pc", "server")
+        came: list[bytes] = []
+        server.on_datagram = lambda _, payload: came.append(payload)
+        refused = await join("visitor", "client")
+        refused.outbox.drop(refused.key(server.address), b"no")
+        robot = await join("robot1", "client")
+        async with asyncio.timeout(20):
+            while robot.address not in server.seen or not came:
+                robot.outbox.drop(robot.key(server.address), b"yes")
+                await asyncio.sleep(0.01)
+            assert [each.address for each in await robot.ask("server")] == [server.address]
+            assert await refused.ask("server") == []
+        assert refused.address not in server.seen
+        assert {*came} == {b"yes"}
+        for endpoint in (server, refused, robot):
+            endpoint.close()
+
+    asyncio.run(test())
+    for network in networks:
+        network.close()

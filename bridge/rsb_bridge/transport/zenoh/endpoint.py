@@ -46,6 +46,8 @@ _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
 """Samples that are taken in one turn of the loop."""
+_SETTLED = 0.1
+"""s within which Zenoh says that a router is lost, once it has said who is gone by that."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
 """Of endpoints, and of streams; keys are whatever a stranger makes of them."""
 
@@ -292,7 +294,8 @@ class Endpoint:
             if known != seen:
                 return
             del self.seen[seen.address]
-            self._end_all("the other side has left the Zenoh network", seen.address)
+            # Where the router is lost, Zenoh says this first, of everybody.
+            self._loop.call_later(_SETTLED, self._end_all, "the other side has left the Zenoh network", seen.address)
         self.on_seen(seen, comes)
 
 
