@@ -111,7 +111,6 @@ class Side:
         network: its endpoint.
         told: its protocol.
         pipe: itself.
-        delivered: samples of data that were carried to it.
     """
 
     def __init__(self, address: str, peer: str) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.virtual_time import virtual_loop
-from tests.support.zenoh_pipes import Pair
+from tests.support.zenoh_pipes import Pair, Sent
 
-from rsb_bridge.transport.zenoh.endpoint import Kind
+from rsb_bridge.transport.zenoh.endpoint import Header, Kind
 from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW
 
 if TYPE_CHECKING:
@@ -227,6 +227,47 @@ def test_an_older_window_closes_nothing() -> None:
         pair.near.arrive(Kind.WINDOW, 2 * SAMPLE)
         pair.near.arrive(Kind.WINDOW, SAMPLE)
         assert pair.near.pipe.get_write_buffer_size() == 0
+
+    run(test())
+
+
+def test_a_window_that_is_lost_is_asked_for() -> None:
+    """Else the stream would stand still for good, with nothing that shows it."""
+
+    async def test() -> None:
+        pair = Pair()
+        data = random.Random(3).randbytes(3 * WINDOW)
+        pair.near.pipe.write(data)
+        for each in pair.near.network.on_its_way:
+            pair.far.pipe.arrived(*each)
+        pair.near.network.on_its_way.clear()
+        lost = pair.far.sent(Kind.WINDOW)
+        pair.far.network.on_its_way.clear()
+        assert len(lost) > 1
+        await pair.settle()
+        assert len(pair.far.told.data) < len(data)
+        await asyncio.sleep(2.1)
+        await pair.settle()
+        assert pair.far.told.data == data
+
+    run(test())
+
+
+def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        pair.near.pipe.write(bytes(3 * WINDOW))
+        asked = 0
+        for _ in range(60):
+            await pair.settle()
+            await asyncio.sleep(1.0)
+            asked += pair.near.sent(Kind.DATA).count(Sent(Header(Kind.DATA, 1, 4 + asked), b""))
+        assert 20 <= asked <= 30
+        pair.near.pipe.abort()
+        await pair.settle()
+        await asyncio.sleep(10.0)
+        assert pair.near.network.on_its_way == []
 
     run(test())
 

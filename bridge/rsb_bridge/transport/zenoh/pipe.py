@@ -28,6 +28,8 @@ SAMPLE = 1024 * 1024
 """Bytes of one sample at most; with `rsb_bridge.transport.zenoh.network.LARGEST_SAMPLE`."""
 
 _SAID_EVERY = WINDOW // 8
+_ASKED_AFTER = 2.0
+"""s without a window after which a sender that waits for one asks: the last may be lost."""
 _AT_A_TIME = 256 * 1024
 """Bytes that are delivered in one turn of the loop, of what was held while reading was paused."""
 _REASON = 200
@@ -72,6 +74,7 @@ class Pipe(asyncio.Transport):
         self._sent_samples = self._sent = self._taken_there = 0
         self._reading = True
         self._resuming = False
+        self._asking: asyncio.TimerHandle | None = None
         self._held = bytearray()  # and no list of samples, of which each, however small, would take memory of its own
         self._received_samples = self._received = self._taken = self._said = 0
         endpoint.add(peer, stream, self)
@@ -87,6 +90,7 @@ class Pipe(asyncio.Transport):
             if self._waiting or self._sent - self._taken_there >= WINDOW:
                 self._waiting.append(bytes(piece))
                 self._waiting_bytes += len(piece)
+                self._ask_later()
             else:
                 self._send(piece)
         if self._waiting_bytes > self._high and not self._paused_writing:
@@ -168,7 +172,9 @@ class Pipe(asyncio.Transport):
             return
         self._received_samples += 1
         self._received += len(payload)
-        if self._received - self._taken > WINDOW + SAMPLE:
+        if not payload:
+            self._say()
+        elif self._received - self._taken > WINDOW + SAMPLE:
             error = f"the other side sends more than the {WINDOW:,} bytes that may be under way"
             self._end(error, OSError(error))
         elif self._closing:
@@ -203,9 +209,12 @@ class Pipe(asyncio.Transport):
     def _deliver(self, payload: bytes) -> None:
         self._taken += len(payload)
         if self._taken - self._said >= _SAID_EVERY:
-            self._said = self._taken
-            self._endpoint.outbox.put(self._key, b"", Header(Kind.WINDOW, self._rank, self._taken))
+            self._say()
         self._protocol.data_received(payload)
+
+    def _say(self) -> None:
+        self._said = self._taken
+        self._endpoint.outbox.put(self._key, b"", Header(Kind.WINDOW, self._rank, self._taken))
 
     # --- what goes
 
@@ -213,6 +222,18 @@ class Pipe(asyncio.Transport):
         self._endpoint.outbox.put(self._key, data, Header(Kind.DATA, self._rank, self._sent_samples))
         self._sent_samples += 1
         self._sent += len(data)
+
+    def _ask_later(self) -> None:
+        if self._asking is None:
+            self._asking = self._loop.call_later(_ASKED_AFTER, self._ask, self._taken_there)
+
+    def _ask(self, taken_then: int) -> None:
+        """Ask for a window, by data that is empty, if none has come for a while."""
+        self._asking = None
+        if self._waiting:
+            if taken_then == self._taken_there:
+                self._send(b"")
+            self._ask_later()
 
     def _go_on(self) -> None:
         while self._waiting and self._sent - self._taken_there < WINDOW:
@@ -234,6 +255,8 @@ class Pipe(asyncio.Transport):
             end = Header(Kind.END, self._rank, self._sent_samples)
             self._endpoint.outbox.put(self._key, told.encode()[:_REASON], end)
         self._endpoint.forget(self._peer, self._stream)
+        if self._asking is not None:
+            self._asking.cancel()
         self._waiting.clear()
         self._held.clear()
         self._waiting_bytes = 0
