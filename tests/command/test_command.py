@@ -282,7 +282,7 @@ def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]
     assert run.stdout == ""
     assert run.stderr.splitlines()[1:] == [
         "bad.yaml:4: server_port: missing, or 0: give a port, 1 to 65535",
-        "bad.yaml:7: topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth (did you mean tcp?)",
+        "bad.yaml:7: topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth, zenoh, zenoh-drop (did you mean tcp?)",
     ]
     assert rsb_console(*arguments, "none.yaml").stderr == "rsb-console: none.yaml: no such file\n"
 
