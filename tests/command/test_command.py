@@ -10,12 +10,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from tests.support.locks import alone
 
 from rsb_bridge.config.session_file import load
+from rsb_bridge.model.session import Protocol
 from rsb_console.command.arguments import parser_and_commands
 
 COMMAND = str(Path(sys.executable).with_name("rsb-console"))
@@ -282,7 +283,7 @@ def test_a_bad_session_file_is_refused_with_its_lines(arguments: tuple[str, ...]
     assert run.stdout == ""
     assert run.stderr.splitlines()[1:] == [
         "bad.yaml:4: server_port: missing, or 0: give a port, 1 to 65535",
-        "bad.yaml:7: topic /scan, protocol: 'tpc' is not one of tcp, udp, bluetooth, zenoh, zenoh-drop (did you mean tcp?)",
+        f"bad.yaml:7: topic /scan, protocol: 'tpc' is not one of {', '.join(get_args(Protocol))} (did you mean tcp?)",
     ]
     assert rsb_console(*arguments, "none.yaml").stderr == "rsb-console: none.yaml: no such file\n"
 

@@ -43,7 +43,7 @@ def router(_router: Router) -> Router:
 
 async def until(condition: Callable[[], object], what: str = "") -> None:
     """Wait on a loop."""
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while not condition():  # noqa: ASYNC110 (it is no event of ours)
             await asyncio.sleep(0.01)
 
@@ -408,15 +408,15 @@ def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
                 server_key = client.key(server.address, NOBODY)
                 await until(lambda: server.address)
                 router.pause()
-                for number in range(60):
+                for number in range(120):
                     client.outbox.put(server_key, bytes([number]) * 100_000, Header(Kind.DATA, 2, number))
                 client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(Kind.DATA, 0, 0))
                 assert client.outbox.waiting(server_key, 2) > 2_000_000
                 router.go_on()
                 server.add(client.address, NOBODY, end)
-                await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 60)
+                await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)
                 data = [header.number for header, payload in end.came if len(payload) == 100_000]
-                assert data == [*range(60)]
+                assert data == [*range(120)]
         finally:
             router.close()
 

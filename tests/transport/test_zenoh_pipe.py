@@ -246,9 +246,36 @@ def test_a_window_that_is_lost_is_asked_for() -> None:
         assert len(lost) > 1
         await pair.settle()
         assert len(pair.far.told.data) < len(data)
-        await asyncio.sleep(2.1)
+        await asyncio.sleep(4.1)
         await pair.settle()
         assert pair.far.told.data == data
+
+    run(test())
+
+
+def test_the_loss_of_a_last_sample_shows_though_nothing_follows() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"a map, once")
+        pair.near.network.on_its_way.clear()
+        await asyncio.sleep(2.1)
+        await pair.settle()
+        assert [side.told.calls[-1] for side in (pair.near, pair.far)] == ["lost", "lost"]
+        assert "lost in the Zenoh network" in str(pair.near.told.error)
+
+    run(test())
+
+
+def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
+    async def test() -> None:
+        pair, said = Pair(), 0
+        pair.near.pipe.write(b"one")
+        await pair.settle()
+        for _ in range(60):
+            await asyncio.sleep(1.0)
+            said += len(pair.near.network.on_its_way)
+            await pair.settle()
+        assert said == 1
 
     run(test())
 

@@ -39,6 +39,8 @@ ASKED_WITHIN = 2.0
 MOST_SEEN = 10_000
 """Announcements that are kept; who is in a network may make any number of them."""
 
+ROUTER_LOST = "the connection to the Zenoh router is lost"
+
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
 _HEADER = struct.Struct(">BBQ")
@@ -295,8 +297,12 @@ class Endpoint:
                 return
             del self.seen[seen.address]
             # Where the router is lost, Zenoh says this first, of everybody.
-            self._loop.call_later(_SETTLED, self._end_all, "the other side has left the Zenoh network", seen.address)
+            self._loop.call_later(_SETTLED, self._gone, seen.address)
         self.on_seen(seen, comes)
+
+    def _gone(self, address: str) -> None:
+        here = bool(self._session.info.transports())
+        self._end_all("the other side has left the Zenoh network" if here else ROUTER_LOST, address)
 
 
 def _seen(key: str) -> Seen | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.diagnosis import TLS, UNABLE, first_sentence, why_unreachable
-from rsb_bridge.transport.zenoh.endpoint import Endpoint
+from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -217,7 +217,7 @@ class Network:
         with self._lock:
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
-            endpoint.cut_off("the connection to the Zenoh router is lost")
+            endpoint.cut_off(ROUTER_LOST)
 
 
 def _set(config: zenoh.Config, key: str, value: object) -> None:

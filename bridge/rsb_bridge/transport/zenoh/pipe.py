@@ -29,7 +29,8 @@ SAMPLE = 1024 * 1024
 
 _SAID_EVERY = WINDOW // 8
 _ASKED_AFTER = 2.0
-"""s without a window after which a sender that waits for one asks: the last may be lost."""
+"""s without a window after which a sender that waits for one asks, and without more to send after which it says that
+it has said all: else the loss of the last sample would show with the next one only, which may be hours away."""
 _AT_A_TIME = 256 * 1024
 """Bytes that are delivered in one turn of the loop, of what was held while reading was paused."""
 _REASON = 200
@@ -90,7 +91,6 @@ class Pipe(asyncio.Transport):
             if self._waiting or self._sent - self._taken_there >= WINDOW:
                 self._waiting.append(bytes(piece))
                 self._waiting_bytes += len(piece)
-                self._ask_later()
             else:
                 self._send(piece)
         if self._waiting_bytes > self._high and not self._paused_writing:
@@ -219,20 +219,25 @@ class Pipe(asyncio.Transport):
     # --- what goes
 
     def _send(self, data: bytes | bytearray | memoryview[int]) -> None:
+        self._put(data)
+        self._sent += len(data)
+        if self._asking is None:
+            self._ask_later()
+
+    def _put(self, data: bytes | bytearray | memoryview[int]) -> None:
         self._endpoint.outbox.put(self._key, data, Header(Kind.DATA, self._rank, self._sent_samples))
         self._sent_samples += 1
-        self._sent += len(data)
 
     def _ask_later(self) -> None:
-        if self._asking is None:
-            self._asking = self._loop.call_later(_ASKED_AFTER, self._ask, self._taken_there)
+        self._asking = self._loop.call_later(_ASKED_AFTER, self._ask, self._sent_samples, self._taken_there)
 
-    def _ask(self, taken_then: int) -> None:
-        """Ask for a window, by data that is empty, if none has come for a while."""
+    def _ask(self, sent_then: int, taken_then: int) -> None:
+        """Send empty data, which the other side answers by a window, where nothing has moved for a while."""
         self._asking = None
-        if self._waiting:
-            if taken_then == self._taken_there:
-                self._send(b"")
+        still = sent_then == self._sent_samples and taken_then == self._taken_there
+        if still:
+            self._put(b"")
+        if self._waiting or not still:
             self._ask_later()
 
     def _go_on(self) -> None:
