@@ -18,7 +18,8 @@ from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.over_zenoh import FleetPresence, FleetWay
 from rsb_bridge.control.watching import watch
 from rsb_bridge.model.backoff import Backoff
-from rsb_bridge.model.robot_summary import RobotState, RobotSummary, decode
+from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
+from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
@@ -165,6 +166,7 @@ class ZenohFleet:
         self._set(name, msgspec.structs.replace(summary, name=name, why=why, state=state, seen=now, since=since))
 
     def _gone(self, name: str, why: str, state: RobotState) -> None:
+        why = sanitize_text(why, WHY_LENGTH)  # it may be the engine's
         before = self._robots[name]
         if (before.state, before.why) != (state, why):
             self._set(name, RobotSummary(
