@@ -265,19 +265,20 @@ class RemoteEngine(EngineApi):
     async def _attach_for_ever(self) -> None:
         """Attach, and again when the connection has broken; returns if the first attempt fails."""
         while True:
+            failure = None
             try:
                 reason = await self._attach()
             except NotServedError as error:
                 reason = self._lost or str(error)  # the first reason says more
             except (ControlError, ProtocolError) as error:
-                reason = str(error)
+                reason, failure = str(error), error if isinstance(error, ControlError) else None
             except TimeoutError:
                 reason = f"{self._way.text}: the bridge does not answer"
             except OSError as error:
                 reason = f"{self._way.text}: {error.strerror or error}"
             self._connection = None
             if not self._started.done():
-                self._started.set_exception(ControlError(reason))
+                self._started.set_exception(failure or ControlError(reason))
                 return
             self._lose(reason)
             await asyncio.sleep(_RETRY_EVERY)

@@ -7,7 +7,7 @@ import os
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.folders import ControlError, UnclearError
 from rsb_bridge.control.sealed import SealedAcceptor
 from rsb_bridge.control.sealed_way import Sealed
 from rsb_bridge.control.summaries import Summaries
@@ -190,7 +190,10 @@ class FleetWay:
         """Find it, and connect."""
         presence = FleetPresence(self._file)
         try:
-            await presence.join()
+            try:
+                await presence.join()
+            except OSError as error:
+                raise ControlError(str(error)) from None
             connection = await presence.sealed(self._chosen(presence)).open(within)
         except BaseException:
             presence.close()
@@ -198,6 +201,12 @@ class FleetWay:
         return _Leaving(connection, presence)
 
     def _chosen(self, presence: FleetPresence) -> Member:
+        """The engine that is meant.
+
+        Raises:
+            ControlError: it is not there.
+            UnclearError: several are.
+        """
         fleet, engine = self._file.zenoh.fleet, self._engine
         names = sorted(member.name for member in presence.members.values())
         known = f"; there are {', '.join(names)}" if names else "; nobody is there"
@@ -206,7 +215,7 @@ class FleetWay:
             raise ControlError(f"no engine {engine!r} is in the fleet {fleet}{known}")
         if len(found) > 1:
             what = f"several engines are called {engine!r}" if engine else "several engines are there: say which"
-            raise ControlError(f"the fleet {fleet}: {what}{known}")
+            raise UnclearError(f"the fleet {fleet}: {what}{known}")
         return found[0]
 
 

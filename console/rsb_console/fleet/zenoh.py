@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.over_zenoh import FleetPresence, FleetWay
@@ -42,6 +41,8 @@ class ZenohFleet:
         file: names the fleet, and the operator.
     """
 
+    kind = "fleet"
+
     def __init__(self, file: FleetFile) -> None:
         self.name = file.zenoh.fleet
         self._file = file
@@ -49,7 +50,6 @@ class ZenohFleet:
         self._presence: FleetPresence | None = None
         self._watches: dict[str, asyncio.Task[None]] = {}
         self._names: dict[str, str] = {}  # by address
-        self._problem = ""
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
         self._loop = asyncio.new_event_loop()
@@ -96,7 +96,7 @@ class ZenohFleet:
             await presence.join()
         except OSError as error:
             presence.close()
-            self._started.set_exception(EngineError(str(error)))
+            self._started.set_exception(ControlError(str(error)))
             return
         self._presence = presence
         try:
@@ -124,7 +124,7 @@ class ZenohFleet:
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
-                self._gone(name, "it has left the Zenoh network", RobotState.MISSING)
+                self._gone(name, self.problem or "it has left the Zenoh network", RobotState.MISSING)
         elif len(self._watches) < MOST:
             name = self._names[member.address] = self._free_name(member.name)
             known = self._robots.get(name)
