@@ -364,7 +364,8 @@ class RemoteEngine(EngineApi):
             self._lost = reason
         self._requests.fail(reason)
         if is_new:
-            text = f"not attached to {self.bridge.name} any more: {reason}; trying again"
+            why = reason.removeprefix(f"{self._way.text}: ")
+            text = f"not attached to {self.bridge.name} any more: {why}; trying again"
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
 
     def _send(self, message: ToBridge) -> None:

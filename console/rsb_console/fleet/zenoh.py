@@ -29,6 +29,7 @@ _FIRST_HEARD_WITHIN = 5.0
 """s that `ZenohFleet.start` waits for the first word of each engine."""
 MOST = 2000
 """Engines that are watched; anybody in the network may announce any number of them."""
+_LEFT = "it has left the Zenoh network"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
 _AT_ONCE = 16
 """Connections that are being made: 200 handshakes would take a core for a moment."""
@@ -49,7 +50,8 @@ class ZenohFleet:
         self._robots: dict[str, RobotSummary] = {}
         self._presence: FleetPresence | None = None
         self._watches: dict[str, asyncio.Task[None]] = {}
-        self._names: dict[str, str] = {}  # by address
+        self._names: dict[str, str] = {}  # of rows, by address
+        self._called: dict[str, str] = {}  # what the engine of a row calls itself
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
         self._loop = asyncio.new_event_loop()
@@ -79,7 +81,7 @@ class ZenohFleet:
         return list(self._robots.values())
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        engine = RemoteEngine(FleetWay(self._file, robot), read_only=read_only)
+        engine = RemoteEngine(FleetWay(self._file, self._called.get(robot, robot)), read_only=read_only)
         engine.start()
         return engine
 
@@ -124,9 +126,11 @@ class ZenohFleet:
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
-                self._gone(name, self.problem or "it has left the Zenoh network", RobotState.MISSING)
+                why = "out of reach: this console has lost its Zenoh router" if self.problem else _LEFT
+                self._gone(name, why, RobotState.MISSING)
         elif len(self._watches) < MOST:
             name = self._names[member.address] = self._free_name(member.name)
+            self._called[name] = member.name
             known = self._robots.get(name)
             if known is None:
                 self._robots[name] = RobotSummary(name=name, version=member.version, since=time.time())
