@@ -270,8 +270,10 @@ class RemoteEngine(EngineApi):
                 reason = await self._attach()
             except NotServedError as error:
                 reason = self._lost or str(error)  # the first reason says more
-            except (ControlError, ProtocolError) as error:
-                reason, failure = str(error), error if isinstance(error, ControlError) else None
+            except ControlError as error:
+                reason, failure = str(error), error
+            except ProtocolError as error:
+                reason = f"{self._way.text}: {error}"
             except TimeoutError:
                 reason = f"{self._way.text}: the bridge does not answer"
             except OSError as error:
