@@ -184,7 +184,7 @@ def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(machine
 
 def test_an_answer_of_another_kind_is_no_answer(machine: Machine) -> None:
     robot = Reachable(machine)
-    robot.engine.described = REMEMBERED  # type: ignore[assignment]  # what only a rogue sends
+    robot.engine.described = REMEMBERED  # what only a rogue sends
     remote = robot.attach()
     with pytest.raises(EngineError):
         remote.describe("/robot1/scan").result(60)
