@@ -54,7 +54,14 @@ class EngineApi(Protocol):
 
     Nothing here waits for the network. Commands return a future; what is wrong with a request comes through it as an
     `EngineError`.
+
+    Attributes:
+        read_only: it refuses this console whatever would change anything.
+        same_machine: the files that it names are this machine's.
     """
+
+    read_only: bool = False
+    same_machine: bool = True
 
     @property
     def session(self) -> Session:

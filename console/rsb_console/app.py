@@ -243,6 +243,10 @@ class ConsoleApp(TerminalApp[None]):
     # --- the engine
 
     @property
+    def readonly(self) -> bool:
+        return self._readonly or (self.engine is not None and self.engine.read_only)
+
+    @property
     def linked(self) -> bool:
         return any(link.state is State.OK for link in self.snapshot().links)
 

@@ -26,14 +26,17 @@ class ConsoleShell(Protocol):
     """An app in a terminal, and its operator.
 
     Attributes:
-        readonly: nothing may be changed.
         preferences: the user's themes and keys.
         config: the folder that those are in.
     """
 
-    readonly: bool
     preferences: Preferences
     config: Path
+
+    @property
+    def readonly(self) -> bool:
+        """Whether nothing may be changed."""
+        ...
 
     async def ask(self, dialog: Screen[T]) -> T | None:
         """Show a dialog and wait for its answer. Only from a worker."""

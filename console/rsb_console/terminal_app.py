@@ -53,7 +53,7 @@ class TerminalApp(App[ReturnType]):
         dialogs: Collection[str] = (),
     ) -> None:
         super().__init__(driver_class=ConsoleDriver)
-        self.readonly = readonly
+        self._readonly = readonly
         self.ascii_only = ascii_only
         self.config = themes.config_path() if config is None else config
         self.preferences = Preferences(self.config, theme)
@@ -64,6 +64,10 @@ class TerminalApp(App[ReturnType]):
         self._forced_end = ForcedEnd(self.stop)
         self._filters_ascii = AsciiFilter()
         self._filters_control = ControlFilter()
+
+    @property
+    def readonly(self) -> bool:
+        return self._readonly
 
     def stop(self) -> None:
         """Close what must not stay open; may take some seconds, on any thread."""

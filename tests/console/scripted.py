@@ -219,6 +219,9 @@ CALL_ROUTES = (
 class ScriptedEngine:
     """An `EngineApi` that answers from what it was given, and records the commands."""
 
+    read_only = False
+    same_machine = True
+
     def __init__(
         self, session: Session = SESSION, base: Path = Path(), routes: tuple[RouteSnapshot, ...] = ROUTES
     ) -> None:

@@ -2,92 +2,24 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-import msgspec
 import pytest
-from tests.console.scripted import SESSION, ScriptedEngine
-from tests.support.control import Machine
 from tests.support.operators import ANNA, BOB, granted
 from tests.support.waiting import eventually
-from tests.support.zenoh_router import Router, stranger
+from tests.support.zenoh_fleet import Fleet
+from tests.support.zenoh_router import stranger
 
-from rsb_bridge.access import Access
 from rsb_bridge.api import EngineError
-from rsb_bridge.config.fleet_file import FleetFile
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.over_zenoh import Announcement, FleetWay
-from rsb_bridge.model.clock import Clock
+from rsb_bridge.control.folders import UnclearError
 from rsb_bridge.model.robot_summary import RobotState
-from rsb_bridge.model.session import ZenohSettings
-from rsb_bridge.telemetry.event_log import EventLog
-from rsb_bridge.transport.zenoh.network import Network
-from rsb_console.fleet.zenoh import ZenohFleet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from rsb_bridge.config.keys import Key
-    from rsb_bridge.control.server import ControlServer
     from rsb_bridge.model.robot_summary import RobotSummary
-
-
-class Fleet:
-    """Engines in one network, and consoles of operators.
-
-    Attributes:
-        router: of the network.
-        engines: by name.
-        servers: by name.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.engines: dict[str, ScriptedEngine] = {}
-        self.servers: dict[str, ControlServer] = {}
-        self._resources = ExitStack()
-        self.router = Router()
-        self._resources.callback(self.router.close)
-
-    @property
-    def settings(self) -> ZenohSettings:
-        return ZenohSettings((self.router.endpoint,), fleet="lab")
-
-    def add(self, name: str, *, host: str = "robot") -> None:
-        """Announce an engine; of a second one of a name, `host` tells its socket from the first one's."""
-        folder = self.folder / host
-        folder.mkdir(exist_ok=True)
-        engine = ScriptedEngine(msgspec.structs.replace(SESSION, name=name))
-        machine = Machine(folder)
-        server = machine.serve(engine)
-        access = Access(name, EventLog(Clock()), Clock())
-        access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
-        network = Network(self.settings, folder)
-        Announcement(server, access, network)
-        self._resources.callback(machine.close)
-        self._resources.callback(network.close)
-        self.engines[name], self.servers[name] = engine, server
-
-    def file(self, operator: str = "anna", key: Key = ANNA) -> FleetFile:
-        return FleetFile(self.settings, operator, key, self.folder)
-
-    def seen_by(self, operator: str = "anna", key: Key = ANNA) -> ZenohFleet:
-        """A console's fleet, started."""
-        fleet = ZenohFleet(self.file(operator, key))
-        fleet.start()
-        self._resources.callback(fleet.stop)
-        return fleet
-
-    def attach(self, engine: str, operator: str = "anna", key: Key = ANNA) -> RemoteEngine:
-        remote = RemoteEngine(FleetWay(self.file(operator, key), engine))
-        remote.start()
-        self._resources.callback(remote.stop)
-        return remote
-
-    def close(self) -> None:
-        self._resources.close()
+    from rsb_console.fleet.zenoh import ZenohFleet
 
 
 @pytest.fixture
@@ -143,9 +75,9 @@ def test_who_is_not_there_is_said_with_who_is(fleet: Fleet) -> None:
     fleet.add("robot2")
     seen = fleet.seen_by()
     eventually(lambda: has_spoken(seen, "robot1") and has_spoken(seen, "robot2"))
-    with pytest.raises(EngineError, match=r"no engine 'robot3'.*robot1, robot2"):
+    with pytest.raises(EngineError, match=r"no engine 'robot3'.*robot1 and robot2"):
         fleet.attach("robot3")
-    with pytest.raises(EngineError, match=r"say which.*robot1, robot2"):
+    with pytest.raises(UnclearError, match="robot1 and robot2"):
         fleet.attach("")
 
 
@@ -165,7 +97,7 @@ def test_two_engines_of_a_name_are_two_lines(fleet: Fleet) -> None:
     eventually(lambda: has_spoken(seen, "robot1"))
     fleet.add("robot1", host="another")
     eventually(lambda: is_in(seen, "robot1 (2)", RobotState.WARN))
-    with pytest.raises(EngineError, match="several engines are called 'robot1'"):
+    with pytest.raises(UnclearError):
         fleet.attach("robot1")
 
 
@@ -198,3 +130,56 @@ def test_announcements_that_are_none_are_passed_over(fleet: Fleet) -> None:
         eventually(lambda: has_spoken(seen, "robot1"))
         assert [each.name for each in seen.robots()] == ["robot1"]
         del tokens
+
+
+@pytest.mark.parametrize("name", ["-", "hall 3/left", "Käfer", "*?#$%2F", "机" * 85], ids=ascii)
+def test_a_name_may_be_any_that_a_session_may_have(fleet: Fleet, name: str) -> None:
+    fleet.add(name)
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, name))
+    fleet.attach(name).retry().result(60)
+    assert fleet.engines[name].commands == [("retry", "")]
+
+
+def test_who_has_no_key_keeps_no_operator_out_by_a_robots_name(fleet: Fleet) -> None:
+    with stranger(fleet.router) as somebody:
+        live = somebody.liveliness()
+        token = live.declare_token(f"rsb_console/lab/here/engine/{'0' * 16}/client%200.1%20robot1")
+        fleet.add("robot1")
+        seen = fleet.seen_by()
+        eventually(lambda: len(seen.robots()) == 2)
+        fleet.attach("robot1").retry().result(60)
+        assert fleet.engines["robot1"].commands == [("retry", "")]
+        del token
+
+
+def test_a_robot_that_is_started_again_has_its_line_and_its_console_again(fleet: Fleet) -> None:
+    fleet.add("robot1")
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, "robot1"))
+    remote = fleet.attach("robot1")
+    fleet.servers["robot1"].close()
+    eventually(lambda: is_in(seen, "robot1", RobotState.MISSING))
+    eventually(lambda: remote.unreachable)
+    fleet.add("robot1")
+    eventually(lambda: has_spoken(seen, "robot1") and not is_in(seen, "robot1", RobotState.MISSING))
+    assert len(seen.robots()) == 1
+    eventually(lambda: not remote.unreachable)
+    remote.retry().result(60)
+    assert fleet.engines["robot1"].commands == [("retry", "")]
+
+
+def test_an_operators_rights_and_keys_are_those_of_now(fleet: Fleet) -> None:
+    fleet.add("robot1")
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, "robot1"))
+    remote = fleet.attach("robot1")
+    access = fleet.accesses["robot1"]
+    access.grant(granted("anna", ANNA, "look"))
+    eventually(lambda: remote.read_only)
+    access.grant(granted("anna", BOB))
+    eventually(lambda: is_in(seen, "robot1", RobotState.FAULT))
+    access.grant({})
+    eventually(lambda: "no operator 'anna' may attach" in remote.unreachable)
+    access.grant(granted("anna", ANNA))
+    eventually(lambda: not remote.unreachable and not remote.read_only)

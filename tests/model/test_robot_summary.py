@@ -26,7 +26,7 @@ from rsb_bridge.model.robot_summary import (
     of_engine,
 )
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot, State
 from rsb_bridge.model.verdict import Cause, LinkCause
 
 SERVER = Session(
@@ -235,3 +235,15 @@ def test_states_are_ordered() -> None:
     assert sorted(RobotState, key=lambda state: state.rank) == list(RobotState)
     assert [state for state in RobotState if state.is_wrong] == [RobotState.MISSING, RobotState.FAULT, RobotState.WARN]
     assert robot_summary.RobotState("ok") is RobotState.OK
+
+
+@pytest.mark.parametrize(
+    ("state", "robot_state"), [(State.OK, RobotState.OK), (State.WAITING, RobotState.OK), (State.DOWN, RobotState.WARN)]
+)
+def test_a_pattern_of_which_not_all_is_bridged_is_a_warning(state: State, robot_state: RobotState) -> None:
+    pattern = PatternSnapshot("p", "robot1", Topic("/camera/**", "transmit"), state, "2 of 3", True, "/camera/**")
+    summary = on_server(a("/scan"), link=replace(UP, patterns=(pattern, pattern)))
+    assert summary.state is robot_state
+    assert ("/camera/**" in summary.why) is (robot_state is RobotState.WARN)
+    worse = on_server(a("/scan", State.STOPPED), link=replace(UP, patterns=(pattern,)))
+    assert worse.state is RobotState.FAULT

@@ -15,6 +15,7 @@ from rsb_bridge import __version__
 from rsb_bridge.api import EngineApi, EngineError
 from rsb_bridge.control import commands, protocol, requests
 from rsb_bridge.control.arming import RemoteArming
+from rsb_bridge.control.cleaning import Doubted
 from rsb_bridge.control.folders import ControlError, NotServedError
 from rsb_bridge.control.protocol import ProtocolError
 from rsb_bridge.control.requests import Requests
@@ -68,6 +69,7 @@ class RemoteEngine(EngineApi):
         self.read_only = read_only
         self._way: Way = UnixSocket(where) if isinstance(where, Path) else where
         self.same_machine = self._way.same_machine
+        self._doubted = None if self.same_machine else Doubted(time.monotonic())
         self._wants_read_only = read_only
         self.bridge: BridgeInfo
         self._log = EventLog(clock or Clock())
@@ -77,7 +79,7 @@ class RemoteEngine(EngineApi):
         self._waits_for_operator = False
         self._lost = ""
         self._lost_at = 0.0
-        self._receiver: Receiver
+        self._receiver: Receiver | None = None
         self._started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, name="rsb-attached", daemon=True)
         self._loop: asyncio.AbstractEventLoop
@@ -155,10 +157,10 @@ class RemoteEngine(EngineApi):
     # --- commands
 
     def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        return self._request(commands.AddTopic(topic, link), str)
+        return self._request(commands.AddTopic(topic, link), requests.as_text)
 
     def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        return self._request(commands.EditTopic(key, topic), str)
+        return self._request(commands.EditTopic(key, topic), requests.as_text)
 
     def remove_topic(self, key: str) -> Future[None]:
         return self._request(commands.RemoveTopic(key), requests.as_nothing)
@@ -204,13 +206,13 @@ class RemoteEngine(EngineApi):
         return self._request(commands.Peek(key, kept), requests.as_peeked)
 
     def describe(self, key: str) -> Future[str]:
-        return self._request(commands.Describe(key), str)
+        return self._request(commands.Describe(key), requests.as_text)
 
     def template(self, key: str, lane: str = "") -> Future[str]:
-        return self._request(commands.Template(key, lane), str)
+        return self._request(commands.Template(key, lane), requests.as_text)
 
     def call(self, key: str, request: str, lane: str = "") -> Future[str]:
-        return self._request(commands.Call(key, request, lane), str)
+        return self._request(commands.Call(key, request, lane), requests.as_text)
 
     def history(self, seconds: float) -> Future[HistoryReport]:
         return self._request(commands.History(seconds), requests.as_history)
@@ -229,13 +231,12 @@ class RemoteEngine(EngineApi):
         answered: Future[object] = Future()
 
         def convert_answer(_: Future[object]) -> None:
-            error = answered.exception()
             if not done.set_running_or_notify_cancel():
                 return
-            if error is not None:
-                done.set_exception(error)
-            else:
+            try:
                 done.set_result(convert(answered.result()))
+            except EngineError as refused:
+                done.set_exception(refused)
 
         answered.add_done_callback(convert_answer)
         try:
@@ -264,19 +265,22 @@ class RemoteEngine(EngineApi):
     async def _attach_for_ever(self) -> None:
         """Attach, and again when the connection has broken; returns if the first attempt fails."""
         while True:
+            failure = None
             try:
                 reason = await self._attach()
             except NotServedError as error:
                 reason = self._lost or str(error)  # the first reason says more
-            except (ControlError, ProtocolError) as error:
-                reason = str(error)
+            except ControlError as error:
+                reason, failure = str(error), error
+            except ProtocolError as error:
+                reason = f"{self._way.text}: {error}"
             except TimeoutError:
                 reason = f"{self._way.text}: the bridge does not answer"
             except OSError as error:
                 reason = f"{self._way.text}: {error.strerror or error}"
             self._connection = None
             if not self._started.done():
-                self._started.set_exception(ControlError(reason))
+                self._started.set_exception(failure or ControlError(reason))
                 return
             self._lose(reason)
             await asyncio.sleep(_RETRY_EVERY)
@@ -295,6 +299,8 @@ class RemoteEngine(EngineApi):
                 if not data:
                     return "the bridge's process has ended, or has closed the connection"
                 for message in frames.feed(data):
+                    if self._doubted is not None:
+                        message = self._doubted(message, time.monotonic())  # noqa: PLW2901 -- the same one, cleaned
                     if isinstance(message, (protocol.Goodbye, protocol.Refused)):
                         return message.reason
                     complete = self._handle(message) or complete
@@ -308,13 +314,15 @@ class RemoteEngine(EngineApi):
                 self.read_only = message.read_only
                 self._welcome(message.bridge)
             case protocol.State():
+                if self._receiver is None:
+                    raise ProtocolError("a state before the welcome")
                 if self._receiver.take(message):
-                    self._show()
+                    self._show(self._receiver)
                     return True
             case protocol.Events():
                 for event in message.events:
                     self._log.append(event)
-                self._followed = message.events[-1].number
+                    self._followed = event.number
             case protocol.Step() | protocol.Reply() | protocol.Failed():
                 self._requests.take(message)
             case protocol.Summary():
@@ -331,12 +339,11 @@ class RemoteEngine(EngineApi):
         if self._lost:
             what = f", which has been started anew (pid {bridge.pid})" if another else ""
             self._log.add(Level.INFO, EventCode.ATTACH_AGAIN, f"attached to {bridge.name} again{what}")
-        self._receiver = Receiver(bridge)
+        self._receiver = Receiver(bridge, believed=self._doubted is None)
         self._look()
         self._send(protocol.Follow(self._followed))
 
-    def _show(self) -> None:
-        received = self._receiver
+    def _show(self, received: Receiver) -> None:
         assert received.snapshot is not None
         assert received.session is not None
         self._session = received.session
@@ -359,7 +366,8 @@ class RemoteEngine(EngineApi):
             self._lost = reason
         self._requests.fail(reason)
         if is_new:
-            text = f"not attached to {self.bridge.name} any more: {reason}; trying again"
+            why = reason.removeprefix(f"{self._way.text}: ")
+            text = f"not attached to {self.bridge.name} any more: {why}; trying again"
             self._log.add(Level.ERROR, EventCode.ATTACH_LOST, text)
 
     def _send(self, message: ToBridge) -> None:

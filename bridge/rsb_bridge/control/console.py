@@ -177,11 +177,12 @@ class Console:
         elif not self._welcomed:
             raise ProtocolError("no hello")
         elif isinstance(message, protocol.Look):
-            self._looking = True
-            self._looked_at = self._loop.time()
-            self._tasks.spawn(self._show())
+            if not self._looking:
+                self._looking = True
+                self._looked_at = self._loop.time()
+                self._tasks.spawn(self._show())
         elif isinstance(message, protocol.Follow):
-            self._after = message.after
+            self._after = max(0, message.after)
             self._send_events()
         elif isinstance(message, protocol.Watch):
             self._watching = True

@@ -32,6 +32,10 @@ class ControlError(EngineError):
     """A control socket cannot be used; the message says why."""
 
 
+class UnclearError(ControlError):
+    """Several engines may be meant; the message says which."""
+
+
 class NotServedError(ControlError):
     """No process listens on a control socket."""
 

@@ -7,12 +7,13 @@ import os
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.folders import ControlError, UnclearError
 from rsb_bridge.control.sealed import SealedAcceptor
 from rsb_bridge.control.sealed_way import Sealed
 from rsb_bridge.control.summaries import Summaries
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.text import join_first
 from rsb_bridge.transport.zenoh.network import Network
 from rsb_bridge.transport.zenoh.outbox import LINK_RANK
 from rsb_bridge.transport.zenoh.pipe import Pipe
@@ -30,6 +31,10 @@ if TYPE_CHECKING:
 ENGINE, CONSOLE = "engine", "console"
 """The services by which engines and consoles announce themselves."""
 
+_TRIED = 8
+"""Engines of one name that are asked for a proof."""
+_NAMES = 20
+"""That a message names."""
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 
 
@@ -190,24 +195,55 @@ class FleetWay:
         """Find it, and connect."""
         presence = FleetPresence(self._file)
         try:
-            await presence.join()
-            connection = await presence.sealed(self._chosen(presence)).open(within)
+            try:
+                await presence.join()
+            except OSError as error:
+                raise ControlError(str(error)) from None
+            connection = await self._proven(presence, self._meant(presence), within)
         except BaseException:
             presence.close()
             raise
         return _Leaving(connection, presence)
 
-    def _chosen(self, presence: FleetPresence) -> Member:
+    def _meant(self, presence: FleetPresence) -> list[Member]:
+        """Those of the name.
+
+        Raises:
+            ControlError: nobody is called so.
+            UnclearError: no name is given, and there are several.
+        """
         fleet, engine = self._file.zenoh.fleet, self._engine
         names = sorted(member.name for member in presence.members.values())
-        known = f"; there are {', '.join(names)}" if names else "; nobody is there"
+        known = f"; there are {join_first(names, _NAMES)}" if names else "; nobody is there"
         found = [member for member in presence.members.values() if engine in ("", member.name)]
         if not found:
-            raise ControlError(f"no engine {engine!r} is in the fleet {fleet}{known}")
-        if len(found) > 1:
-            what = f"several engines are called {engine!r}" if engine else "several engines are there: say which"
-            raise ControlError(f"the fleet {fleet}: {what}{known}")
-        return found[0]
+            raise ControlError(f"no engine {engine!r} is in the fleet {fleet}{known}" if engine else
+                               f"no engine is in the fleet {fleet}")  # fmt: skip
+        if len(found) > 1 and not engine:
+            raise UnclearError(f"several engines are in the fleet {fleet}: say which{known}")
+        return found
+
+    async def _proven(self, presence: FleetPresence, members: list[Member], within: float) -> Connection:
+        """A connection to the one that proves to be the engine: who has no key may call itself as it likes.
+
+        Raises:
+            UnclearError: several do.
+            ControlError: none does.
+        """
+        opened = await asyncio.gather(
+            *(presence.sealed(member).open(within) for member in members[:_TRIED]), return_exceptions=True
+        )
+        connections = [each for each in opened if not isinstance(each, BaseException)]
+        if len(connections) == 1:
+            return connections[0]
+        for connection in connections:
+            connection.abort()
+        if connections:
+            raise UnclearError(
+                f"{len(connections)} engines of the fleet {self._file.zenoh.fleet} are called {self._engine!r}: "
+                "give them names of their own"
+            )
+        raise next(each for each in opened if isinstance(each, BaseException))
 
 
 class _Leaving:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.control.commands import Command
     from rsb_bridge.model.snapshot import TopicInfo
+
+T = TypeVar("T")
 
 
 class Requests:
@@ -73,31 +75,42 @@ def as_nothing(_: object) -> None:
     return
 
 
+def as_text(value: object) -> str:
+    """Of a command that gives a key, a type's description, or a message."""
+    return _of(str, value)
+
+
 def as_peeked(value: object) -> PeekedMessage | None:
     """Of `Peek`."""
-    assert value is None or isinstance(value, PeekedMessage)
-    return value
+    return None if value is None else _of(PeekedMessage, value)
 
 
 def as_reloaded(value: object) -> Reloaded:
     """Of `Reload`."""
-    assert isinstance(value, Reloaded)
-    return value
+    return _of(Reloaded, value)
 
 
 def as_history(value: object) -> HistoryReport:
     """Of `History`."""
-    assert isinstance(value, HistoryReport)
-    return value
+    return _of(HistoryReport, value)
 
 
 def as_outcome(value: object) -> Outcome:
     """Of `Bench`."""
-    assert isinstance(value, Outcome)
-    return value
+    return _of(Outcome, value)
 
 
 def as_topics(value: object) -> list[TopicInfo]:
     """Of `Topics`."""
-    assert isinstance(value, tuple)
-    return list(value)
+    return list(_of(tuple, value))
+
+
+def _of(kind: type[T], value: object) -> T:
+    """An answer of the kind that was asked for.
+
+    Raises:
+        EngineError: it is another one.
+    """
+    if not isinstance(value, kind):
+        raise EngineError("the bridge's answer is no answer to this command")
+    return value

@@ -336,8 +336,10 @@ class SealedConsole(asyncio.Protocol):
 
 def _origin(peername: object) -> tuple[str, str]:
     """The host that a connection comes from, and with its port, as a stream says; for a log."""
-    if isinstance(peername, tuple) and len(peername) >= 2:
+    if isinstance(peername, tuple) and len(peername) >= 2 and peername[1]:
         host, port = sanitize_text(str(peername[0]), _PEER_LENGTH), sanitize_text(str(peername[1]), _PEER_LENGTH)
         return host, f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    if isinstance(peername, tuple) and peername:  # what has no ports
+        peername = peername[0]
     text = sanitize_text(str(peername or "an unknown place"), _PEER_LENGTH)
     return text, text

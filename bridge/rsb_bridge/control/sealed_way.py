@@ -116,6 +116,8 @@ class _Sealed(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         if not self.admitted.done():
             self._end(f"{self._engine}: the connection was closed before anybody answered")
+        elif exc is not None and not self._ended:
+            self._end(f"{self._engine}: {getattr(exc, 'strerror', None) or exc}")
         elif not self._ended:
             self._ended = True
             self._reader.feed_eof()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from rsb_bridge.control.cleaning import check_length, check_routes, clean
 from rsb_bridge.control.protocol import ROUTES_IN_STATE, ProtocolError, State, decode_route, encode_route
 from rsb_bridge.model import snapshot as model
 from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
@@ -91,6 +92,7 @@ class Receiver:
 
     Args:
         bridge: who tells.
+        believed: it is on this machine; of another one, what it tells is kept within bounds, and cleaned.
 
     Attributes:
         snapshot: the newest; None: none is complete yet.
@@ -98,7 +100,8 @@ class Receiver:
         waits_for_operator: as in the newest state.
     """
 
-    def __init__(self, bridge: BridgeInfo) -> None:
+    def __init__(self, bridge: BridgeInfo, *, believed: bool = True) -> None:
+        self._believed = believed
         self.snapshot: Snapshot | None = None
         self.session: Session | None = None
         self.waits_for_operator = False
@@ -110,11 +113,15 @@ class Receiver:
         """Take a message; whether it completes a state.
 
         Raises:
-            ProtocolError: it contradicts itself or the ones before.
+            ProtocolError: it contradicts itself or the ones before, or is more than any engine tells.
         """
+        if not self._believed:
+            check_routes(state.routes)
         for raw in state.routes:
-            route = decode_route(raw)
+            route = decode_route(raw) if self._believed else clean(decode_route(raw))
             self._routes[route.key] = route
+        if not self._believed:
+            check_length(len(self._routes))
         if state.more:
             return False
         if state.keys is not None:
@@ -128,6 +135,8 @@ class Receiver:
             raise ProtocolError(f"a state without the route {error}") from None
         if self.session is None:
             raise ProtocolError("a state without a session")
+        if len(self._routes) != len(self._keys):
+            raise ProtocolError("a state that has a route twice")
         self.waits_for_operator = state.waits_for_operator
         self.snapshot = Snapshot(
             time=state.time,

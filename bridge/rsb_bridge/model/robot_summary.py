@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.model.health import link_is_wrong, route_is_wrong
+from rsb_bridge.model.health import link_is_wrong, pattern_is_wrong, route_is_wrong
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural, sanitize_text
@@ -317,6 +317,10 @@ def _state(
         return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
+    partial = [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]
+    if partial:
+        pattern, link = partial[0]
+        return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
     if links and all(link.state is State.WAITING for link in links):
         return RobotState.WAITING, links[0].reason, links[0].since
     return RobotState.OK, "", max((link.since for link in links if link.state is State.OK), default=snapshot.time)

@@ -15,6 +15,7 @@ import msgspec
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.model.text import plural
 from rsb_console.command.fleet_arguments import ALLOWED
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
@@ -282,6 +283,7 @@ def _agreed(question: str) -> bool:
 def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequence[Step]) -> int:
     """Say how far it has come, and go back if that is wanted. Returns the exit code."""
     stopped = outcome.failed is not None or bool(outcome.left)
+    unreached = [step for step in steps if not step.reached]
     lines = list(report(rollout, outcome)) if stopped else []
     for line in () if arguments.json else lines:
         print_error(line)
@@ -296,7 +298,8 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
     if arguments.json:
         failed = outcome.failed
         print_line(json_line({
-            "ok": not stopped, "plan": [*map(_planned, steps)], "done": [step.name for step in outcome.done],
+            "ok": not stopped and not unreached, "plan": [*map(_planned, steps)],
+            "done": [step.name for step in outcome.done],
             "failed": None if failed is None else {"robot": failed.name, "why": outcome.why},
             "left": [step.name for step in outcome.left], "undone": undone,
             "not_undone": [{"robot": step.name, "why": why} for step, why in kept],
@@ -308,8 +311,10 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
         for line in way_back(rollout, outcome):
             print_error(line)
     else:
-        print_line(f"done on {len(outcome.done)} {'robot' if len(outcome.done) == 1 else 'robots'}")
-    return FAILURE if stopped else OK
+        print_line(f"done on {len(outcome.done)} {plural(len(outcome.done), 'robot')}")
+    if unreached and not stopped and not arguments.json:
+        print_error(f"not reached: {names_of(unreached)}")
+    return FAILURE if stopped or unreached else OK
 
 
 _COMMANDS: dict[str, Callable[[Namespace], int]] = {"show": _show, "dismiss": _dismiss, "exec": _exec, "edit": _edit}

@@ -54,7 +54,8 @@ for example:
 
 exit codes:
   0  done on every robot that has the topic; or nothing is to change
-  1  it has stopped, or was not wanted; or with --dry-run, it cannot be done on one
+  1  it has stopped, or was not wanted, or a robot was not reached; or with --dry-run,
+     it cannot be done on one
 {_NO_SERVER}"""
 ALLOWED = (
     "status", "topics", "add", "edit", "remove", "pause", "resume", "disarm", "retry", "events", "echo", "wait", "call",

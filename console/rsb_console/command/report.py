@@ -50,7 +50,8 @@ def _report(arguments: Namespace, seconds: float) -> HistoryReport:
         UsageError: several do, and the arguments do not say which.
     """
     name = arguments.bridge
-    if arguments.control is not None or any(name in (None, bridge.name) for bridge in running_bridges()):
+    named = arguments.control is not None or arguments.fleet is not None
+    if named or any(name in (None, bridge.name) for bridge in running_bridges()):
         return ask_history(arguments, seconds)
     if name is not None and (os.sep in name or name.endswith(EVENTS)):
         path = Path(name)

@@ -12,7 +12,7 @@ from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.yaml_text import SessionError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError, hidden_services
+from rsb_bridge.control.folders import ControlError, UnclearError, hidden_services
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.text import join_first
 from rsb_console.command.reports import json_line
@@ -63,7 +63,7 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
     """Do something; what goes wrong is said in words, and gives an exit code."""
     try:
         return work(arguments)
-    except UsageError as error:
+    except (UsageError, UnclearError) as error:
         return failed(arguments, str(error), USAGE)
     except (NoBridgeError, ControlError) as error:
         return failed(arguments, str(error), NOT_RUNNING)

@@ -35,6 +35,7 @@ class Step:
         new: what it becomes; None: nothing changes.
         changes: the fields that differ, in words.
         problem: why nothing can change; empty: it can, or nothing differs.
+        reached: whether it is known what the robot has.
     """
 
     robot: Robot
@@ -43,6 +44,7 @@ class Step:
     new: Topic | None = None
     changes: tuple[str, ...] = ()
     problem: str = ""
+    reached: bool = True
 
     @property
     def name(self) -> str:
@@ -118,7 +120,7 @@ class Rollout:
         try:
             engine = robot.source.open(robot.summary.name, read_only=True)
         except EngineError as error:
-            return Step(robot, problem=str(error))
+            return Step(robot, problem=str(error), reached=False)
         try:
             return self._step(robot, engine)
         except (TypedError, EngineError) as error:

@@ -14,9 +14,11 @@ class FleetSource(Protocol):
 
     Attributes:
         name: what an operator calls it: ``control``, the server's name. No other source has it.
+        kind: what it is: ``server``, ``fleet``.
     """
 
     name: str
+    kind: str
 
     @property
     def problem(self) -> str:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.api import EngineError
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.over_zenoh import FleetPresence, FleetWay
 from rsb_bridge.control.watching import watch
 from rsb_bridge.model.backoff import Backoff
-from rsb_bridge.model.robot_summary import RobotState, RobotSummary, decode
+from rsb_bridge.model.robot_summary import WHY_LENGTH, RobotState, RobotSummary, decode
+from rsb_bridge.model.text import sanitize_text
 
 if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
@@ -29,6 +29,7 @@ _FIRST_HEARD_WITHIN = 5.0
 """s that `ZenohFleet.start` waits for the first word of each engine."""
 MOST = 2000
 """Engines that are watched; anybody in the network may announce any number of them."""
+_LEFT = "it has left the Zenoh network"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
 _AT_ONCE = 16
 """Connections that are being made: 200 handshakes would take a core for a moment."""
@@ -41,14 +42,16 @@ class ZenohFleet:
         file: names the fleet, and the operator.
     """
 
+    kind = "fleet"
+
     def __init__(self, file: FleetFile) -> None:
         self.name = file.zenoh.fleet
         self._file = file
         self._robots: dict[str, RobotSummary] = {}
         self._presence: FleetPresence | None = None
         self._watches: dict[str, asyncio.Task[None]] = {}
-        self._names: dict[str, str] = {}  # by address
-        self._problem = ""
+        self._names: dict[str, str] = {}  # of rows, by address
+        self._called: dict[str, str] = {}  # what the engine of a row calls itself
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
         self._loop = asyncio.new_event_loop()
@@ -78,7 +81,7 @@ class ZenohFleet:
         return list(self._robots.values())
 
     def open(self, robot: str, *, read_only: bool) -> RemoteEngine:
-        engine = RemoteEngine(FleetWay(self._file, robot), read_only=read_only)
+        engine = RemoteEngine(FleetWay(self._file, self._called.get(robot, robot)), read_only=read_only)
         engine.start()
         return engine
 
@@ -95,7 +98,7 @@ class ZenohFleet:
             await presence.join()
         except OSError as error:
             presence.close()
-            self._started.set_exception(EngineError(str(error)))
+            self._started.set_exception(ControlError(str(error)))
             return
         self._presence = presence
         try:
@@ -123,9 +126,11 @@ class ZenohFleet:
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
-                self._gone(name, "it has left the Zenoh network", RobotState.MISSING)
+                why = "out of reach: this console has lost its Zenoh router" if self.problem else _LEFT
+                self._gone(name, why, RobotState.MISSING)
         elif len(self._watches) < MOST:
             name = self._names[member.address] = self._free_name(member.name)
+            self._called[name] = member.name
             known = self._robots.get(name)
             if known is None:
                 self._robots[name] = RobotSummary(name=name, version=member.version, since=time.time())
@@ -165,6 +170,7 @@ class ZenohFleet:
         self._set(name, msgspec.structs.replace(summary, name=name, why=why, state=state, seen=now, since=since))
 
     def _gone(self, name: str, why: str, state: RobotState) -> None:
+        why = sanitize_text(why, WHY_LENGTH)  # it may be the engine's
         before = self._robots[name]
         if (before.state, before.why) != (state, why):
             self._set(name, RobotSummary(

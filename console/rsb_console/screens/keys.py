@@ -160,15 +160,23 @@ class KeysScreen(ModalScreen[None]):
         engine, now = self.console.engine, time.time()
         links = () if engine is None else engine.snapshot().links
         used = [link.fingerprint for link in links if link.state is State.OK]
-        files = self._made if engine is None else self._made | key_files(engine.session, self.console.base)
+        files = self._made
+        if engine is not None and engine.same_machine:
+            files = files | key_files(engine.session, self.console.base)
         self.table.show([look_at(path, user, used, now) for path, user in files.items()])
         self.on_selectable_list_cursor_moved()
 
     def on_selectable_list_cursor_moved(self) -> None:
         """Say what is to be known of the file."""
         file = self.table.selected
-        self._note.set_text("No key file yet: g makes one." if file is None else file.note)
+        self._note.set_text(self._no_file() if file is None else file.note)
         self._written.update("" if file is None else file.written)
+
+    def _no_file(self) -> str:
+        engine = self.console.engine
+        if engine is not None and not engine.same_machine:
+            return f"The key files of {engine.session.name} are on its own machine."
+        return "No key file yet." if self.console.readonly else "No key file yet: g makes one."
 
     @work(group=DIALOG)
     async def action_generate(self) -> None:

@@ -1,0 +1,147 @@
+"""What an engine elsewhere says, made fit for a console: its texts reach terminals, its figures are drawn.
+
+An engine on this machine is the user's own process and is believed. One that is reached over a network may have been
+taken over, and the operator's key is no reason to believe what it says.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+
+import msgspec
+
+from rsb_bridge.control.protocol import Events, Failed, Goodbye, ProtocolError, Refused, Reply
+from rsb_bridge.model.text import UNPRINTABLE, sanitize_text
+from rsb_bridge.model.token_bucket import TokenBucket
+from rsb_bridge.telemetry.event_log import KEPT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rsb_bridge.control.protocol import ToConsole
+
+M = TypeVar("M")
+
+MOST_ITEMS: Final = 20_000
+"""Of anything that a message lists, and routes of an engine."""
+ROUTE_BYTES: Final = 32 << 10
+"""Of one route in a message: the longest list of nodes, goals and figures takes a few kilobytes."""
+TEXT: Final = 4096
+"""Characters of a text."""
+_EARLIEST, _LATEST = -1e10, 2.5e11
+"""Of any figure: as s since the epoch, both are dates that Python can write."""
+_EVENTS, _EVENTS_A_SECOND = 3 * KEPT, 50.0
+"""An engine tells those that it has kept, at each of its starts, and then limits itself to fewer than this."""
+_MOST_COUNTED = 10**18
+_not_in_lines = re.compile(f"(?![\\n\\t])[{UNPRINTABLE}\\ud800-\\udfff]")
+
+_names: dict[type, tuple[str, ...]] = {}
+
+
+def clean(message: M) -> M:
+    """A decoded message, or a part of one, with nothing in it that does anything to a terminal, or cannot be drawn.
+
+    Unprintable characters are replaced, texts are cut, figures are finite, and no count is below 0. Of several lines
+    are only the texts that answer a command, and those that say why something is not done.
+
+    Raises:
+        ProtocolError: it lists more than any engine does.
+    """
+    cleaned = _clean(message)
+    match message:
+        case Reply(value=str(text)):
+            cleaned = _replace(cleaned, {"value": _lines(text)})
+        case Failed(reason=reason) | Goodbye(reason=reason) | Refused(reason=reason):
+            cleaned = _replace(cleaned, {"reason": _lines(reason[:TEXT])})
+    return cast("M", cleaned)
+
+
+class Doubted:
+    """Cleans what one engine says, over all connections to it, and bounds how many events it tells of.
+
+    Args:
+        now: s on a monotonic clock.
+    """
+
+    def __init__(self, now: float) -> None:
+        self._events = TokenBucket(_EVENTS, _EVENTS_A_SECOND, now)
+
+    def __call__(self, message: ToConsole, now: float) -> ToConsole:
+        """A message, cleaned; the routes of a state are not decoded yet.
+
+        Raises:
+            ProtocolError: it is more than any engine says.
+        """
+        if isinstance(message, Events) and not self._events.take(len(message.events), now):
+            raise ProtocolError("more events than any bridge reports")
+        return clean(message)
+
+
+def check_routes(messages: Sequence[msgspec.Raw]) -> None:
+    """Check the sizes of routes before they are decoded.
+
+    Raises:
+        ProtocolError: one is larger than any engine's.
+    """
+    for each in messages:
+        if (size := len(memoryview(each))) > ROUTE_BYTES:
+            raise ProtocolError(f"a route of {size:,} bytes; at most {ROUTE_BYTES:,} are allowed")
+
+
+def check_length(length: int) -> None:
+    """Check how much is listed.
+
+    Raises:
+        ProtocolError: more than any engine does.
+    """
+    if length > MOST_ITEMS:
+        raise ProtocolError(f"a list of {length:,}; at most {MOST_ITEMS:,} are allowed")
+
+
+def _clean(value: Any) -> Any:
+    """What is clean is given back as it is."""
+    kind = type(value)
+    if kind is str:
+        is_plain = len(value) <= TEXT and value.isascii() and value.isprintable()
+        return value if is_plain else sanitize_text(value, TEXT)
+    if kind is float:
+        return value if _EARLIEST <= value <= _LATEST else _figure(value)
+    if kind is int:
+        return min(max(value, 0), _MOST_COUNTED)
+    if kind is tuple or kind is list:
+        check_length(len(value))
+        return kind(map(_clean, value))
+    if kind is dict:
+        check_length(len(value))
+        return {_clean(key): _clean(each) for key, each in value.items()}
+    names = _names.get(kind)
+    if names is None:
+        names = _names[kind] = _fields(kind)
+    before = {name: getattr(value, name) for name in names}
+    after = {name: _clean(each) for name, each in before.items()}
+    if after == before:
+        return value
+    return _replace(value, after)
+
+
+def _replace(value: Any, changes: dict[str, Any]) -> Any:
+    kind = msgspec.structs.replace if isinstance(value, msgspec.Struct) else dataclasses.replace
+    return kind(value, **changes)
+
+
+def _fields(kind: type) -> tuple[str, ...]:
+    """The fields of an object that has others in it; none of what is a value by itself, as a member of an enum."""
+    if issubclass(kind, msgspec.Struct):
+        return kind.__struct_fields__
+    return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
+
+
+def _lines(text: str) -> str:
+    return _not_in_lines.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+def _figure(figure: float) -> float:
+    return min(max(figure, _EARLIEST), _LATEST) if math.isfinite(figure) else 0.0

@@ -1,0 +1,140 @@
+"""Commands with --fleet: over a real Zenoh router, what they do, what they print for programs, and how they exit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.command.test_remote import Ran
+from tests.support.operators import ANNA, BOB, granted
+from tests.support.zenoh_fleet import Fleet
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    Run = Callable[..., Ran]
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    fleet = Fleet(tmp_path)
+    yield fleet
+    fleet.close()
+
+
+@pytest.fixture
+def anna(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> Run:
+    return as_operator(fleet, capsys, "anna")
+
+
+@pytest.fixture
+def bob(fleet: Fleet, capsys: pytest.CaptureFixture[str]) -> Run:
+    return as_operator(fleet, capsys, "bob")
+
+
+def as_operator(fleet: Fleet, capsys: pytest.CaptureFixture[str], name: str) -> Run:
+    """Runs a command with the fleet file of an operator."""
+    path = fleet.write_file(name, {"anna": ANNA, "bob": BOB}[name])
+
+    def run(command: str, *words: str) -> Ran:
+        before: tuple[str, ...] = words
+        rest: tuple[str, ...] = ()
+        if "--" in words:
+            at = words.index("--")
+            before, rest = words[:at], words[at:]
+        return Ran(capsys, *command.split(), *before, "--fleet", str(path), *rest)
+
+    return run
+
+
+def test_a_command_is_for_the_engine_that_is_named(fleet: Fleet, anna: Run) -> None:
+    fleet.add("robot1")
+    fleet.add("robot2")
+    assert anna("retry", "robot2").code == 0
+    assert fleet.engines["robot2"].commands == [("retry", "")]
+    assert fleet.engines["robot1"].commands == []
+    status = anna("status", "robot1", "--json").json
+    assert (status["name"], status["ok"]) == ("robot1", False)
+    assert anna("pause", "/goal_pose", "--bridge", "robot1").code == 0
+    assert fleet.engines["robot1"].commands == [("pause", "/goal_pose", True)]
+
+
+def test_who_is_not_there_and_who_is_not_named_have_codes_of_their_own(fleet: Fleet, anna: Run) -> None:
+    fleet.add("robot1")
+    assert anna("retry").code == 0, "there is but one"
+    fleet.add("robot2")
+    assert anna("retry").code == 2
+    assert anna("retry", "robot3").code == 3
+    assert anna("retry", "robot3", "--json").json["ok"] is False
+
+
+def test_who_may_look_is_refused(fleet: Fleet, bob: Run) -> None:
+    fleet.add("robot1")
+    assert bob("topics", "robot1").code == 0
+    assert bob("retry", "robot1").code == 1
+    assert fleet.engines["robot1"].commands == []
+
+
+def test_a_key_that_an_engine_does_not_take_is_said(fleet: Fleet, anna: Run) -> None:
+    fleet.add("robot1")
+    fleet.accesses["robot1"].grant(granted("anna", BOB))
+    refused = anna("status", "robot1")
+    assert refused.code == 3
+    assert "the keys of 'anna' differ" in refused.err
+
+
+def test_a_router_that_is_lost_is_said_by_every_command(fleet: Fleet, anna: Run) -> None:
+    fleet.router.kill()
+    for command in ("status robot1", "fleet --json", "fleet exec --all"):
+        said = anna(command, *(("--", "topics") if "exec" in command else ()))
+        assert said.code == 3
+        assert fleet.router.endpoint in said.out + said.err
+
+
+def test_a_file_with_mistakes_is_wrong_usage(fleet: Fleet, anna: Run, tmp_path: Path) -> None:
+    (tmp_path / "anna.yaml").write_text("operator: anna\n")
+    assert anna("status").code == 2
+    assert anna("fleet --json").code == 2
+    (tmp_path / "anna.yaml").unlink()
+    assert anna("status").code == 2
+
+
+def test_all_robots_are_reported(fleet: Fleet, anna: Run) -> None:
+    fleet.add("robot1")
+    fleet.add("robot2")
+    fleet.accesses["robot2"].grant({})
+    report = anna("fleet --json", "--seconds", "0.1")
+    assert report.code == 1
+    robots: dict[str, Any] = {robot["name"]: robot for robot in report.json["robots"]}
+    assert robots["robot1"]["routes"] > 0
+    assert robots["robot2"]["state"] == "fault"
+    assert robots["robot2"]["seen"] is None
+    assert {robot["server"] for robot in robots.values()} == {"lab"}
+
+
+def test_a_command_runs_for_some_robots(fleet: Fleet, anna: Run, bob: Run) -> None:
+    for name in ("robot1", "robot2", "robot3"):
+        fleet.add(name)
+    done = anna("fleet exec", "robot1", "robot3", "--json", "--", "retry")
+    assert (done.code, [robot["code"] for robot in done.json["robots"]]) == (0, [0, 0])
+    assert [fleet.engines[name].commands for name in sorted(fleet.engines)] == [[("retry", "")], [], [("retry", "")]]
+    assert bob("fleet exec", "robot2", "--", "retry").code == 1
+    assert fleet.engines["robot2"].commands == []
+
+
+def test_a_robot_that_is_not_reached_is_not_done(fleet: Fleet, anna: Run) -> None:
+    fleet.add("robot1")
+    fleet.add("robot2")
+    fleet.accesses["robot2"].grant({})
+    edited = anna("fleet edit", "--all", "/goal_pose", "max_rate=5", "--yes", "--settle", "0.1", "--json")
+    assert edited.code == 1
+    assert edited.json["ok"] is False
+    assert [name for name, *_ in fleet.engines["robot2"].commands] == []
+
+
+def test_a_report_is_of_the_robot_and_of_no_file_here(fleet: Fleet, anna: Run) -> None:
+    fleet.add("robot1")
+    assert anna("report", "robot1", "--json").code == 0
+    assert [name for name, *_ in fleet.engines["robot1"].commands] == ["history"]

@@ -1,0 +1,206 @@
+"""An engine elsewhere that has been taken over: what it says does nothing to a terminal, and can be drawn."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, get_args
+
+import msgspec
+import pytest
+from tests.console.scripted import CALL_ROUTES, EVENTS, LINK, REMEMBERED, ROUTES, SESSION
+from tests.support.operators import BOB, Reachable, Stranger
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.control import protocol
+from rsb_bridge.control.cleaning import MOST_ITEMS, ROUTE_BYTES, TEXT, Doubted, check_routes, clean
+from rsb_bridge.control.protocol import BridgeInfo, ProtocolError, ToConsole
+from rsb_bridge.control.states import Receiver
+from rsb_bridge.model.snapshot import Event, Level, RouteSnapshot
+from rsb_bridge.model.text import is_clean
+from rsb_bridge.telemetry.event_log import KEPT
+
+if TYPE_CHECKING:
+    from tests.support.control import Machine
+
+ESCAPES = "\x1b]0;owned\x07\x1b[2J\u202egpj\x9b1m\r\u2066\u200b[red]"
+BRIDGE = BridgeInfo("robot1", "client", "10.0.0.20:49152", 1, 0.0, "i", "0.1")
+
+
+def nasty(kind: msgspec.inspect.Type, text: str, figure: float) -> Any:
+    """Something of a type in which every text and every figure is as given: what a decoder lets through."""
+    inspect = msgspec.inspect
+    match kind:
+        case inspect.StructType(fields=fields, tag=tag, array_like=True):
+            values = [nasty(field.type, text, figure) for field in fields]
+            return values if tag is None else [tag, *values]
+        case inspect.StructType(fields=fields, tag=tag, tag_field=tag_field):
+            tagged = {} if tag is None else {tag_field: tag}
+            return tagged | {field.encode_name: nasty(field.type, text, figure) for field in fields}
+        case inspect.DataclassType(fields=fields):
+            return {field.encode_name: nasty(field.type, text, figure) for field in fields}
+        case inspect.VarTupleType(item_type=item) | inspect.ListType(item_type=item):
+            return [] if isinstance(item, inspect.RawType) else [nasty(item, text, figure)]
+        case inspect.TupleType(item_types=items):
+            return [nasty(item, text, figure) for item in items]
+        case inspect.DictType(key_type=key, value_type=value):
+            return {nasty(key, text, figure): nasty(value, text, figure)}
+        case inspect.UnionType(types=types):
+            return nasty(
+                max(types, key=lambda each: isinstance(each, inspect.StrType | inspect.StructType)), text, figure
+            )
+        case inspect.EnumType(cls=cls):
+            return next(iter(cls)).value
+        case inspect.LiteralType(values=values):
+            return values[0]
+        case inspect.StrType():
+            return text
+        case inspect.FloatType():
+            return figure
+        case inspect.IntType():
+            return -(10**9)
+        case inspect.BytesType():
+            return b""
+        case inspect.BoolType():
+            return True
+        case inspect.NoneType():
+            return None
+    raise AssertionError(f"a type that no message has had before: {kind}")
+
+
+def all_in(value: Any) -> Any:
+    """Everything that a message holds, whatever it is in."""
+    plain = msgspec.to_builtins(value)
+    waiting = [plain]
+    while waiting:
+        each = waiting.pop()
+        yield each
+        if isinstance(each, dict):
+            waiting += [*each, *each.values()]
+        elif isinstance(each, list | tuple):
+            waiting += each
+
+
+KINDS: tuple[type, ...] = get_args(ToConsole)
+
+
+@pytest.mark.parametrize("figure", [math.nan, math.inf, -math.inf, 1e308])
+@pytest.mark.parametrize("kind", [*KINDS, RouteSnapshot], ids=lambda kind: kind.__name__)
+def test_every_text_and_figure_of_every_message_is_cleaned(kind: type, figure: float) -> None:
+    said = msgspec.msgpack.encode(nasty(msgspec.inspect.type_info(kind), ESCAPES, figure))
+    made: Any = msgspec.msgpack.decode(said, type=kind)
+    dirty = [each for each in all_in(made) if isinstance(each, str) and not is_clean(each)]
+    assert dirty or kind is protocol.Summary, "the test has something to find"
+    for each in all_in(clean(made)):
+        if isinstance(each, str):
+            assert is_clean(each)
+        elif isinstance(each, float):
+            assert math.isfinite(each)
+            time.localtime(each)
+        elif isinstance(each, int):
+            assert each >= 0
+
+
+@pytest.mark.parametrize(
+    "value", [ROUTES, CALL_ROUTES, LINK, SESSION, REMEMBERED, EVENTS, BRIDGE], ids=lambda value: type(value).__name__
+)
+def test_what_an_honest_engine_says_is_as_it_was(value: object) -> None:
+    assert clean(value) == value
+
+
+def test_answers_keep_their_lines_and_other_texts_have_one() -> None:
+    assert clean(protocol.Reply(1, "a:\n\tb\x1b[m")).value == "a:\n\tb\ufffd[m"
+    assert clean(protocol.Failed(1, "no\nsuch\x9b")).reason == "no\nsuch\ufffd"
+    (event,) = clean(protocol.Events((Event(1, 0.0, Level.INFO, "a\nb", "t"),))).events
+    assert event.code == "a\ufffdb"
+    assert len(clean(protocol.Failed(1, "x" * 100_000)).reason) == TEXT
+    assert len(clean(protocol.Step(1, "x" * 100_000)).text) == TEXT
+
+
+def test_too_much_is_refused() -> None:
+    with pytest.raises(ProtocolError):
+        clean(protocol.State(keys=("a",) * (MOST_ITEMS + 1)))
+    with pytest.raises(ProtocolError):
+        check_routes([msgspec.Raw(b"x" * (ROUTE_BYTES + 1))])
+    doubted = Doubted(0.0)
+    events = protocol.Events(EVENTS[:1] * protocol.EVENTS_AT_ONCE)
+    for _ in range(KEPT // protocol.EVENTS_AT_ONCE):
+        doubted(events, 0.0)
+
+    def tell_for_long() -> None:
+        for _ in range(KEPT):
+            doubted(events, 0.0)
+
+    with pytest.raises(ProtocolError):
+        tell_for_long()
+
+
+def test_routes_that_are_never_listed_are_bounded() -> None:
+    receiver = Receiver(BRIDGE, believed=False)
+    for first in range(0, MOST_ITEMS, 1000):
+        assert not receiver.take(some_routes(first))
+    with pytest.raises(ProtocolError):
+        receiver.take(some_routes(MOST_ITEMS))
+
+
+def some_routes(first: int) -> protocol.State:
+    """A thousand routes, of a state that goes on."""
+    routes = (replace(ROUTES[0], key=str(first + number)) for number in range(1000))
+    return protocol.State(routes=tuple(map(protocol.encode_route, routes)), more=True)
+
+
+def test_a_route_twice_is_refused() -> None:
+    state = protocol.State(
+        routes=(protocol.encode_route(ROUTES[0]),), keys=(ROUTES[0].key,) * 2, links=(LINK,), session=SESSION
+    )
+    with pytest.raises(ProtocolError):
+        Receiver(BRIDGE, believed=False).take(state)
+
+
+def test_a_robot_that_was_taken_over_does_nothing_to_an_attached_console(machine: Machine) -> None:
+    robot = Reachable(machine)
+    robot.engine.now = replace(
+        robot.engine.now,
+        address=ESCAPES,
+        time=math.inf,
+        links=(replace(LINK, reason=ESCAPES, peer=ESCAPES, rtt=math.nan, attempts=-(10**9)),),
+        routes=(replace(ROUTES[0], reason=ESCAPES, rate=math.inf, since=1e300, history=(-5,) * 120),),
+    )
+    robot.engine.happened = [Event(1, math.nan, Level.INFO, ESCAPES, ESCAPES, who=ESCAPES)]
+    robot.engine.described = f"a:\n {ESCAPES}"
+    remote = robot.attach()
+    eventually(remote.events)
+    for each in (remote.snapshot(), remote.session, remote.bridge, remote.topics().result(60)):
+        assert each == clean(each)
+    (event,) = remote.events()
+    assert is_clean(event.text + event.code + event.who)
+    assert math.isfinite(event.time)
+    description = remote.describe("/robot1/scan").result(60)
+    assert description.startswith("a:\n ")
+    assert is_clean(description.replace("\n", ""))
+
+
+def test_an_answer_of_another_kind_is_no_answer(machine: Machine) -> None:
+    robot = Reachable(machine)
+    robot.engine.described = REMEMBERED  # what only a rogue sends
+    remote = robot.attach()
+    with pytest.raises(EngineError):
+        remote.describe("/robot1/scan").result(60)
+    remote.retry().result(60)
+
+
+def test_a_rogue_operator_asks_for_what_never_was_and_looks_all_the_time(machine: Machine) -> None:
+    robot = Reachable(machine)
+    with Stranger(robot.port, "bob", BOB) as rogue:
+        rogue.attach()
+        for _ in range(1000):
+            rogue.say(protocol.Look())
+        for after in (-(2**63), 2**63 - 1, -1, 0):
+            rogue.say(protocol.Follow(after))
+        heard: list[object] = []
+        while not any(isinstance(message, protocol.Events) for message in heard):
+            heard.append(rogue.answer())
+        assert sum(isinstance(message, protocol.State) for message in heard) <= 2, "the state has not changed"
+    assert [route.key for route in robot.attach().snapshot().routes] == [route.key for route in ROUTES]
