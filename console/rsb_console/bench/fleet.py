@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import random
 import signal
 import socket
@@ -12,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.config.session_file import load, save
-from rsb_bridge.model.session import ZENOH_HOST, Client, Session, Topic, ZenohSettings
+from rsb_bridge.model.session import ZENOH_HOST, Client, Operator, Session, Topic, ZenohSettings
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
 from rsb_console.bench import beds
@@ -31,6 +32,7 @@ ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
 MOST_IN_ONE = 50
 """Robots of one process."""
+_OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
 _PORTS = range(20_000, 32_000)
 """None that the kernel gives to a client, who would then sit on the server's port, or connect to itself."""
@@ -86,7 +88,7 @@ def zenoh() -> Iterator[Way]:
     """Robots and the control side connect to a router."""
     router = Router()
     try:
-        settings = ZenohSettings((router.endpoint,), fleet="bench")
+        settings = ZenohSettings((router.endpoint,), fleet="simulated")
         yield Way({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
     finally:
         router.process.stop()
@@ -109,6 +111,7 @@ class Fleet:
         control: the control side's process.
         started: s since the epoch, when the robots were started.
         router: that the links go through; None: none.
+        file: by which an operator's console reaches all engines over Zenoh; None: no operator is let in.
     """
 
     folder: Path
@@ -117,6 +120,7 @@ class Fleet:
     session: Path
     command: Sequence[str]
     router: Router | None = None
+    file: Path | None = None
     processes: list[Process] = field(default_factory=list)
     control: Process | None = None
     started: float = 0.0
@@ -188,8 +192,11 @@ class Fleet:
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
-        """End everything."""
-        for process in [*self.processes, *filter(None, [self.control])]:
+        """End everything, all at once."""
+        processes = [*self.processes, *filter(None, [self.control])]
+        for process in processes:
+            process.signal(signal.SIGTERM)
+        for process in processes:
             process.stop()
 
 
@@ -202,6 +209,8 @@ def fleet(
     over: str = "tcp",
     load: Load = USUAL,
     control: Sequence[str] = ("-m", "rsb_console"),
+    groups: Sequence[str] = (),
+    operated: bool = False,
 ) -> Iterator[Fleet]:
     """Write the sessions and keys of a fleet; what is started of it ends with this.
 
@@ -212,13 +221,22 @@ def fleet(
         over: what the links go over, of `WAYS`.
         load: of each robot.
         control: the Python command that is the control side's `rsb-console`.
+        groups: that the robots belong to, in turn; empty: none.
+        operated: each engine lets an operator in, over Zenoh.
     """
-    names = [f"robot{number:03d}" for number in range(count)]
-    topics = [*((talk.topic, "transmit") for talk in load.talks), *((topic, "receive") for topic in load.hears)]
+    names = [f"robot{number}" for number in range(1, count + 1)]
+    group_of = dict(zip(names, itertools.cycle(groups), strict=False)) if groups else {}
+    topics = (
+        *(Topic(topic=talk.topic, direction="transmit", type=talk.type) for talk in load.talks),
+        *(Topic(topic=topic, direction="receive", type=STRING) for topic in load.hears),
+    )
     with WAYS[over]() as way:
+        common = dict(way.fields)
+        if operated:
+            write_key(folder / _OPERATOR_KEY)
+            common["operators"] = (Operator(_OPERATOR, _OPERATOR_KEY, "change"),)
         for name in names:
             write_key(folder / f"{name}.key")
-            bridged = tuple(Topic(topic=topic, direction=to, type=STRING) for topic, to in topics)  # type: ignore[arg-type]
             session = Session(
                 name=name,
                 role="client",
@@ -226,25 +244,35 @@ def fleet(
                 key_file=f"{name}.key",
                 shutdown_topic=None,
                 diagnostics_topic=None,
-                topics=bridged,
-                **way.fields,
+                topics=topics,
+                group=group_of.get(name),
+                **common,
             )
-            save(session, folder / f"{name}.yaml")
-        clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
+            session_file.save(session, folder / f"{name}.yaml")
+        clients = tuple(Client(name, key_file=f"{name}.key", group=group_of.get(name)) for name in names)
         path = folder / "control.yaml"
-        save(
-            Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way.fields), path
+        control_side = Session(
+            name="control", role="server", domain_id=domain, use_name=True, clients=clients, **common
         )
-        running = Fleet(folder, names, load, path, control, way.router)
+        session_file.save(control_side, path)
+        file = _operators_file(folder, way.fields["zenoh"]) if operated else None
+        running = Fleet(folder, names, load, path, control, way.router, file)
         try:
             yield running
         finally:
             running.stop()
 
 
+def _operators_file(folder: Path, network: ZenohSettings) -> Path:
+    """Write what an operator's console reaches a fleet by; JSON is YAML."""
+    path = folder / "fleet.yaml"
+    path.write_bytes(msgspec.json.encode({"zenoh": network, "operator": _OPERATOR, "key_file": _OPERATOR_KEY}))
+    return path
+
+
 def listening(process: Process, session: Path) -> float:
     """Wait until the control side's server listens; s since the epoch then."""
-    if port := load(session).server_port:
+    if port := session_file.load(session).server_port:
         monotonic = beds.listening(process, port)
         return time.time() - (time.monotonic() - monotonic)
     deadline = time.monotonic() + _READY_WITHIN
