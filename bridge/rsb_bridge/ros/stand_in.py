@@ -11,7 +11,7 @@ import itertools
 import secrets
 import threading
 import time
-import zlib
+from random import Random
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -24,7 +24,6 @@ from rsb_bridge.ros.std_string import STRING, STRING_HASH
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Sequence
-    from random import Random
 
     from rsb_bridge.model.fields import Fields
     from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink, ServiceClient, ServiceServer, Sink
@@ -76,7 +75,7 @@ class StandIn:
         self.muted: set[str] = set()
         self._node = f"/{name}"
         self._types = dict.fromkeys(hears, STRING) | {each.topic: each.type for each in talks}
-        self._began = time.monotonic() - _BATTERY_LASTS * zlib.crc32(name.encode()) / (1 << 32)
+        self._began = time.monotonic() - _BATTERY_LASTS * Random(name).random()  # noqa: S311 -- no secret
         self._hears = frozenset(hears)
         self._gids = {each.topic: secrets.token_bytes(_GID_LENGTH) for each in talks}
         self._readers: dict[str, list[_Reader]] = {}
