@@ -16,6 +16,7 @@ import msgspec
 from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.model.session import ZENOH_HOST, Client, Operator, Session, Topic, ZenohSettings
+from rsb_bridge.ros.battery_state import BATTERY_STATE
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
 from rsb_console.bench import beds
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
+WITH_BATTERY = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
 """Robots of one process."""
 _OPERATOR, _OPERATOR_KEY = "operator", "operator.key"

@@ -16,11 +16,8 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.config.fleet_file import load_fleet
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.robot_summary import RobotState
-from rsb_bridge.ros.battery_state import BATTERY_STATE
-from rsb_bridge.ros.stand_in import Talk
 from rsb_console.bench.ends import BenchError
-from rsb_console.bench.fleet import USUAL, fleet, listening
-from rsb_console.bench.robots import Load
+from rsb_console.bench.fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, print_error, print_line
 from rsb_console.fleet.fleet import Fleet
@@ -36,7 +33,6 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Robot
     from rsb_console.fleet.source import FleetSource
 
-LOAD = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 GROUPS = ("hall", "yard")
 _OPEN_WITHIN, _SEEN_WITHIN = 60.0, 10.0
 _AFTER = 5.0
@@ -75,15 +71,14 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
 def simulated(robots: int) -> Iterator[Simulated]:
     """A fleet whose engines have been started: over Zenoh, or over TCP where that is not installed."""
     over_zenoh = importlib.util.find_spec("zenoh") is not None
-    print_line(f"starting {robots} simulated robots, a control side{' and a Zenoh router' if over_zenoh else ''}")
-    if not over_zenoh:
-        print_line("over TCP: Zenoh is not installed (pip install 'rsb-console[zenoh]')")
+    network = "a Zenoh router" if over_zenoh else "no Zenoh, which is not installed: pip install 'rsb-console[zenoh]'"
+    print_line(f"starting {robots} simulated robots and a control side, with {network}")
     sys.stdout.flush()
     over = "zenoh" if over_zenoh else "tcp"
     with (
         tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
         fleet(
-            Path(folder), robots, domain=own_domain(), over=over, load=LOAD, groups=GROUPS, operated=over_zenoh
+            Path(folder), robots, domain=own_domain(), over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
         ) as running,
     ):
         control = running.start_control()
