@@ -28,7 +28,7 @@ FAULTS = (RobotState.MISSING, RobotState.FAULT, RobotState.WARN)
 class MovingSource:
     """Rates change all the time, and a state every few seconds."""
 
-    name, problem = "control", ""
+    kind, name, problem = "server", "control", ""
 
     def __init__(self) -> None:
         began = time.time()

@@ -41,11 +41,10 @@ def main() -> None:
     parser.add_argument("--domain", type=int, default=DOMAIN, help="the control side's (%(default)s)")
     arguments = parser.parse_args()
     allow_many_descriptors()
+    names = [f"robot{number}" for number in range(1, arguments.robots + 1)]
     with (
         tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
-        fleet(
-            Path(folder), arguments.robots, domain=arguments.domain, over="zenoh", load=LOAD, operated=True
-        ) as running,
+        fleet(Path(folder), names, domain=arguments.domain, over="zenoh", load=LOAD, operated=True) as running,
     ):
         listening(running.start_control(), running.session)
         running.start_robots(running.names)

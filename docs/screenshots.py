@@ -91,7 +91,7 @@ async def of_a_fleet() -> None:
             troubling.start()
             try:
                 await until(lambda: {RobotState.MISSING, RobotState.FAULT} <= states_of(fleet), pilot)
-                await take(pilot, "fleet", "j")
+                await take(pilot, "fleet", "j", "j")  # on the robot with the fault
             finally:
                 over.set()
                 await asyncio.to_thread(troubling.join)

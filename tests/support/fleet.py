@@ -47,7 +47,7 @@ class ScriptedSource:
     """A `FleetSource` that gives what it was given."""
 
     def __init__(self, *robots: RobotSummary, name: str = "control") -> None:
-        self.name, self.problem = name, ""
+        self.kind, self.name, self.problem = "server", name, ""
         self.given = list(robots)
         self.engines: dict[str, ScriptedEngine] = {}
         self.began = self.ended = 0

@@ -205,7 +205,7 @@ class Fleet:
 @contextlib.contextmanager
 def fleet(
     folder: Path,
-    count: int,
+    names: Sequence[str],
     *,
     domain: int,
     over: str = "tcp",
@@ -218,7 +218,7 @@ def fleet(
 
     Args:
         folder: for all files.
-        count: of robots.
+        names: of the robots.
         domain: the control side's.
         over: what the links go over, of `WAYS`.
         load: of each robot.
@@ -226,7 +226,6 @@ def fleet(
         groups: that the robots belong to, in turn; empty: none.
         operated: each engine lets an operator in, over Zenoh.
     """
-    names = [f"robot{number}" for number in range(1, count + 1)]
     group_of = dict(zip(names, itertools.cycle(groups), strict=False)) if groups else {}
     topics = (
         *(Topic(topic=talk.topic, direction="transmit", type=talk.type) for talk in load.talks),

@@ -75,10 +75,11 @@ def simulated(robots: int) -> Iterator[Simulated]:
     print_line(f"starting {robots} simulated robots and a control side, with {network}")
     sys.stdout.flush()
     over = "zenoh" if over_zenoh else "tcp"
+    names = [f"robot{number}" for number in range(1, robots + 1)]
     with (
         tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
         fleet(
-            Path(folder), robots, domain=own_domain(), over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
+            Path(folder), names, domain=own_domain(), over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
         ) as running,
     ):
         control = running.start_control()

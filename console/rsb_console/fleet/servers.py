@@ -30,6 +30,8 @@ class ServerFleet:
         path: its control socket.
     """
 
+    kind = "server"
+
     def __init__(self, name: str, path: Path) -> None:
         self.name = name
         self._path = path

@@ -41,6 +41,8 @@ class ZenohFleet:
         file: names the fleet, and the operator.
     """
 
+    kind = "fleet"
+
     def __init__(self, file: FleetFile) -> None:
         self.name = file.zenoh.fleet
         self._file = file

@@ -385,7 +385,11 @@ def _detail(row: Row, width: int) -> Iterator[Line]:
     seen = "not yet" if summary.seen is None else "now"
     if summary.seen is not None and not fleet_columns.is_there(row):
         seen = f"{formats.age(row.now - summary.seen)} ago, {formats.time_of_day(summary.seen)}"
-    facts = [f"seen {seen}", f"at {summary.host}" if summary.host else "", f"server {row.robot.source.name}"]
+    facts = [
+        f"seen {seen}",
+        f"at {summary.host}" if summary.host else "",
+        f"{row.robot.source.kind} {row.robot.source.name}",
+    ]
     facts += [f"links {summary.links_up}/{summary.links}", f"rsb-console {summary.version}" if summary.version else ""]
     yield ((f" {' · '.join(filter(None, facts))}", "dim"),)
     figures = [f"from it {summary.messages_from_robot:.1f} msg/s, to it {summary.messages_to_robot:.1f} msg/s"]
