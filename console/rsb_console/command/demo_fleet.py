@@ -60,7 +60,7 @@ def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
             if signals.caught:
                 return INTERRUPTED
             if ui:
-                return _on_screen(running)
+                return _on_screen(running, signals)
             return _headless(running, signals, seconds)
     except (BenchError, EngineError) as error:
         print_error(str(error))
@@ -102,11 +102,13 @@ def seen(running: Simulated) -> Iterator[Fleet]:
         shown.stop()
 
 
-def _on_screen(running: Simulated) -> int:
+def _on_screen(running: Simulated, signals: Signals) -> int:
     from rsb_console.command.fleet_console import run_fleet  # noqa: PLC0415 -- needs Textual
 
     over = threading.Event()
     with seen(running) as shown, ThreadPoolExecutor(1) as aside:
+        if signals.caught:  # while it waited for the robots; from now on the screen's own handlers catch them
+            return INTERRUPTED
         troubling = aside.submit(trouble, running, over.is_set)
         try:
             code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True)
