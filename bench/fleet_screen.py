@@ -69,12 +69,12 @@ def measure(running: Fleet, seconds: float) -> None:
         began, cpu, written, wire = time.monotonic(), console.cpu(), console.written, _wire(console.pid)
         watched = _cpu(running, seconds)
         passed = time.monotonic() - began
-        cpu, written = (console.cpu() - cpu) / passed, (console.written - written) / passed
+        used, drawn = (console.cpu() - cpu) / passed, (console.written - written) / passed
         received, sent = ((after - before) / passed for before, after in zip(wire, _wire(console.pid), strict=True))
     finally:
         console.stop()
     print(f"first paint after {painted:.2f} s, all rows {whole:.2f} s later; at 2 Hz:")
-    print(f"  {100 * cpu:.1f} % of a core, {written / 1e3:.1f} kB/s to the terminal")
+    print(f"  {100 * used:.1f} % of a core, {drawn / 1e3:.1f} kB/s to the terminal")
     print(f"  {received / 1e3:.1f} kB/s from the network, {received / engines:.0f} B/s an engine; {sent:.0f} B/s to it")
     cost = (watched - alone) / count
     print(f"an engine: {100 * alone / count:.2f} % of a core unwatched, {100 * cost:+.2f} % watched")

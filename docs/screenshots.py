@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.app import ConsoleApp
 from rsb_console.command.demo_fleet import seen, simulated, trouble
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from textual.pilot import Pilot
 
     from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.fleet.source import FleetSource
 
 PICTURES = Path(__file__).parent / "pictures"
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters
@@ -84,6 +87,7 @@ async def of_a_fleet() -> None:
     """The one of the demo of a fleet, when a robot is away, and another one has lost a topic."""
     over = threading.Event()
     with simulated(ROBOTS) as running, seen(running) as fleet:
+        _of_no_machine(fleet.sources[0])
         app = FleetApp(fleet, FleetView(), theme="dark", config=PICTURES)
         async with app.run_test(size=LOW) as pilot:
             await until(lambda: all(robot.summary.battery for robot in robots(fleet)), pilot)
@@ -95,6 +99,12 @@ async def of_a_fleet() -> None:
             finally:
                 over.set()
                 await asyncio.to_thread(troubling.join)
+
+
+def _of_no_machine(source: FleetSource) -> None:
+    """Have each robot be a machine of its own, instead of all of them this one."""
+    known = source.robots
+    source.robots = lambda: [msgspec.structs.replace(each, host=each.name) for each in known()]  # type: ignore[method-assign]
 
 
 def robots(fleet: Fleet) -> list[Robot]:
