@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
+_CRASHES = 1 << 20
+"""Bytes of crash.log beyond which it is begun anew."""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command. The process is to end after it: from then on SIGINT is ignored.
 
@@ -59,11 +63,28 @@ def _run(argv: list[str]) -> int:
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output has gone (`| head`). Python's own flush at exit must not meet the pipe again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _mute()
         return FAILURE
     except Exception as error:  # noqa: BLE001 (the last resort: an operator gets a line, and where the rest is)
+        if _is_full(error):
+            _mute()
+            why = getattr(error, "strerror", error)
+            print_error(f"standard output: {why}: free space where it goes. What the command has done stays done")
+            return FAILURE
         return _unexpected(error, show="debug" in arguments)
     return code
+
+
+def _is_full(error: Exception) -> bool:
+    """Whether it says that standard output, and no file that has a name, is written to a disk that is full."""
+    from rsb_bridge.model.shortage import SHORTAGES
+
+    return isinstance(error, OSError) and error.errno in SHORTAGES and error.filename is None
+
+
+def _mute() -> None:
+    """Have what is still to be written to standard output go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _with_command(argv: list[str], names: Sequence[str]) -> list[str]:
@@ -92,17 +113,19 @@ def _unexpected(error: Exception, *, show: bool) -> int:
         return FAILURE
     from platformdirs import user_state_path
 
+    from rsb_bridge.model.shortage import why_not_written
     from rsb_console.terminal.shutdown import owner_only
 
     log = user_state_path("rsb-console") / "crash.log"
     message = f"unexpected {type(error).__name__}: {error}".splitlines()[0]
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
-        with open(log, "a", encoding="utf-8", opener=owner_only) as file:
+        mode = "a" if log.exists() and log.stat().st_size < _CRASHES else "w"
+        with open(log, mode, encoding="utf-8", opener=owner_only) as file:
             os.fchmod(file.fileno(), 0o600)  # one of before may be open to others
             file.writelines(traceback.format_exception(error))
-    except OSError:
-        print_error(f"{message} (details: again with --debug)")
+    except OSError as full:
+        print_error(f"{message} (details: again with --debug; {log}: {why_not_written(full, log)})")
     else:
         print_error(f"{message} (details: {log})")
     return FAILURE

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.support.offline import NoRos
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -17,6 +16,7 @@ from rsb_bridge.link.errors import LinkError
 from rsb_bridge.model.benchmark import ENDED_BY_PEER, Leave, Order
 from rsb_bridge.model.session import Client, Session
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.synthetic import synthetic_of
 
 if TYPE_CHECKING:

@@ -6,11 +6,10 @@ import asyncio
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
-from tests.support.offline import NoRos
-
 from rsb_bridge.link.bench import LinkBench
 from rsb_bridge.model.benchmark import Leave, Order, bench_topic
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.synthetic import Synthetic, Time
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 

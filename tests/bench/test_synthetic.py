@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.offline import NoRos
 
 from rsb_bridge.model.benchmark import bench_topic
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import RosError
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.percentiles import percentiles
 from rsb_bridge.ros.synthetic import Drain, Source, Synthetic, Time
 

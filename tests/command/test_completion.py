@@ -74,7 +74,10 @@ def offered(line: str, folder: Path) -> set[str]:
         ("rsb-console add --service /dock --provider ", {"client", "server"}),
         ("rsb-console add --service /dock time", {"timeout="}),
         ("rsb-console add --kind ", {"topic", "service", "action", "parameters"}),
-        ("rsb-console edit /scan protocol=", {"protocol=tcp", "protocol=udp", "protocol=bluetooth"}),
+        (
+            "rsb-console edit /scan protocol=",
+            {"protocol=tcp", "protocol=udp", "protocol=bluetooth", "protocol=zenoh", "protocol=zenoh-drop"},
+        ),
         ("rsb-console edit /scan priority=l", {"priority=low"}),
         ("rsb-console edit /scan paused=", {"paused=true", "paused=false"}),
         ("rsb-console edit /scan qos=sen", {"qos=sensor_data"}),

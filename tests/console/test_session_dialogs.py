@@ -190,7 +190,7 @@ MISTAKES = [
     ("server_ip", "10.0.0", "is not an IPv4"),
     ("server_ip", "0.0.0.0", "a client cannot connect to 0.0.0.0"),
     ("server_port", "x", "'x' is not"),
-    ("server_port", "0", "0 is not a valid port"),
+    ("server_port", "0", "missing, or 0: give a port"),
     ("domain_id", "233", "0 to 232"),
     ("key_file", "nokey", "holds no key"),
     ("key_file", "nowhere/a.key", "there is no folder nowhere"),

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
-from tests.support.offline import NoRos
 from tests.support.operators import Reachable
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -17,6 +16,7 @@ from rsb_bridge.config.session_file import load, save
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Operator, Session
+from rsb_bridge.ros.no_ros import NoRos
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

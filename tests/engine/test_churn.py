@@ -8,7 +8,6 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.offline import NoRos
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -17,6 +16,7 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Client, Session, Topic
 from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire import sealing
 
 if TYPE_CHECKING:

@@ -194,7 +194,8 @@ def test_closing_waits_for_nobody(served: Served) -> None:
         began = time.monotonic()
         served.close()
         assert time.monotonic() - began < 5.0, "and not the 10 s that a connection may last"
-        assert silent.recv(1) == b""
+        with contextlib.suppress(ConnectionResetError):  # its request was not read: the kernel may say so
+            assert silent.recv(1) == b""
 
 
 def test_what_fails_inside_is_told_and_printed_nowhere(capfd: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from rsb_bridge.link.roles import ClientRole
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.transport.registry import Transports
 from rsb_bridge.transport.tcp import Tcp
 from rsb_bridge.wire.messages import Shutdown
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.context import Context
     from rsb_bridge.link.link import Link
-    from rsb_bridge.model.codes import EventCode
     from rsb_bridge.transport.streams import Stream
 
 HALF_A_DAY = 12 * 3600.0
@@ -165,6 +165,49 @@ class SaysGoodbye(Tcp):
         handler.outcome.set_result(None)
         self._loop.call_soon(link.on_shutdown, Shutdown(reason="for years", retry_after=self.retry_after))
         return None  # type: ignore[return-value]
+
+
+class AnswersAtTheLastMoment(Tcp):
+    """A server that lets its client in just as the client's patience ends.
+
+    Attributes:
+        role: the client.
+        times: s, when it was called.
+    """
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.role: ClientRole
+        self.times: list[float] = []
+        self._loop = loop
+
+    async def connect(self, host: str, port: int, handler: Any, rank: int | None = None) -> Stream:
+        self.times.append(self._loop.time())
+        (link,) = self.role.links()
+
+        def answer() -> None:
+            link.control = Control(link)  # type: ignore[assignment]
+            handler.outcome.set_result(None)
+
+        self._loop.call_later(5.0, answer)
+        return None  # type: ignore[return-value]
+
+
+def test_a_server_that_answers_at_the_last_moment_is_not_called_again(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """It would take the second connection for a newer one, and end the first: for minutes, one after the other."""
+    network = AnswersAtTheLastMoment(loop)
+    role = network.role = ClientRole(make_context(transports=Transports(network)), {"robot1": ()})
+
+    async def run() -> None:
+        await role.start()
+        await asyncio.sleep(60.0)
+        assert network.times == [0.0]
+        role.links()[0].lost("the end of the test", EventCode.LINK_LOST)
+        await role.stop()
+
+    loop.run_until_complete(run())
+    assert loop.errors == []
 
 
 class Control:

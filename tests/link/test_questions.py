@@ -6,12 +6,12 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.offline import NoRos
 
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.questions import QUESTIONS_KEPT, Questions
 from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.ros.graph_entries import CALLED
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
-from tests.support.offline import NoRos
 
 from rsb_bridge.link.topic_lists import TopicLists
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.graph_entries import MOST_ENTRIES
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.framing import CONTROL_LIMIT
 from rsb_bridge.wire.questions import ListTopics, TopicList

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.support.offline import NoRos
 
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.meant import Meant
+from rsb_bridge.ros.no_ros import NoRos
 
 if TYPE_CHECKING:
     from rsb_bridge.model.session import Kind

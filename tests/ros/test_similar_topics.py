@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from tests.support.offline import NoRos
-
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint
 from rsb_bridge.ros.graph import SimilarTopics
+from rsb_bridge.ros.no_ros import NoRos
 
 
 class _Graph(NoRos):

@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
-from tests.support.offline import FakePeer, NoRos
+from tests.support.offline import FakePeer
 
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
@@ -16,6 +16,7 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import hop
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.own_announcement import Origin
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.framing import SOURCE_SHIFT, Message

@@ -15,9 +15,31 @@ from tests.support.ports import free_port
 _PROGRAM = """
 import sys, zenoh
 session = zenoh.open(zenoh.Config.from_json5(sys.argv[1]))
+tokens = [session.liveliness().declare_token(key) for key in sys.argv[2:]]
 print("up", flush=True)
 sys.stdin.read()
 """
+_NO_SHARED_MEMORY = {"shared_memory": {"enabled": False}}
+"""A process that is killed would leave some behind."""
+
+
+class _Process:
+    """A Zenoh session in a process of its own."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "up\n", "it does not start"
+
+    def signal(self, number: int) -> None:
+        os.kill(self._process.pid, number)
+
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        with self._process:  # waits, and closes its pipes
+            self._process.kill()
 
 
 class Router:
@@ -35,7 +57,7 @@ class Router:
         self.port = free_port()
         self._protocol = protocol
         self._settings = settings
-        self._process: subprocess.Popen[str] | None = None
+        self._process: _Process | None = None
         self.start()
 
     @property
@@ -50,26 +72,15 @@ class Router:
             "listen": {"endpoints": [self.endpoint]},
             "scouting": {"multicast": {"enabled": False}},
             **self._settings,
+            "transport": {**_NO_SHARED_MEMORY, **self._settings.get("transport", {})},
         }
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, json.dumps(config)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == "up\n", "the router does not start"
+        self._process = _Process(json.dumps(config))
 
     def kill(self) -> None:
         """End it as a power cut does."""
-        self._signal(signal.SIGKILL)
         process, self._process = self._process, None
         assert process is not None
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.wait()
-        process.stdin.close()
-        process.stdout.close()
+        process.kill()
 
     def pause(self) -> None:
         """Have it take nothing any more, with all its connections open."""
@@ -86,15 +97,29 @@ class Router:
 
     def _signal(self, number: int) -> None:
         assert self._process is not None
-        os.kill(self._process.pid, number)
+        self._process.signal(number)
 
 
-def stranger(router: Router, **settings: Any) -> zenoh.Session:
-    """Somebody else in the network."""
+class Announced(_Process):
+    """A process that announces something until it is killed."""
+
+    def __init__(self, router: Router, key: str) -> None:
+        config = {
+            "mode": "client",
+            "connect": {"endpoints": [router.endpoint]},
+            "scouting": {"multicast": {"enabled": False}},
+            "transport": _NO_SHARED_MEMORY,
+        }
+        super().__init__(json.dumps(config), key)
+
+
+def stranger(router: Router, **settings: Any) -> Any:
+    """Somebody else in the network: a `zenoh.Session`, of which some methods have no types."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([router.endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)

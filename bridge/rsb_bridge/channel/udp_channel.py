@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _SILENT = 6.0
 """s; more than a whole link may be silent (`keepalive.DEAD_AFTER`), or a firewall would be blamed for a cut cable."""
+_NO_DATAGRAMS = "no datagram comes through the Zenoh network: is it congested, or does its access control forbid them?"
 
 
 _CHALLENGED_FOR, _MOST_CHALLENGED = 10.0, 4
@@ -248,6 +249,8 @@ class ClientUdpChannel(UdpChannel):
 
     def _silence(self) -> str:
         assert self._peer is not None
+        if not self.socket.port:
+            return _NO_DATAGRAMS
         return f"no answer from UDP port {self._peer[1]} of {self._peer[0]}: does a firewall drop it?"
 
     def _free(self) -> None:
@@ -311,6 +314,8 @@ class ServerUdpChannel(UdpChannel):
         self.socket.send(datagrams, self.socket.path(self._source, address))
 
     def _silence(self) -> str:
+        if not self.socket.port:
+            return _NO_DATAGRAMS
         if self._peer is None:
             return "no UDP from the client: does a firewall drop it?"
         return f"nothing more from UDP port {self._peer[1]} of {self._peer[0]}"

@@ -14,7 +14,6 @@ from rsb_bridge.config.file_form import LISTS, NOUNS, locations
 from rsb_bridge.config.rights import Rights, Use, rights_of_client, rights_of_server, uses
 from rsb_bridge.config.topic_rules import transport_of
 from rsb_bridge.config.validation import domain_of
-from rsb_bridge.config.zenoh_rules import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.model import transports
 from rsb_bridge.model.http_address import host_and_port, is_loopback
 from rsb_bridge.model.limits import (
@@ -52,7 +51,7 @@ def advise(session: Session, domain_variable: str | None) -> Iterator[Problem]:
         location = "server_ip" if session.is_bluetooth else "bluetooth_address"
         yield Problem(location, "this Python has no Bluetooth sockets; the distribution's own has (/usr/bin/python3)")
     if session.zenoh is not None and importlib.util.find_spec("zenoh") is None:
-        yield Problem("zenoh", HOW_TO_INSTALL_ZENOH)
+        yield Problem("zenoh", transports.HOW_TO_INSTALL_ZENOH)
     yield from _metrics(session)
     yield from _topics(session.topics, "", session)
     yield from _denied(session.topics, "", dataclasses.replace(rights_of_server(session), allow=()), session)

@@ -6,8 +6,12 @@ import errno
 import os
 import stat
 import tempfile
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 def typed_path(text: str) -> Path:
@@ -63,6 +67,37 @@ def replace_file(path: Path, content: bytes, *, like: Path | None = None) -> Non
             Path(name).unlink()
         raise
     _sync_folder(target.parent)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text for whoever asked for it: a file as a whole or not at all; a device or a pipe as it comes.
+
+    Raises:
+        OSError: it cannot be written; an old file is as it was.
+    """
+    if path.is_file():
+        replace_file(path, text.encode(), like=path)
+    elif path.exists():
+        path.write_text(text, encoding="utf-8")
+    else:
+        with new_file(path) as file:
+            file.write(text)
+
+
+@contextmanager
+def new_file(path: Path, newline: str | None = None) -> Iterator[TextIO]:
+    """A text file that is not there yet; where writing it fails, it is not there either.
+
+    Raises:
+        OSError: it is there, or it cannot be written.
+    """
+    file = path.open("x", encoding="utf-8", newline=newline)
+    try:
+        with file:
+            yield file
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def give_owner(file: int | Path, like: Path) -> None:

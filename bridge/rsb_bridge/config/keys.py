@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import kind_of_file, replace_file, typed_path
 from rsb_bridge.model.fingerprints import fingerprint_of, format_fingerprint
+from rsb_bridge.model.shortage import why_not_written
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -93,7 +94,7 @@ def write_key(path: Path, *, force: bool = False) -> Key:
     except FileExistsError:
         raise KeyFileError(f"{path}: exists already; --force replaces it, and the old key is lost") from None
     except OSError as error:
-        raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise KeyFileError(f"{path}: cannot be written: {why_not_written(error, path)}") from None
     return _parse(text.decode(), path)
 
 
@@ -112,7 +113,7 @@ def copy_key(key: Key, path: Path, *, force: bool = False) -> None:
     try:
         write(path, base64.urlsafe_b64encode(key.secret) + b"\n")
     except OSError as error:
-        raise KeyFileError(f"{path}: cannot be written: {error.strerror}") from None
+        raise KeyFileError(f"{path}: cannot be written: {why_not_written(error, path)}") from None
 
 
 def key_path(base: Path, key_file: str) -> Path:

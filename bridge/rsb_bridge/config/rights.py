@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -188,6 +188,18 @@ def rights_of_server(session: Session, listed: Set[Identity] | None = None) -> R
         listed=listed,
         bench=session.bench,
     )
+
+
+class _Everything(frozenset["Identity"]):
+    """A set that has everything."""
+
+    def __contains__(self, _: object) -> bool:
+        return True
+
+
+def as_if_listed(rights: Rights) -> Rights:
+    """What a peer may do with what this side's session lists, whatever that is."""
+    return rights if rights.listed is None else replace(rights, listed=_Everything())
 
 
 def listed_as(may: May) -> Direction:

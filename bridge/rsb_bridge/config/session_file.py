@@ -16,6 +16,7 @@ from rsb_bridge.config.files import kind_of_file, replace_file
 from rsb_bridge.config.validation import build, placed, validate, validate_topic
 from rsb_bridge.config.yaml_text import MAX_FILE, SessionError, dump_yaml, read_yaml
 from rsb_bridge.model.session import Problem, Session, Topic
+from rsb_bridge.model.shortage import why_not_written
 
 __all__ = ["Problem", "SessionError", "dump", "load", "parse", "save", "validate", "validate_topic"]
 
@@ -150,7 +151,7 @@ def save(session: Session, path: Path, opened: SessionFile | None = None) -> Ses
             replace_file(backup_path(path), path.read_bytes(), like=path)
         replace_file(path, text.encode(), like=path)
     except OSError as error:
-        raise UnwritableError(path, [Problem("", f"cannot be written: {error.strerror}")]) from None
+        raise UnwritableError(path, [Problem("", f"cannot be written: {why_not_written(error, path)}")]) from None
     return SessionFile(path, text, session)
 
 

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from rsb_bridge.model.session import Session, ZenohSettings
 
-HOW_TO_INSTALL_ZENOH = "the package eclipse-zenoh is not installed: pip install 'rsb-console[zenoh]'"
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")
 """What endpoints may begin with, of what the wheel knows."""
 

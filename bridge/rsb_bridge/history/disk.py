@@ -12,6 +12,7 @@ from rsb_bridge.history.folders import Claim, Files
 from rsb_bridge.history.history_file import HistoryFileError
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.names import file_stem
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class Disk:
             if self._is_restored and (last or self._is_due(now)):
                 self._save(now)
         except (OSError, ValueError) as error:
-            self._failed(f"{getattr(error, 'strerror', '') or error}")
+            self._failed(why_not_written(error, self._folder) if isinstance(error, OSError) else str(error))
             self._restore()
         else:
             self._works()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
@@ -10,9 +10,10 @@ import msgspec
 
 from rsb_bridge.history.series import Series
 from rsb_bridge.history.subject import OUTAGES_OF_ONE, Ended, Subject
+from rsb_bridge.history.subjects import SUBJECTS, Key, Subjects
 from rsb_bridge.model import history as model
 from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
-from rsb_bridge.model.session import Kind
+from rsb_bridge.model.session import Kind  # noqa: TC001 -- likewise
 from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- msgspec resolves the hints
 
 if TYPE_CHECKING:
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
 VERSION = 1
 FROM_THE_FUTURE = "it is from the future: the clock was wrong then, or it is now"
-SUBJECTS = 2000
-"""Links and topics kept, those that are gone included."""
 OUTAGES = 10_000
 """Outages kept, of all of them."""
 _ACTIONS = 500
@@ -33,9 +32,6 @@ _RUNS = 200
 _TIDIED_EVERY = 60.0
 _SHORT_GAP = 5.0
 """s between two runs that are not worth a word."""
-
-Key = tuple[str, Kind | Literal["link"], str, bool]
-"""Of a subject: link, kind, topic, outgoing."""
 
 
 class SavedSubject(msgspec.Struct, frozen=True, array_like=True):
@@ -93,7 +89,7 @@ class Timeline:
     def __init__(self, name: str, role: str) -> None:
         self.changes = 0
         self._name, self._role = name, role
-        self._subjects: dict[Key, Subject] = {}
+        self._subjects = Subjects()
         self._runs: deque[tuple[float, float]] = deque(maxlen=_RUNS)
         self._run: tuple[float, float] | None = None
         self._did: deque[Event] = deque(maxlen=_ACTIONS)
@@ -123,7 +119,7 @@ class Timeline:
     def _observe(self, key: Key, now: float, state: State, reason: str, *, rate: float = 0.0, total: int = 0) -> None:
         subject = self._subjects.get(key)
         if subject is None:
-            if not self._has_room(key):
+            if not self._subjects.make_room(key, self._turn):
                 return
             subject = self._subjects[key] = Subject(*key)
         subject.turn = self._turn
@@ -189,21 +185,6 @@ class Timeline:
 
     def _link_of(self, subject: Subject) -> Subject | None:
         return self._subjects.get(_key_of(subject.link)) if subject.topic else None
-
-    def _has_room(self, key: Key) -> bool:
-        """Make room for a new subject: no link has more topics than it leaves to the others.
-
-        Those that are gone give way, of the link that has most, but not of one that has fewer than the new one's.
-        """
-        topics = Counter(link for link, kind, _, _ in self._subjects if kind != LINK)
-        own = topics[key[0]]
-        if key[1] == LINK or own <= SUBJECTS - len(self._subjects):
-            return True
-        gone = [each for each, subject in self._subjects.items() if not subject.live and topics[each[0]] >= own]
-        if not gone:
-            return False
-        del self._subjects[min(gone, key=lambda each: (-topics[each[0]], self._subjects[each].series.end))]
-        return True
 
     def _tidy(self, now: float) -> None:
         """Forget what is too old, and what there is no room for: of those first that have most."""

@@ -159,6 +159,8 @@ class ClientLink(Link):
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
                 return await attempt.outcome
         except OSError as error:
+            if attempt.outcome.done() and not attempt.outcome.cancelled():  # it came as the time ran out
+                return attempt.outcome.result()
             return Failure(f"{transport.format_address((host, port))}: {_connect_error_message(error)}", refused=False)
         finally:
             attempt.end()

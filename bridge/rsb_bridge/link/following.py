@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.patterns import NAMES_FOLLOWED, Pattern, is_valid
-from rsb_bridge.wire.following import Follow, Followed, FoundName
+from rsb_bridge.wire.following import Followed, FoundName
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rsb_bridge.context import Context
     from rsb_bridge.link.name_watch import Named, Names
     from rsb_bridge.model.session import Kind
+    from rsb_bridge.wire.following import Follow, NamePattern
     from rsb_bridge.wire.messages import ControlMessage
 
 _KINDS: dict[str, Kind] = {kind: kind for kind in LANES}
@@ -38,6 +39,7 @@ class FollowedByPeer:
         self._shows = shows
         self._send = send
         self._request: int | None = None  # None: the peer follows nothing
+        self._asked_for: tuple[NamePattern, ...] = ()  # not compiled yet
         self._patterns: list[tuple[Kind, Pattern]] = []
         self._told: Names = {}
         self._more = 0
@@ -45,26 +47,29 @@ class FollowedByPeer:
 
     def disconnected(self) -> None:
         """The next connection begins with nothing."""
-        self._request, self._patterns, self._told = None, [], {}
+        self._request, self._asked_for, self._patterns, self._told = None, (), [], {}
 
     def asked(self, message: Follow) -> None:
         """The peer asks."""
         self.disconnected()
         self._request, self._answered, self._more = message.request, False, 0
-        self._patterns = [
-            (kind, Pattern(each.pattern))
-            for each in message.patterns
-            if (kind := _KINDS.get(each.kind)) is not None and is_valid(each.pattern)
-        ]
+        self._asked_for = message.patterns
         self._context.names_changed()
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
-        """What the peer asks for."""
+        """What the peer asks for. It is compiled when the graph is looked at, not as often as the peer asks."""
+        if self._asked_for:
+            self._patterns = [
+                (kind, Pattern(each.pattern))
+                for each in self._asked_for
+                if (kind := _KINDS.get(each.kind)) is not None and is_valid(each.pattern)
+            ]
+            self._asked_for = ()
         return self._patterns
 
     def look(self, names: Names) -> None:
         """Tell the peer what has changed."""
-        if self._request is None or not (self._patterns or self._told or not self._answered):
+        if self._request is None or self._asked_for or not (self._patterns or self._told or not self._answered):
             return
         matching = [(named, type_name) for named, type_name in sorted(names.items()) if self._tells(named, type_name)]
         known = [each for each in matching if each[0] in self._told]  # first: a full list does not flutter

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from rsb_bridge.config.rights import Use, uses
+from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.following import FollowedByPeer
 from rsb_bridge.link.pattern_entry import PatternEntry
@@ -69,6 +68,7 @@ class LinkPatterns:
         self._here: Names | None = None  # this side's graph; None: not known yet
         self.there: Names | None = None
         self._request = 0
+        self._due = False  # the peer has told something new
         self.unseen = 0
         self.gone: dict[Identity, float] = {}
         self._known: dict[tuple[bool, Kind, str, str], tuple[int, Topic] | None] = {}  # which pattern matches
@@ -200,8 +200,7 @@ class LinkPatterns:
         for each in message.present:
             if (kind := _KINDS.get(each.kind)) is not None and len(names) < NAMES_FOLLOWED:
                 names[kind, each.name] = each.type
-        self.there, self.unseen = names, message.more
-        self.reconcile()
+        self.there, self.unseen, self._due = names, message.more, True
 
     def patterns_here(self) -> Collection[tuple[Kind, Pattern]]:
         """What it asks of this side's graph."""
@@ -249,7 +248,7 @@ class LinkPatterns:
 
     def _wanted(self) -> dict[Identity, tuple[PatternEntry, Topic]]:
         """What matches now, each with the pattern that wins, in the order of patterns and names."""
-        session, rights = self.link.context.session, _as_listed(self.link.rights)
+        session, rights = self.link.context.session, as_if_listed(self.link.rights)
         own = {session.shutdown_topic, session.diagnostics_topic}
         found: list[tuple[int, str, Topic]] = []
         for local, names in ((True, self._here), (False, self.there)):
@@ -281,7 +280,7 @@ class LinkPatterns:
 
     def _entry_of(self, route: Route) -> PatternEntry | None:
         """The pattern that would match a route's topic if that was there; None: none does any more."""
-        rights = _as_listed(self.link.rights)
+        rights = as_if_listed(self.link.rights)
         for entry in self.entries:
             if self._claims(entry, route):
                 name = route.spec.topic
@@ -358,7 +357,10 @@ class LinkPatterns:
         self.link.table.remove(route, reason, told=False)
 
     def tick(self) -> None:
-        """Once a second: remove what has been gone for long."""
+        """Once a second: see what the peer has told, however often it has; remove what has been gone for long."""
+        if self._due:
+            self._due = False
+            self.reconcile()
         if not self.gone:
             return
         now = self.link.context.now()
@@ -387,15 +389,3 @@ class LinkPatterns:
 def identity_of(route: Route) -> Identity:
     """Of the pattern that has made a route."""
     return route.spec.kind, route.pattern, route.spec.direction
-
-
-class _Everything(frozenset["Identity"]):
-    """A set that has everything."""
-
-    def __contains__(self, _: object) -> bool:
-        return True
-
-
-def _as_listed(rights: Rights) -> Rights:
-    """What the peer may do with what this side lists, which a pattern does."""
-    return rights if rights.listed is None else replace(rights, listed=_Everything())

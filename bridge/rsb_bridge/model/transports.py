@@ -115,6 +115,8 @@ class ZenohDropTraits(TransportTraits):
     local = False
 
 
+HOW_TO_INSTALL_ZENOH = "the package eclipse-zenoh is not installed: pip install 'rsb-console[zenoh]'"
+
 _BY_NAME: dict[str, type[TransportTraits]] = {
     traits.name: traits for traits in (RfcommTraits, ZenohTraits, ZenohDropTraits, TcpTraits, UdpTraits)
 }  # fmt: skip

@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.model.qos import Qos
-from rsb_bridge.ros.api import Endpoint, RawMessage, RosError
+from rsb_bridge.ros.api import Endpoint, RawMessage
 from rsb_bridge.ros.battery_state import BATTERY_STATE, BATTERY_STATE_HASH, battery_state
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.stamped import message
 from rsb_bridge.ros.std_string import STRING, STRING_HASH
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
+    from collections.abc import Hashable, Sequence
 
-    from rsb_bridge.model.fields import Fields
-    from rsb_bridge.ros.api import OnFailure, RequestSink, ResponseSink, ServiceClient, ServiceServer, Sink
+    from rsb_bridge.ros.api import OnFailure, Sink
 
 _GID_LENGTH = 16
 _FLOOD_AT_ONCE = 16
@@ -52,7 +52,7 @@ class Talk(msgspec.Struct, frozen=True):
     type: str = STRING
 
 
-class StandIn:
+class StandIn(NoRos):
     """A graph of one node that publishes and subscribes; `rsb_bridge.ros.api.RosInterface`.
 
     Args:
@@ -101,12 +101,6 @@ class StandIn:
 
     # --- the engine's side
 
-    def start(self) -> None:
-        """There is nothing to join."""
-
-    def watch(self, on_graph_change: Callable[[], None], on_failure: Callable[[str], None]) -> None:
-        """Its graph never changes."""
-
     def stop(self) -> None:
         self._readers.clear()
 
@@ -134,12 +128,6 @@ class StandIn:
         except (ImportError, ValueError):  # a bench without ROS does without
             return None
 
-    def serialize(self, type_name: str, fields: Fields, now: int) -> bytes:
-        raise RosError(f"{type_name} is not installed here")
-
-    def ask_description(self, *_: object) -> str | None:
-        return None
-
     def subscribe(
         self,
         topic: str,
@@ -157,28 +145,6 @@ class StandIn:
 
     def advertise(self, topic: str, type_name: str, type_hash: str, qos: Qos, origin: Hashable) -> _Writer:
         return _Writer(topic, self.received)
-
-    def services(self) -> dict[str, list[str]]:
-        return {}
-
-    def servers(self, service: str) -> list[Endpoint]:
-        return []
-
-    def callers(self, service: str) -> list[Endpoint]:
-        return []
-
-    def installed_service_hash(self, type_name: str) -> str | None:
-        return None
-
-    def serve(
-        self, service: str, type_name: str, type_hash: str, sink: RequestSink, on_failure: OnFailure | None = None
-    ) -> ServiceServer:
-        raise RosError("the stand-in has no services")
-
-    def call_service(
-        self, service: str, type_name: str, type_hash: str, sink: ResponseSink, on_failure: OnFailure | None = None
-    ) -> ServiceClient:
-        raise RosError("the stand-in has no services")
 
 
 class _Reader:

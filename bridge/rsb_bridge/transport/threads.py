@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
-    """What a blocking call returns, or the OSError that it raises.
+    """What a blocking call returns, or raises.
 
     Args:
         name: of the thread.
@@ -27,12 +27,12 @@ async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
 
     Raises:
         TimeoutError: it is given up.
-        OSError: raised by the call.
+        Exception: raised by the call.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[T] = loop.create_future()
 
-    def settle(result: T | None, error: OSError | None) -> None:
+    def settle(result: T | None, error: Exception | None) -> None:
         if done.done():
             return
         if error is not None:
@@ -44,7 +44,7 @@ async def in_thread(name: str, work: Callable[[], T], within: float) -> T:
         result, error = None, None
         try:
             result = work()
-        except OSError as raised:
+        except Exception as raised:  # noqa: BLE001 (raised again where it is waited for)
             error = raised
         with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
             loop.call_soon_threadsafe(settle, result, error)

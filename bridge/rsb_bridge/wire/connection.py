@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of
 from rsb_bridge.wire.codec import decode, decode_hello, decode_welcome, encode
 from rsb_bridge.wire.events import (
     Accepted,
@@ -28,6 +28,7 @@ from rsb_bridge.wire.preamble import (
     RefusalCode,
     control_header,
     data_header,
+    key_of,
     parse_control,
     parse_data,
     parse_preamble,
@@ -274,7 +275,8 @@ class ServerConnection(_Control):
         if offer.suite is Suite.AESGCM and not self._aes:
             self._retry()
         else:
-            self._welcome(offer, _key_of(offer, keys), replays)
+            key = key_of(keys, offer.fingerprint, offer.name, "client", "server") if keys else None
+            self._welcome(offer, key, replays)
 
     def _retry(self) -> None:
         if self._retried:
@@ -352,27 +354,6 @@ class DataConnection(PreambleStream):
                 self._refused_by_peer(body)
             case _:
                 raise ProtocolError(f"unexpected {kind.name} frame in the preamble")
-
-
-def _key_of(offer: ControlPreamble, keys: tuple[bytes, ...]) -> bytes | None:
-    """The key that a client says it has, so that its first message costs no more where two keys are valid.
-
-    What it says is part of the handshake's prologue: with another key than it says, the message does not open.
-
-    Raises:
-        Refusal: it is none of the valid ones.
-    """
-    if not keys:
-        return None
-    by_fingerprint = {fingerprint_of(key): key for key in keys}
-    if offer.fingerprint not in by_fingerprint:
-        ours = " or ".join(map(format_fingerprint, by_fingerprint))
-        raise Refusal(
-            RefusalCode.WRONG_KEY,
-            f"the keys of {offer.name!r} differ: {format_fingerprint(offer.fingerprint)} on the client, "
-            f"{ours} on the server",
-        )
-    return by_fingerprint[offer.fingerprint]
 
 
 def _handshake(suite: Suite, key: bytes | None, prologue: bytes) -> Handshake:

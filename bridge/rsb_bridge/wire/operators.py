@@ -20,6 +20,7 @@ from rsb_bridge.wire.preamble import (
     Kind,
     Refusal,
     RefusalCode,
+    key_of,
     preamble_frame,
     take_frame,
 )
@@ -243,7 +244,7 @@ class OperatorEngine(_Sealed):
         if offer.engine != self._engine:
             raise Refusal(RefusalCode.UNKNOWN_NAME, f"{offer.engine!r} is meant, and another engine is here")
         keys, replays = self._identity(offer.operator)
-        key = _key_of(offer, keys)
+        key = key_of(keys, offer.fingerprint, offer.operator, "console", "engine")
         handshake = NoiseHandshake(SUITE, key, offer.header)
         try:
             host = handshake.read(offer.message)
@@ -274,20 +275,3 @@ class OperatorEngine(_Sealed):
             self._events.append(self._admitted)
             self._admitted = None
         super()._open_records()
-
-
-def _key_of(offer: OperatorPreamble, keys: tuple[bytes, ...]) -> bytes:
-    """The key that a console says it has; with another one than it says, its message does not open.
-
-    Raises:
-        Refusal: the operator has another one.
-    """
-    by_fingerprint = {fingerprint_of(key): key for key in keys}
-    if offer.fingerprint not in by_fingerprint:
-        ours = " or ".join(map(format_fingerprint, by_fingerprint))
-        raise Refusal(
-            RefusalCode.WRONG_KEY,
-            f"the keys of {offer.operator!r} differ: {format_fingerprint(offer.fingerprint)} on the console, "
-            f"{ours} on the engine",
-        )
-    return by_fingerprint[offer.fingerprint]

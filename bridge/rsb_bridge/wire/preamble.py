@@ -6,7 +6,7 @@ import struct
 from enum import IntEnum
 from typing import NamedTuple
 
-from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH
+from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError
@@ -62,6 +62,30 @@ class Refusal(Exception):  # noqa: N818 - an answer, not an error of this side's
         super().__init__(message)
         self.code = code
         self.message = message
+
+
+def key_of(keys: tuple[bytes, ...], offered: bytes, name: str, there: str, here: str) -> bytes:
+    """The key that a peer says it has, so that its first message costs no more where several are valid.
+
+    What it says is part of the handshake's prologue: with another key than it says, the message does not open.
+
+    Args:
+        keys: the valid ones.
+        offered: the fingerprint of the peer's.
+        name: that it calls itself by.
+        there: what the peer is, for the message.
+        here: what this side is, likewise.
+
+    Raises:
+        Refusal: it is none of the valid ones.
+    """
+    by_fingerprint = {fingerprint_of(key): key for key in keys}
+    if offered not in by_fingerprint:
+        ours = " or ".join(map(format_fingerprint, by_fingerprint))
+        theirs = format_fingerprint(offered)
+        message = f"the keys of {name!r} differ: {theirs} on the {there}, {ours} on the {here}"
+        raise Refusal(RefusalCode.WRONG_KEY, message)
+    return by_fingerprint[offered]
 
 
 class ControlPreamble(NamedTuple):

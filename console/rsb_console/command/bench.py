@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import sys
 import time
@@ -12,9 +11,11 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.files import write_whole
 from rsb_bridge.config.session_file import SessionError, load
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.names import file_stem
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_console.bench.drawing import as_svg, in_terminal
 from rsb_console.bench.ends import BenchError
@@ -221,9 +222,9 @@ def _finish(
             print_error(line)
     if arguments.plot is not None:
         try:
-            arguments.plot.write_text(as_svg(report.points, report.over), encoding="utf-8")
+            write_whole(arguments.plot, as_svg(report.points, report.over))
         except OSError as error:
-            print_error(f"{arguments.plot}: {os.strerror(error.errno or 0)}")
+            print_error(f"{arguments.plot}: cannot be written: {why_not_written(error, arguments.plot)}")
             return FAILURE
     return code
 

@@ -9,12 +9,14 @@ import msgspec
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.clients import ClientError, client_named
+from rsb_bridge.config.files import write_whole
 from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.session_file import SessionError, UnwritableError
 from rsb_bridge.control.bridges import ask, running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.model.session import Client, Grant
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import json_line
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
@@ -312,9 +314,9 @@ def _handed_out(arguments: Namespace, changed: Changed, told: str) -> int:
     output: Path | None = arguments.output
     if output is not None:
         try:
-            output.write_text(text)
+            write_whole(output, text)
         except OSError as error:
-            raise ClientError(f"{output}: cannot be written: {error.strerror}") from None
+            raise ClientError(f"{output}: cannot be written: {why_not_written(error, output)}") from None
     advice = clients.copy_advice(client, key_at, output)
     mark = "" if key is None else fingerprint(key)
     if arguments.json:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from argparse import Action, ArgumentParser, Namespace
     from collections.abc import Collection
 
+    from rsb_console.fleet.memory import Remembered
+
 _PATHS = ("PATH", "FILE", "FILE.svg")
 """The metavars of arguments that are paths, and still texts."""
 _ADAPTERS = Path("/sys/class/bluetooth")
@@ -87,6 +89,22 @@ def bridge_names(**_: object) -> list[str]:
 def bridges_and_files(prefix: str, **_: object) -> list[str]:
     """The bridges that run on this machine, and session files."""
     return bridge_names() + yaml_files(prefix)
+
+
+def robots(**_: object) -> list[str]:
+    """The robots of fleets, as far as this user has seen them."""
+    return sorted({robot.name for robot in _remembered()})
+
+
+def groups(**_: object) -> list[str]:
+    """The groups of those robots."""
+    return sorted({robot.group for robot in _remembered()} - {""})
+
+
+def _remembered() -> list[Remembered]:
+    from rsb_console.fleet.memory import Memory, memory_path  # noqa: PLC0415 (only for the commands of a fleet)
+
+    return Memory(memory_path()).all()
 
 
 def adapters(**_: object) -> list[str]:

@@ -75,13 +75,14 @@ def add_fleet_commands(
     console_options(fleet)
     commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
     forget = _add(commands, complete, "dismiss", "forget robots that were there, and are known no more", _DISMISS)
-    forget.add_argument("names", metavar="NAME", nargs="*", help="robots")
+    complete(forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
     listed = f"{', '.join(ALLOWED[:7])},\n{', '.join(ALLOWED[7:])}"
     run = _add(commands, complete, "exec", "run a command for some robots", _EXEC.replace("{commands}", listed))
-    run.add_argument("names", metavar="NAME", nargs="*", help="robots")
+    complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
     run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--json] -- COMMAND ..."
     edit = _add(commands, complete, "edit", "change a topic of some robots, one after the other", _EDIT)
-    edit.add_argument("names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, their topic, what to change")
+    words = edit.add_argument("names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, topic, what to change")
+    complete(words, "robots")
     edit.add_argument("--dry-run", action="store_true", help="only print what would change")
     edit.add_argument("--yes", action="store_true", help="do not ask")
     edit.add_argument(
@@ -107,9 +108,10 @@ def _add(
     parser.set_defaults(command=lazily(name, "fleet"))
     bridge_options(parser, complete)
     for option in parser._actions:
-        if option.dest in ("bridge", "control", "json"):
+        if option.dest in ("bridge", "control", "fleet", "json"):
             option.default = argparse.SUPPRESS  # `fleet` has them, too: what stands there counts
-    parser.add_argument("--group", default="", metavar="GROUP", help="all robots of this group, too")
+    in_group = parser.add_argument("--group", default="", metavar="GROUP", help="all robots of this group, too")
+    complete(in_group, "groups")
     parser.add_argument("--all", dest="everyone", action="store_true", help="all robots")
     return parser
 

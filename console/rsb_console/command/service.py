@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.config.files import replace_file
 from rsb_bridge.config.session_file import SessionError, load
+from rsb_bridge.model.shortage import why_not_written
 from rsb_console.command.shell import FAILURE, OK, USAGE, print_error, print_line
 from rsb_console.session.service_unit import KEPT_VARIABLES, MARK, Service, unit_name
 
@@ -47,7 +48,7 @@ def _install(arguments: Namespace) -> int:
         path.chmod(_READABLE)
     except OSError as error:
         hint = ": run it with sudo" if isinstance(error, PermissionError) and arguments.system else ""
-        print_error(f"{path}: cannot be written: {error.strerror}{hint}")
+        print_error(f"{path}: cannot be written: {why_not_written(error, path)}{hint}")
         return FAILURE
     print_line(f"{path}: {'written' if old is None else 'unchanged' if old == text else 'replaced'}. Run next:")
     control = _systemctl(arguments.system)

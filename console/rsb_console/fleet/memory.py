@@ -59,6 +59,10 @@ class Memory:
         """A robot, if it was there."""
         return self._robots.get((source, name))
 
+    def all(self) -> list[Remembered]:
+        """All robots."""
+        return list(self._robots.values())
+
     def of(self, source: str) -> list[Remembered]:
         """All robots of a source."""
         return [robot for robot in self._robots.values() if robot.source == source]

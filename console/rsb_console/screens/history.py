@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import textwrap
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from textual.binding import Binding
 from textual.screen import ModalScreen
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats
 from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD, sparkline
@@ -286,7 +288,7 @@ class HistoryScreen(ModalScreen[None]):
         try:
             paths = export_history(self._report)
         except OSError as error:
-            self.notify(str(error), title="Not exported", severity="error", markup=False)
+            self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify("written to " + " and ".join(map(str, paths)), markup=False)
 

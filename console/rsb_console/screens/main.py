@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from textual.containers import Horizontal
 from textual.screen import Screen
 
+from rsb_bridge.model.shortage import why_not_written
 from rsb_bridge.model.snapshot import Level
 from rsb_console.actions.registry import ACTIONS, BY_ID, Group, bindings
+from rsb_console.look.patterns import PatternRow
 from rsb_console.widgets.columns import is_armed
 from rsb_console.widgets.detail import DetailPane
 from rsb_console.widgets.faults import FaultLines, MoreKeys, faults_of
@@ -141,9 +144,9 @@ class MainScreen(Screen[None]):
         """Why the table has no topic, and what to press."""
         if self.topics.routes:
             return f"Nothing here matches. {self._key('back')} shows all topics."
+        if self.console.engine is None and self.console.readonly:
+            return "No session. Start the console with one: rsb-console --readonly SESSION"
         if self.console.engine is None:
-            if self.console.readonly:
-                return "No session. Start the console with one: rsb-console --readonly SESSION"
             opens, new, welcome = (self._key(action) for action in ("sessions", "new_session", "welcome"))
             return f"No session. {opens} opens one, {new} writes a new one, {welcome} shows all ways to begin."
         if not snapshot.running:
@@ -169,8 +172,8 @@ class MainScreen(Screen[None]):
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on
-        armed = route is not None and is_armed(route)
-        labels = {"arm": "disarm" if armed else "arm", "detail": "whole line" if reads_log else "detail"}
+        arm = "disarm" if route is not None and is_armed(route) else "arm"
+        labels = {"arm": arm, "detail": "whole line" if reads_log else "detail"}
         if not here:  # a dialog's keys are the only ones
             self.key_bar.show([])
             return
@@ -315,8 +318,7 @@ class MainScreen(Screen[None]):
         """Give one pane the screen; None: all of them share it."""
         for other in MODES:
             self.set_class(other == mode, other)
-        pane = {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics)
-        pane.focus()
+        {"-detail": self.detail, "-log": self.log_pane}.get(mode or "", self.topics).focus()
         self.call_after_refresh(self.show_detail)
 
     def action_detail(self) -> None:
@@ -339,7 +341,9 @@ class MainScreen(Screen[None]):
         route = self.selected
         if route is None or self.console.engine is None:
             return
-        if route.calls is None:
+        if isinstance(route, PatternRow):
+            self.notify(f"{route.topic} is a pattern: choose a topic that it matches", markup=False, timeout=4)
+        elif route.calls is None:
             self.app.push_screen(MessageScreen(self.console, route))
         else:
             by_hand = "" if self.console.readonly else f": {self._key('call')} calls it by hand"
@@ -387,11 +391,10 @@ class MainScreen(Screen[None]):
         """Write what the focused list shows to a file in the working folder."""
         from rsb_console.session.export import export_log, export_topics  # noqa: PLC0415 -- seldom needed
 
+        log = self._list is self.log_pane
         try:
-            path = (
-                export_log(self.log_pane.listed) if self._list is self.log_pane else export_topics(self.topics.listed)
-            )
+            path = export_log(self.log_pane.listed) if log else export_topics(self.topics.listed)
         except OSError as error:
-            self.notify(str(error), title="Not exported", severity="error", markup=False)
+            self.notify(why_not_written(error, Path()), title="Not exported", severity="error", markup=False)
         else:
             self.notify(f"written to {path}", markup=False)

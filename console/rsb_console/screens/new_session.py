@@ -121,6 +121,8 @@ class NewSessionScreen(FormScreen[NewSession]):
         problems: dict[str, str] = {}
         for problem in validate(new.session):
             location = "clients" if problem.location.startswith("clients[") else problem.location
+            if location == "zenoh":  # where its routers are is written in the file
+                location = "server_ip"
             problems.setdefault(location, problem.message)
         names = [client.name for client in new.session.clients]
         if len(set(names)) < len(names):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.limits import CHANNEL
+from rsb_bridge.model import transports
+from rsb_bridge.model.limits import CHANNEL, NO_PORT
 from rsb_bridge.model.qos import PROFILES
 from rsb_bridge.model.session import CALL_TIMEOUT, DEADMAN
 from rsb_console.session.draft import SWITCHES, values_of
@@ -133,11 +134,13 @@ def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
     bluetooth = session.is_bluetooth
     has_radio = session.bluetooth_address is not None or begun == "bluetooth"
     if not bluetooth:
-        yield _protocol(kind, has_radio=has_radio)
+        yield _protocol(kind, session, has_radio=has_radio)
+    has_ports = transports.of_link(session.server_ip).topic_ports is not NO_PORT
     packing = (("", f"the link's ({'zstd' if bluetooth else 'none'})"), ("none", "none"), ("zstd", "zstd"))
     port = "Channel" if bluetooth else "Port"
     channel = f" Bluetooth: a channel, {CHANNEL}, which several may share." if has_radio and not bluetooth else ""
-    yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
+    if has_ports:
+        yield Spec("port", port, f"A {port.lower()} of its own. Empty: it shares the link's.{channel}", blank="shared")
     if kind == "topic":
         after = f"{session.stale_after:g} s"
         yield Spec("max_rate", "Max rate", "Hz; messages beyond it are left out. Empty: no limit.", blank="all")
@@ -156,7 +159,12 @@ def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
     yield Spec("compression", "Compression", worth, options=packing)
 
 
-def _protocol(kind: Kind, *, has_radio: bool) -> Spec:
+def _protocol(kind: Kind, session: Session, *, has_radio: bool) -> Spec:
+    if session.is_zenoh:
+        streams = ("", "by the QoS") if kind == "topic" else ("", "zenoh")
+        offered = (streams, ("zenoh", "zenoh"), ("zenoh-drop", "zenoh-drop"))
+        meaning = "zenoh delivers all, in order; zenoh-drop, what best effort has, never waits for what was lost."
+        return Spec("protocol", "Protocol", meaning, options=offered if kind == "topic" else offered[:1])
     radio = "; bluetooth uses the radio, on a channel of its own" if has_radio else ""
     carriers = [("", "the link's (tcp)"), ("tcp", "tcp")]
     if kind == "topic":

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rsb_bridge.config.files import new_file
 from rsb_console.session.history import cell, csv_report, text_report
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def export_log(events: Sequence[Event]) -> Path:
         The file, in the working folder.
     """
     path = _new_file("log", "txt")
-    with path.open("x", encoding="utf-8") as file:
+    with new_file(path) as file:
         for event in events:
             stamp = time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(event.time))
             file.write(f"{stamp} {event.level} {event.source} {event.link or '-'} {event.text}\n")
@@ -51,7 +52,7 @@ def export_topics(routes: Sequence[RouteSnapshot]) -> Path:
         The file, in the working folder.
     """
     path = _new_file("topics", "csv")
-    with path.open("x", encoding="utf-8", newline="") as file:
+    with new_file(path, newline="") as file:
         table = csv.writer(file)
         table.writerow(("state", "kind", *_ROUTE, *_COUNTS))
         for route in routes:
@@ -74,8 +75,8 @@ def export_history(report: HistoryReport) -> tuple[Path, Path]:
         Both files, in the working folder.
     """
     text, table = _new_file("history", "txt"), _new_file("history", "csv")
-    with text.open("x", encoding="utf-8") as file:
+    with new_file(text) as file:
         file.writelines(f"{line}\n" for line in text_report(report))
-    with table.open("x", encoding="utf-8", newline="") as file:
+    with new_file(table, newline="") as file:
         file.write(csv_report(report))
     return text, table

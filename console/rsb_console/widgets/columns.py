@@ -22,6 +22,7 @@ R = TypeVar("R")
 WIDE = 70  # cells; a narrower table shows a state's sign without its word
 HISTORY = 12  # s
 TOTAL_FROM = 92  # cells from which on there is room for the bytes in all
+_SHORT_NAMES = {"zenoh-drop": "DROP"}
 _BESIDE_CALLS = 100  # cells from which on there is room for a topic's bytes beside what is to be known of calls
 
 
@@ -74,7 +75,9 @@ def via(route: RouteSnapshot) -> str:
     way = OUT if route.outgoing else IN
     if isinstance(route, PatternRow):
         return f"{way} match"
-    return f"{way} BT {route.port}" if route.transport == "bluetooth" else f"{way} {route.transport.upper()}"
+    if route.transport == "bluetooth":
+        return f"{way} BT {route.port}"
+    return f"{way} {_SHORT_NAMES.get(route.transport, route.transport.upper())}"
 
 
 def _rate(route: RouteSnapshot) -> str:

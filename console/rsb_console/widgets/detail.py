@@ -89,8 +89,8 @@ def detail_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 def _pattern_lines(row: PatternRow, width: int) -> Iterator[Line]:
     yield from parts.heading(row, "message", width)
     yield ()
-    yield parts.labelled("pattern", f"{row.topic} on this side")
-    yield parts.labelled("", f"{row.remote_topic} on the other side")
+    yield parts.labelled("here", row.topic)
+    yield parts.labelled("there", row.remote_topic)
     yield parts.labelled("bridges", f"{row.routes} now")
     for at, name in enumerate(row.spec.excepts):
         yield parts.labelled("" if at else "except", name)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 
 import pytest
-from tests.support.offline import NoRos
 
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.verdict import Cause
 from rsb_bridge.ros.api import Endpoint
+from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.route.calls.graph import Provision, UnavailableError, others_called, provision, types_clash
 from rsb_bridge.wire.records import LaneEntry
 

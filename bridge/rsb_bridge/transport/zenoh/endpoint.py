@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import itertools
 import os
+import re
 import struct
 import threading
 from collections import deque
@@ -38,11 +39,19 @@ ASKED_WITHIN = 2.0
 MOST_SEEN = 10_000
 """Announcements that are kept; who is in a network may make any number of them."""
 
+ROUTER_LOST = "the connection to the Zenoh router is lost"
+
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
 _HEADER = struct.Struct(">BBQ")
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
+_AT_A_TIME = 256
+"""Samples that are taken in one turn of the loop."""
+_SETTLED = 0.1
+"""s within which Zenoh says that a router is lost, once it has said who is gone by that."""
+_ADDRESS = re.compile("[0-9a-f]{16}")
+"""Of endpoints, and of streams; keys are whatever a stranger makes of them."""
 
 
 class Kind(IntEnum):
@@ -131,7 +140,7 @@ class Endpoint:
         self.on_datagram: Callable[[str, bytes], None] | None = None
         self.on_seen: Callable[[Seen, bool], None] = _nobody
         self._session = session
-        self._put = package.SampleKind.PUT
+        self._put, self._closed_error = package.SampleKind.PUT, package.ZError
         self._root = f"{ROOT}/{fleet}"
         self._service, self._label, self._watched = service, label, watched
         self._on_close = on_close
@@ -171,11 +180,17 @@ class Endpoint:
         key = f"{self._root}/here/{service}/*/*"
 
         def collect() -> list[Seen]:
-            replies = self._session.liveliness().get(key, timeout=ASKED_WITHIN)
+            try:
+                replies = self._session.liveliness().get(key, timeout=ASKED_WITHIN)
+            except self._closed_error as error:
+                raise OSError(f"Zenoh: {error}") from None
             found = (_seen(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
-            return list(itertools.islice(found, MOST_SEEN))
+            return [seen for seen in itertools.islice(found, MOST_SEEN) if seen is not None]
 
-        return await in_thread("zenoh-ask", collect, 2 * ASKED_WITHIN)
+        try:
+            return await in_thread("zenoh-ask", collect, 2 * ASKED_WITHIN)
+        except TimeoutError:
+            raise OSError("the Zenoh network does not say who is in it: is its router busy?") from None
 
     # --- streams
 
@@ -206,17 +221,28 @@ class Endpoint:
         payload = sample.payload.to_bytes()
         attachment = sample.attachment
         header = b"" if attachment is None else attachment.to_bytes()
-        size = len(payload) + _OVERHEAD
-        with self._counting:
-            if self._waiting_bytes + size > RECEIVE_BUFFER:
-                return  # a stream notices by the numbers
-            self._waiting_bytes += size
         key = str(sample.key_expr)
-        self._soon(lambda: self._take(key, header, payload, size))
+        self._within_budget(len(payload), lambda: self._take(key, header, payload))  # a stream notices by the numbers
 
     def _announcement(self, sample: zenoh.Sample) -> None:
-        seen, comes = _seen(str(sample.key_expr)), sample.kind == self._put
-        self._soon(lambda: self._announced(seen, comes=comes))
+        key = str(sample.key_expr)
+        seen, comes = _seen(key), sample.kind == self._put
+        if seen is not None:
+            self._within_budget(len(key), lambda: self._announced(seen, comes=comes))
+
+    def _within_budget(self, length: int, work: Callable[[], None]) -> None:
+        size = length + _OVERHEAD
+        with self._counting:
+            if self._waiting_bytes + size > RECEIVE_BUFFER:
+                return
+            self._waiting_bytes += size
+
+        def take() -> None:
+            with self._counting:
+                self._waiting_bytes -= size
+            work()
+
+        self._soon(take)
 
     def _soon(self, work: Callable[[], None]) -> None:
         self._arrivals.append(work)
@@ -229,13 +255,18 @@ class Endpoint:
 
     def _turn(self) -> None:
         self._woken = False
-        for _ in range(len(self._arrivals)):
-            self._arrivals.popleft()()
+        try:
+            for _ in range(min(len(self._arrivals), _AT_A_TIME)):
+                self._arrivals.popleft()()
+        finally:
+            if self._arrivals and not self._woken:
+                self._woken = True
+                self._loop.call_soon(self._turn)  # others have their turn first
 
-    def _take(self, key: str, attachment: bytes, payload: bytes, size: int) -> None:
-        with self._counting:
-            self._waiting_bytes -= size
+    def _take(self, key: str, attachment: bytes, payload: bytes) -> None:
         *_, sender, stream = key.rsplit("/", 2)
+        if not _ADDRESS.fullmatch(sender):
+            return
         if stream == _DATAGRAM:
             if self.on_datagram is not None:
                 self.on_datagram(sender, payload)
@@ -245,26 +276,39 @@ class Endpoint:
         header = Header(*_HEADER.unpack(attachment))
         end = self._streams.get((sender, stream))
         if end is None:
-            if header.kind != Kind.DATA:
+            if header.kind != Kind.DATA or not _ADDRESS.fullmatch(stream):
                 return
             if self.on_stream is None or header.number:
+                # Anyone can cause these, so they wait for nothing.
                 over = Header(Kind.END, header.rank, 0)
-                self.outbox.put(self.key(sender, stream), b"there is no such stream any more", over)
+                self.outbox.drop(self.key(sender, stream), b"there is no such stream any more", over)
                 return
             end = self.on_stream(sender, stream, header)
         end.arrived(header, payload)
 
     def _announced(self, seen: Seen, *, comes: bool) -> None:
-        if comes and (seen.address in self.seen or len(self.seen) < MOST_SEEN):
+        known = self.seen.get(seen.address)
+        if comes:
+            if known is not None or len(self.seen) >= MOST_SEEN:
+                return  # whoever announces another's address does not become it
             self.seen[seen.address] = seen
-        elif not comes:
-            self.seen.pop(seen.address, None)
-            self._end_all("the other side has left the Zenoh network", seen.address)
+        else:
+            if known != seen:
+                return
+            del self.seen[seen.address]
+            # Where the router is lost, Zenoh says this first, of everybody.
+            self._loop.call_later(_SETTLED, self._gone, seen.address)
         self.on_seen(seen, comes)
 
+    def _gone(self, address: str) -> None:
+        here = bool(self._session.info.transports())
+        self._end_all("the other side has left the Zenoh network" if here else ROUTER_LOST, address)
 
-def _seen(key: str) -> Seen:
+
+def _seen(key: str) -> Seen | None:
     *_, service, address, label = key.rsplit("/", 3)
+    if not _ADDRESS.fullmatch(address):
+        return None
     return Seen(service, address, sanitize_text(unquote(label), _LABEL_LENGTH) if label != "-" else "")
 
 

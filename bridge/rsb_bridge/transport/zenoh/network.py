@@ -10,9 +10,10 @@ import os
 import threading
 from typing import TYPE_CHECKING, Any
 
+from rsb_bridge.model.transports import HOW_TO_INSTALL_ZENOH
 from rsb_bridge.transport.threads import in_thread
-from rsb_bridge.transport.zenoh.diagnosis import why_unreachable
-from rsb_bridge.transport.zenoh.endpoint import Endpoint
+from rsb_bridge.transport.zenoh.diagnosis import TLS, UNABLE, first_sentence, why_unreachable
+from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST, Endpoint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,12 +26,27 @@ if TYPE_CHECKING:
 LARGEST_SAMPLE = 2 * 1024 * 1024
 """Bytes; this side's own are half as long at most, and whatever else comes is refused before it is put together."""
 
-_OPEN_WITHIN = 10.0
+_OPEN_WITHIN = 20.0
+_HANDSHAKE = 3000
+"""ms that one endpoint has for Zenoh's own handshake."""
+_CLOSE_WITHIN = 1.0
 _QUEUES = ("control", "real_time", "interactive_high", "interactive_low", "data_high", "data", "data_low", "background")
 _BATCHES = 16
 """Of 64 kB, in each priority's queue; the most that Zenoh allows. `endpoint` relies on it."""
 _LEASE = 5000
 """ms without a byte after which a router counts as lost."""
+_UNLESS_SAID = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/autoconnect": {"router": [], "peer": [], "client": []},
+}
+"""Unless the session's own configuration says else: nobody is called who is not named."""
+_FILES = (
+    "root_ca_certificate",
+    "listen_private_key",
+    "listen_certificate",
+    "connect_private_key",
+    "connect_certificate",
+)
 _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2}
 
 
@@ -49,9 +65,11 @@ class Network:
         self.settings = settings
         self._base = base
         self._jitter = jitter
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # never held for long: the loops take it, too
+        self._opening = threading.Lock()
         self._session: zenoh.Session | None = None
         self._listener: Any = None
+        self._config_used: zenoh.Config | None = None
         self._endpoints: list[Endpoint] = []
         self._closed = False
 
@@ -61,12 +79,12 @@ class Network:
         Raises:
             OSError: it is not reached; the message says why, and what to do.
         """
+        if self.connected:
+            return
         try:
             await in_thread("zenoh-open", self._open, _OPEN_WITHIN)
         except TimeoutError:
             raise OSError(f"{self.place}: no answer within {_OPEN_WITHIN:g} s") from None
-        if not self.connected:
-            raise OSError(f"{self.place}: the router is lost; Zenoh looks for it")
 
     @property
     def place(self) -> str:
@@ -113,7 +131,8 @@ class Network:
 
     def _left(self, endpoint: Endpoint) -> None:
         with self._lock:
-            self._endpoints.remove(endpoint)
+            if endpoint in self._endpoints:
+                self._endpoints.remove(endpoint)
         self._leave()
 
     def _leave(self) -> None:
@@ -122,25 +141,43 @@ class Network:
                 return
             session, self._session = self._session, None
         if session is not None:
-            session.close()  # type: ignore[no-untyped-call]
+            _close(session)
 
     # --- in a thread
 
     def _open(self) -> None:
+        if not self._opening.acquire(timeout=_OPEN_WITHIN):
+            raise TimeoutError  # an earlier call is still at it
+        try:
+            if self._session is None and not self._closed:
+                self._begin()
+            if not self.connected:
+                raise OSError(self._why_lost())
+        finally:
+            self._opening.release()
+
+    def _begin(self) -> None:
+        try:
+            import zenoh  # noqa: PLC0415 (an extra)
+        except ImportError:
+            raise OSError(HOW_TO_INSTALL_ZENOH) from None
+        config = self._config(zenoh)
+        try:
+            session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise OSError(why_unreachable(self.settings, config, str(error))) from None
+        listener = session.info.declare_transport_events_listener(self._changed)
         with self._lock:
-            if self._session is not None or self._closed:
+            if not self._closed:
+                self._session, self._listener, self._config_used = session, listener, config
                 return
-            try:
-                import zenoh  # noqa: PLC0415 (an extra)
-            except ImportError:
-                raise OSError("the package eclipse-zenoh is not installed: pip install 'rsb-console[zenoh]'") from None
-            config = self._config(zenoh)
-            try:
-                session = zenoh.open(config)
-            except zenoh.ZError as error:
-                raise OSError(why_unreachable(self.settings, config, str(error))) from None
-            self._listener = session.info.declare_transport_events_listener(self._changed)
-            self._session = session
+        _close(session)  # nobody waited for it
+
+    def _why_lost(self) -> str:
+        """Why nobody is reached by a session that is open; it looks for them by itself."""
+        if self._config_used is None:
+            return f"{self.place}: closed meanwhile"
+        return why_unreachable(self.settings, self._config_used, UNABLE)
 
     def _config(self, package: Any) -> zenoh.Config:
         settings = self.settings
@@ -153,16 +190,20 @@ class Network:
                 raise OSError(f"zenoh.config: {path}: {os.strerror(error.errno or 0)}") from None
             except (package.ZError, ValueError) as error:
                 raise OSError(f"zenoh.config: {path}: {first_sentence(str(error))}") from None
-        else:
-            _set(config, "scouting/multicast/enabled", value=False)  # nobody is called who is not named
+            _from_its_folder(config, path.parent)
+        for key, usual in _UNLESS_SAID.items():
+            if json.loads(config.get_json(key)) is None:
+                _set(config, key, usual)
+        if json.loads(config.get_json("mode")) is None:
+            _set(config, "mode", "peer" if settings.listen else "client")
         if settings.connect:
             _set(config, "connect/endpoints", list(settings.connect))
         if settings.listen:
             _set(config, "listen/endpoints", list(settings.listen))
-        if settings.config is None:
-            _set(config, "mode", "peer" if settings.listen else "client")
         _set(config, "connect/retry", {**_RETRY, "period_init_ms": int(_RETRY["period_init_ms"] * (1 + self._jitter))})
+        _set(config, "transport/unicast/open_timeout", _HANDSHAKE)
         _set(config, "transport/link/tx/lease", _LEASE)
+        _set(config, "transport/shared_memory/enabled", value=False)  # a killed process would leave some behind
         _set(config, "transport/link/rx/max_message_size", 2 * LARGEST_SAMPLE)
         _set(config, "transport/link/tx/queue/size", dict.fromkeys(_QUEUES, _BATCHES))
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
@@ -176,13 +217,23 @@ class Network:
         with self._lock:
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
-            endpoint.cut_off("the connection to the Zenoh router is lost")
+            endpoint.cut_off(ROUTER_LOST)
 
 
 def _set(config: zenoh.Config, key: str, value: object) -> None:
     config.insert_json5(key, json.dumps(value))
 
 
-def first_sentence(text: str) -> str:
-    """What Zenoh says of an error, without where in its own code that was."""
-    return text.partition(" at /")[0].strip().rstrip(".")
+def _from_its_folder(config: zenoh.Config, folder: Path) -> None:
+    """Have files that a configuration names be relative to it; Zenoh itself takes the process's folder."""
+    settings = json.loads(config.get_json(TLS)) or {}
+    for key in _FILES:
+        if settings.get(key):
+            _set(config, f"{TLS}/{key}", str((folder / settings[key]).absolute()))
+
+
+def _close(session: zenoh.Session) -> None:
+    """Close it, and wait for that, but not for long: with a router that takes nothing, Zenoh waits for seconds."""
+    closing = threading.Thread(target=session.close, name="zenoh-close", daemon=True)
+    closing.start()
+    closing.join(_CLOSE_WITHIN)

@@ -1,33 +1,44 @@
 """What an endpoint sends: at once where that cannot take long, else on a thread.
 
 Zenoh holds back whoever sends while its queue is full (`CongestionControl.BLOCK`), for up to 5 s, and the loop must not
-wait. The queue of each priority has 16 batches of 64 kB; what was sent in the last 5 s at less than `AT_ONCE` bytes a
-second fits it, even where the router takes nothing. Whatever is more than that is sent by a thread.
+wait. The queue of each priority has 16 batches of 64 kB, each at least half full while it waits. What was sent in the
+last 5 s at less than `AT_ONCE` bytes a second fits it, even where the router takes nothing; a router that takes nothing
+for longer is lost. Whatever is more than that is sent by a thread, one for each rank: what is urgent waits for nothing
+that is not. Where the network itself is slower than `AT_ONCE`, a call that takes long shows it.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     import asyncio
+    from collections.abc import Callable
 
     import zenoh
 
     from rsb_bridge.transport.zenoh.endpoint import Header
 
-AT_ONCE = 160 * 1024
-"""Bytes of one priority in one second that are sent on the loop's thread."""
+AT_ONCE = 100 * 1024
+"""Bytes of one rank in one second that are sent on the loop's thread, in 5 s together."""
 LINK_RANK = 0
 """Of streams that carry a link's own messages, before all routes."""
+_RANKS = 4
 _OWN_COST = 200
 """Bytes that a sample takes beside its payload."""
+_MAY_WAIT = 5 * AT_ONCE
+_COUNTED = 2 * 1024 * 1024
+"""Bytes at most of what went lately: after more, the thread sends for another 15 s."""
+_LONG = 0.05
+"""s of a call that had to wait."""
+_SLOW_FOR = 30.0
+"""s for which the thread sends after such a call."""
 
 
 class Outbox:
-    """Sends samples in order.
+    """Sends samples; those of one rank in order. Used on the loop.
 
     Ranks are those of `LINK_RANK` and, from 1 on, of `rsb_bridge.model.priority`, highest first.
     """
@@ -36,52 +47,102 @@ class Outbox:
         import zenoh as package  # noqa: PLC0415 (an extra)
 
         priority, control = package.Priority, package.CongestionControl
-        self._priorities = (priority.INTERACTIVE_HIGH, priority.DATA_HIGH, priority.DATA, priority.DATA_LOW)
+        ranks = (priority.INTERACTIVE_HIGH, priority.INTERACTIVE_LOW, priority.DATA, priority.DATA_LOW)
         self._block, self._drop = control.BLOCK, control.DROP
+        # A queue that no stream has: were it theirs, datagrams would fill it, and a stream's sender would have to wait.
+        self._datagrams = priority.DATA_HIGH
         self._closed_error = package.ZError
         self._session = session
-        self._now = loop.time
-        self._spent = [0] * len(self._priorities)
-        self._second = 0.0
-        self._queue: deque[tuple[str, bytes, bytes, Any]] = deque()
-        self._filled = threading.Condition()
-        self._thread: threading.Thread | None = None
-        self._closed = False
+        self._lanes = [_Lane(self._sender(each), loop.time) for each in ranks]
 
     def put(self, key: str, payload: bytes | bytearray | memoryview[int], header: Header) -> None:
         """Send a sample of a stream; it is held back, and never dropped, while the network is congested."""
-        rank = min(header.rank, len(self._priorities) - 1)
-        size = len(payload) + _OWN_COST
-        if not self._queue and self._has_room(rank, size):
-            self._send(key, bytes(payload), header.pack(), self._priorities[rank])
-            return
-        with self._filled:
-            self._queue.append((key, bytes(payload), header.pack(), self._priorities[rank]))
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="zenoh-send", daemon=True)
-                self._thread.start()
-            self._filled.notify()
+        self._lanes[min(header.rank, _RANKS - 1)].put(_Sample(key, bytes(payload), header.pack()))
 
-    def drop(self, key: str, payload: bytes) -> None:
+    def waiting(self, key: str, rank: int) -> int:
+        """Bytes of a stream that Zenoh has yet to be given."""
+        return self._lanes[min(rank, _RANKS - 1)].waiting.get(key, 0)
+
+    def drop(self, key: str, payload: bytes, header: Header | None = None) -> None:
         """Send a datagram, or lose it."""
+        attachment = None if header is None else header.pack()
         try:
-            self._session.put(key, payload, congestion_control=self._drop)
+            self._session.put(
+                key, payload, attachment=attachment, congestion_control=self._drop, priority=self._datagrams
+            )
         except self._closed_error:
             return
 
     def close(self) -> None:
         """Send no more; what waits is lost."""
+        for lane in self._lanes:
+            lane.close()
+
+    def _sender(self, priority: Any) -> Callable[[_Sample], None]:
+        def send(sample: _Sample) -> None:
+            try:
+                self._session.put(
+                    sample.key,
+                    sample.payload,
+                    attachment=sample.attachment,
+                    congestion_control=self._block,
+                    priority=priority,
+                )
+            except self._closed_error:
+                return  # the network is closed: so is every stream
+
+        return send
+
+
+class _Sample(NamedTuple):
+    key: str
+    payload: bytes
+    attachment: bytes
+
+
+class _Lane:
+    """What is sent at one priority, in order.
+
+    Attributes:
+        waiting: bytes that Zenoh has yet to be given, by key; less is counted before it is given them.
+    """
+
+    def __init__(self, send: Callable[[_Sample], None], now: Callable[[], float]) -> None:
+        self.waiting: dict[str, int] = {}
+        self._send = send
+        self._now = now
+        self._lately = 0.0
+        self._counted_at = self._slow_until = 0.0
+        self._queue: deque[_Sample] = deque()
+        self._filled = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    def put(self, sample: _Sample) -> None:
+        if self._has_room(len(sample.payload) + _OWN_COST) and not self._queue:
+            self._send_timed(sample)
+            return
+        with self._filled:
+            if self._closed:
+                return
+            self._queue.append(sample)
+            self.waiting[sample.key] = self.waiting.get(sample.key, 0) + len(sample.payload)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="zenoh-send", daemon=True)
+                self._thread.start()
+            self._filled.notify()
+
+    def close(self) -> None:
         with self._filled:
             self._closed = True
             self._filled.notify()
 
-    def _has_room(self, rank: int, size: int) -> bool:
+    def _has_room(self, size: int) -> bool:
+        """Count a sample, and say whether Zenoh's queue is sure to have room for it."""
         now = self._now()
-        if now - self._second >= 1.0:
-            self._second = now
-            self._spent = [0] * len(self._priorities)
-        self._spent[rank] += size
-        return self._spent[rank] <= AT_ONCE
+        left = max(0.0, self._lately - (now - self._counted_at) * AT_ONCE)
+        self._lately, self._counted_at = min(left + size, _COUNTED), now
+        return left + size <= _MAY_WAIT and now >= self._slow_until
 
     def _run(self) -> None:
         while True:
@@ -89,12 +150,19 @@ class Outbox:
                 self._filled.wait_for(lambda: self._queue or self._closed)
                 if self._closed:
                     return
-            while self._queue and not self._closed:
-                self._send(*self._queue[0])
-                self._queue.popleft()  # not before: as long as it is there, whatever comes goes behind it
+                sample = self._queue[0]
+                self._count_out(sample)
+            self._send_timed(sample)
+            self._queue.popleft()  # not before: as long as it is there, whatever comes goes behind it
 
-    def _send(self, key: str, payload: bytes, attachment: bytes, priority: Any) -> None:
-        try:
-            self._session.put(key, payload, attachment=attachment, congestion_control=self._block, priority=priority)
-        except self._closed_error:
-            return  # the network is closed: so is every stream
+    def _count_out(self, sample: _Sample) -> None:
+        left = self.waiting.pop(sample.key, 0) - len(sample.payload)
+        if left > 0:
+            self.waiting[sample.key] = left
+
+    def _send_timed(self, sample: _Sample) -> None:
+        began = self._now()
+        self._send(sample)
+        ended = self._now()
+        if ended - began > _LONG:
+            self._slow_until = ended + _SLOW_FOR

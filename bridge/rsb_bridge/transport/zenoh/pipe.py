@@ -1,10 +1,11 @@
 """A stream over a Zenoh network, as an asyncio transport.
 
 Zenoh keeps the order of a key's samples, and loses some when a router does, or the way changes. So each sample of data
-has a number, and a stream that misses one is over: what follows would not open.
+has a number, and a stream that misses one is over: what follows would not open. One that comes again is passed over.
 
 The receiving end says how much it has taken in. No more than `WINDOW` bytes are under way beyond that, so that a
-receiver that reads slowly holds up its own streams only, not all that a router carries.
+receiver that reads slowly holds up its own streams only, not all that a router carries. Whatever it says, it cannot
+have taken in what still waits here for Zenoh: so nobody can make that grow.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import asyncio
 from collections import deque
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.zenoh.endpoint import Header, Kind
 
 if TYPE_CHECKING:
@@ -26,7 +28,12 @@ SAMPLE = 1024 * 1024
 """Bytes of one sample at most; with `rsb_bridge.transport.zenoh.network.LARGEST_SAMPLE`."""
 
 _SAID_EVERY = WINDOW // 8
-_REASON_BYTES = 200
+_ASKED_AFTER = 2.0
+"""s without a window after which a sender that waits for one asks, and without more to send after which it says that
+it has said all: else the loss of the last sample would show with the next one only, which may be hours away."""
+_AT_A_TIME = 256 * 1024
+"""Bytes that are delivered in one turn of the loop, of what was held while reading was paused."""
+_REASON = 200
 
 
 class Pipe(asyncio.Transport):
@@ -58,14 +65,18 @@ class Pipe(asyncio.Transport):
         self._protocol = protocol
         self._when_over = when_over
         self._loop = asyncio.get_running_loop()
-        self._closing = self._over = self._ended = False
+        self._closing = self._over = False
+        self._ended: str | None = None
+        """Why the other side has ended it; empty: it has sent all."""
         self._high = 64 * 1024
         self._paused_writing = False
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = 0
         self._sent_samples = self._sent = self._taken_there = 0
         self._reading = True
-        self._held: deque[bytes] = deque()
+        self._resuming = False
+        self._asking: asyncio.TimerHandle | None = None
+        self._held = bytearray()  # and no list of samples, of which each, however small, would take memory of its own
         self._received_samples = self._received = self._taken = self._said = 0
         endpoint.add(peer, stream, self)
         protocol.connection_made(self)
@@ -87,9 +98,10 @@ class Pipe(asyncio.Transport):
             self._protocol.pause_writing()
 
     def close(self) -> None:
-        """Send what waits, then end it."""
+        """Send what waits, then end it. Nothing is delivered any more."""
         if not self._closing:
             self._closing = True
+            self._held.clear()
             if not self._waiting:
                 self._end("")
 
@@ -105,8 +117,9 @@ class Pipe(asyncio.Transport):
 
     def resume_reading(self) -> None:
         self._reading = True
-        while self._held and self._reading and not self._closing:
-            self._deliver(self._held.popleft())
+        if not self._resuming and (self._held or self._ended is not None):
+            self._resuming = True
+            self._loop.call_soon(self._resume)  # not now: the protocol may be in the middle of what came before
 
     def is_reading(self) -> bool:
         return self._reading and not self._closing
@@ -136,18 +149,14 @@ class Pipe(asyncio.Transport):
         if header.kind == Kind.DATA:
             self._data(header.number, payload)
         elif header.kind == Kind.WINDOW:
-            self._taken_there = max(self._taken_there, min(header.number, self._sent))
+            there = min(header.number, self._sent - self._endpoint.outbox.waiting(self._key, self._rank))
+            self._taken_there = max(self._taken_there, there)
             self._go_on()
-        elif header.kind == Kind.END:
+        elif header.kind == Kind.END and self._ended is None:
             missing = header.number - self._received_samples
-            self._ended = True
-            if missing > 0:
-                self.cut_off(_missing(missing))
-            elif payload:
-                self.cut_off(payload[:_REASON_BYTES].decode(errors="replace"))
-            else:
-                self._protocol.eof_received()
-                self.close()
+            self._ended = _missing(missing) if missing > 0 else _reason(payload)
+            if not self._held:
+                self._finish()
 
     def cut_off(self, reason: str) -> None:
         """The other end is gone, or cannot be reached any more."""
@@ -155,33 +164,81 @@ class Pipe(asyncio.Transport):
         self._end("", OSError(reason))
 
     def _data(self, number: int, payload: bytes) -> None:
-        if number != self._received_samples:
+        if number < self._received_samples or self._ended is not None:
+            return  # somebody plays it again
+        if number > self._received_samples:
             error = _missing(number - self._received_samples)
             self._end(error, OSError(error))
             return
         self._received_samples += 1
         self._received += len(payload)
-        if self._received - self._taken > WINDOW + SAMPLE:
+        if not payload:
+            self._say()
+        elif self._received - self._taken > WINDOW + SAMPLE:
             error = f"the other side sends more than the {WINDOW:,} bytes that may be under way"
             self._end(error, OSError(error))
+        elif self._closing:
+            self._taken += len(payload)
         elif self._reading and not self._held:
             self._deliver(payload)
         else:
-            self._held.append(payload)
+            self._held += payload
+
+    def _resume(self) -> None:
+        """Deliver what was held, unless reading is paused again."""
+        self._resuming = False
+        if not self._reading or self._closing:
+            return
+        if self._held:
+            data = bytes(self._held[:_AT_A_TIME])
+            del self._held[:_AT_A_TIME]
+            self._deliver(data)
+            if self._reading:
+                self.resume_reading()
+        elif self._ended is not None:
+            self._finish()
+
+    def _finish(self) -> None:
+        """The other side has ended it, and all that it sent is delivered: what waits here would reach nobody."""
+        if self._ended:
+            self._end("", OSError(self._ended))
+        else:
+            self._protocol.eof_received()
+            self._end("")
 
     def _deliver(self, payload: bytes) -> None:
         self._taken += len(payload)
         if self._taken - self._said >= _SAID_EVERY:
-            self._said = self._taken
-            self._endpoint.outbox.put(self._key, b"", Header(Kind.WINDOW, self._rank, self._taken))
+            self._say()
         self._protocol.data_received(payload)
+
+    def _say(self) -> None:
+        self._said = self._taken
+        self._endpoint.outbox.put(self._key, b"", Header(Kind.WINDOW, self._rank, self._taken))
 
     # --- what goes
 
     def _send(self, data: bytes | bytearray | memoryview[int]) -> None:
+        self._put(data)
+        self._sent += len(data)
+        if self._asking is None:
+            self._ask_later()
+
+    def _put(self, data: bytes | bytearray | memoryview[int]) -> None:
         self._endpoint.outbox.put(self._key, data, Header(Kind.DATA, self._rank, self._sent_samples))
         self._sent_samples += 1
-        self._sent += len(data)
+
+    def _ask_later(self) -> None:
+        self._asking = self._loop.call_later(_ASKED_AFTER, self._ask, self._sent_samples, self._taken_there)
+
+    def _ask(self, sent_then: int, taken_then: int) -> None:
+        """Send empty data, which the other side answers by a window, where nothing has moved for a while."""
+        self._asking = None
+        still = sent_then == self._sent_samples and taken_then == self._taken_there
+        if still:
+            self._put(b"")
+        if self._waiting or not still:
+            self._ask_later()
 
     def _go_on(self) -> None:
         while self._waiting and self._sent - self._taken_there < WINDOW:
@@ -199,10 +256,12 @@ class Pipe(asyncio.Transport):
         if self._over:
             return
         self._over = self._closing = True
-        if not self._ended:
+        if self._ended is None:
             end = Header(Kind.END, self._rank, self._sent_samples)
-            self._endpoint.outbox.put(self._key, told.encode()[:_REASON_BYTES], end)
+            self._endpoint.outbox.put(self._key, told.encode()[:_REASON], end)
         self._endpoint.forget(self._peer, self._stream)
+        if self._asking is not None:
+            self._asking.cancel()
         self._waiting.clear()
         self._held.clear()
         self._waiting_bytes = 0
@@ -212,6 +271,10 @@ class Pipe(asyncio.Transport):
         self._protocol.connection_lost(error)
         if self._when_over is not None:
             self._when_over()
+
+
+def _reason(payload: bytes) -> str:
+    return sanitize_text(payload[:_REASON].decode(errors="replace"))
 
 
 def _missing(count: int) -> str:

@@ -141,7 +141,7 @@ class Zenoh(ZenohTraits, StreamTransport):
 
         endpoint.on_stream = accept
         endpoint.on_seen = another
-        return _Listening(self._links, endpoint)
+        return _Listening(endpoint)
 
     def close(self) -> None:
         self._links.close()
@@ -151,8 +151,7 @@ class Zenoh(ZenohTraits, StreamTransport):
 class _Listening:
     """A server's end of `Zenoh.listen`."""
 
-    def __init__(self, links: Links, endpoint: Endpoint) -> None:
-        self._links = links
+    def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
 
     def close(self) -> None:
@@ -212,14 +211,18 @@ class ZenohDrop(ZenohDropTraits, DatagramTransport):
             endpoint = self._links.endpoint_if_open()
         except OSError as error:
             raise ListenError(str(error)) from None
-        bound = ZenohSocket(endpoint, "", lambda: _deaf(endpoint))
-        endpoint.on_datagram = lambda sender, payload: acceptor.datagrams(bound, [(payload, (sender, 0))])
+
+        def take(sender: str, payload: bytes) -> None:
+            acceptor.datagrams(bound, [(payload, (sender, 0))])
+
+        bound = ZenohSocket(endpoint, "", lambda: _deaf(endpoint, take))
+        endpoint.on_datagram = take
         return bound
 
     def connect(self, peer: Address, received: Callable[[DatagramSocket, Datagrams], None]) -> DatagramSocket:
         endpoint = self._links.endpoint_if_open()
         server = str(peer[0])
-        connected = ZenohSocket(endpoint, server, lambda: _deaf(endpoint))
+        connected = ZenohSocket(endpoint, server, lambda: _deaf(endpoint, take))
 
         def take(sender: str, payload: bytes) -> None:
             if sender == server:
@@ -229,8 +232,10 @@ class ZenohDrop(ZenohDropTraits, DatagramTransport):
         return connected
 
 
-def _deaf(endpoint: Endpoint) -> None:
-    endpoint.on_datagram = None
+def _deaf(endpoint: Endpoint, take: Callable[[str, bytes], None]) -> None:
+    """Give datagrams to `take` no longer; the next socket may have begun before this one is closed."""
+    if endpoint.on_datagram is take:
+        endpoint.on_datagram = None
 
 
 def _priority(rank: int | None) -> int:

@@ -1,0 +1,330 @@
+"""Whole bridges over a Zenoh network: what crosses, what both sides say, and what becomes of a router that dies."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+pytest.importorskip("zenoh")  # an extra
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from tests.support.bridge import (
+    balance,
+    carries,
+    connections,
+    feedback_listeners,
+    happened,
+    heard,
+    link,
+    linked,
+    now,
+    route,
+    settled,
+)
+from tests.support.domain import text
+from tests.support.fibonacci import ACTION
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+from tests.support.zenoh_router import Router, stranger
+
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Client, Topic, ZenohSettings
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import LinkCause
+from rsb_bridge.transport.zenoh import endpoint as endpoints
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import zenoh
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain
+    from tests.support.fibonacci import FibonacciClient, FibonacciServer
+    from tests.support.program import Programs
+
+    from rsb_bridge.engine import Engine
+
+MEGABYTE = 1 << 20
+BEST_EFFORT = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    made = Router()
+    yield made
+    made.close()
+
+
+def over(*routers: Router, **settings: Any) -> dict[str, Any]:
+    """What a session over Zenoh has that others have not."""
+    connect = tuple(each.endpoint for each in routers)
+    return {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=connect, **settings)}
+
+
+def both_linked(*engines: Engine) -> None:
+    eventually(lambda: all(linked(each) for each in engines), what="linked")
+
+
+@pytest.mark.parametrize("direction", ["transmit", "receive"])
+def test_what_crosses_is_what_was_published(
+    direction: Any, bridge: Bridge, router: Router, robot: Domain, pc: Domain
+) -> None:
+    near, far = (robot, pc) if direction == "transmit" else (pc, robot)
+    names = ("/stream", "/drop")
+    theres = [far.listener("/stream"), far.listener("/drop", qos=BEST_EFFORT)]
+    outs = [near.publisher(name) for name in names]
+    qos: tuple[dict[str, Any], ...] = ({"depth": 200}, {"depth": 200, "reliability": "best_effort"})
+    topics = (Topic(name, direction, qos=each) for name, each in zip(names, qos, strict=True))
+    server, client = bridge.both(*topics, **over(router))
+    sender, receiver = (client, server) if direction == "transmit" else (server, client)
+    carries(outs, receiver, names)
+    assert [route(sender, name).transport for name in names] == ["zenoh", "zenoh-drop"]
+    for name, there, out in zip(names, theres, outs, strict=True):
+        size = 40_000 if name == "/stream" else 400  # what is dropped is not more than waits anywhere
+        sent = [text(f"{number} " + "x" * (number % 5) * size) for number in range(100)]
+        for each in sent:
+            out.publish(each)
+        assert heard(there, 100) == sent
+        assert settled(sender, name, 100).delivered == 100
+
+
+def test_large_messages_cross_whole(bridge: Bridge, router: Router, robot: Domain, pc: Domain) -> None:
+    there, out = pc.listener("/map"), robot.publisher("/map")
+    server, _ = bridge.both(Topic("/map", "transmit", qos={"depth": 10}), **over(router))
+    carries([out], server, ["/map"])
+    sent = [text(str(number) * (5 * MEGABYTE)) for number in range(3)]
+    for each in sent:
+        out.publish(each)
+    assert heard(there, 3) == sent
+
+
+def test_a_router_that_is_killed_and_comes_back(bridge: Bridge, router: Router, robot: Domain, pc: Domain) -> None:
+    there, out = pc.listener("/scan"), robot.publisher("/scan")
+    server, client = bridge.both(Topic("/scan", "transmit"), **over(router))
+    carries([out], server, ["/scan"])
+    router.kill()
+    eventually(lambda: not linked(server) and not linked(client), what="both notice")
+    eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
+    assert router.endpoint in link(client).reason
+    assert "nobody listens there" in link(client).reason
+    assert link(server).state is State.DOWN
+    assert link(server).cause == LinkCause.LOST
+    assert "router is lost" in link(server).reason
+    router.start()
+    both_linked(server, client)
+    carries([out], server, ["/scan"])
+    out.publish(text("again"))
+    eventually(lambda: text("again") in there.payloads)
+
+
+def test_a_second_router_takes_over(bridge: Bridge) -> None:
+    first = Router()
+    second = Router(connect={"endpoints": [first.endpoint]})
+    try:
+        server, client = bridge.both(**over(first, second))
+        first.kill()
+        eventually(lambda: not linked(server) or not linked(client), what="noticed")
+        both_linked(server, client)
+        second.kill()
+        eventually(lambda: not linked(server) and not linked(client), what="noticed")
+        first.start()
+        both_linked(server, client)
+    finally:
+        first.close()
+        second.close()
+
+
+def test_without_a_router_both_sides_say_so_and_link_once_there_is_one(bridge: Bridge, router: Router) -> None:
+    router.kill()
+    server, client = bridge.server(**over(router)), bridge.client(**over(router))
+    eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
+    assert "nobody listens there" in link(client).reason
+    event = eventually(lambda: happened(server, EventCode.ENGINE_NOT_LISTENING))
+    assert "nobody listens there" in event.text
+    router.start()
+    both_linked(server, client)
+
+
+def test_without_a_server_the_client_says_so(bridge: Bridge, router: Router) -> None:
+    client = bridge.client(**over(router, fleet="harbour"))
+    eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
+    assert "no server of the fleet 'harbour'" in link(client).reason
+    server = bridge.server(**over(router, fleet="harbour"))
+    both_linked(server, client)
+
+
+def test_two_servers_of_one_fleet_are_named_on_both(bridge: Bridge, router: Router) -> None:
+    first, client = bridge.both(**over(router))
+    second = bridge.server(name="other", **over(router))
+    said = eventually(lambda: happened(second, EventCode.ENGINE_NOT_LISTENING))
+    assert "has a server already: robot1 on " in said.text
+    warned = eventually(lambda: happened(first, EventCode.ENGINE_SHORTAGE))
+    assert "has a server already: other on " in warned.text
+    assert linked(first)
+    assert linked(client)
+
+
+def test_fleets_do_not_meet(bridge: Bridge, router: Router) -> None:
+    bridge.server(**over(router, fleet="a"))
+    client = bridge.client(**over(router, fleet="b"))
+    eventually(lambda: "no server of the fleet 'b'" in link(client).reason)
+
+
+def test_a_server_that_is_restarted_is_found_at_its_new_address(bridge: Bridge, router: Router) -> None:
+    server, client = bridge.both(**over(router))
+    server.stop()
+    eventually(lambda: not linked(client))
+    both_linked(bridge.server(**over(router)), client)
+
+
+def test_a_client_that_is_killed_is_missed_at_once(bridge: Bridge, router: Router, programs: Programs) -> None:
+    """Its token goes with it: the server does not wait until it has been silent for long."""
+    server = bridge.server(**over(router))
+    program = programs.start(bridge.client_session(**over(router)))
+    eventually(lambda: linked(server))
+    program.signal(signal.SIGKILL)
+    eventually(lambda: not linked(server))
+    lost = eventually(lambda: happened(server, EventCode.LINK_LOST))
+    assert "left the Zenoh network" in lost.text
+
+
+def test_a_wrong_key_is_named_on_both_sides(bridge: Bridge, router: Router) -> None:
+    server = bridge.server(**over(router))
+    client = bridge.client(key_file=bridge.make_key("other"), **over(router))
+    eventually(lambda: link(client).cause == link(server).cause == LinkCause.WRONG_KEY)
+    assert "the keys of 'robot1' differ" in link(client).reason
+
+
+def test_a_name_that_the_server_does_not_know(bridge: Bridge, router: Router) -> None:
+    bridge.server(name="pc", clients=(Client("robot2"),), **over(router))
+    client = bridge.client(**over(router))
+    eventually(lambda: link(client).cause == LinkCause.UNKNOWN_NAME)
+
+
+def test_datagrams_that_the_network_drops_are_in_the_ledger(
+    bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, out = pc.listener("/drop", qos=BEST_EFFORT), robot.publisher("/drop")
+    qos = {"depth": 500, "reliability": "best_effort"}
+    server, client = bridge.both(Topic("/drop", "transmit", qos=qos), **over(router))
+    carries([out], server, ["/drop"])
+    take, count = endpoints.Endpoint._take, [0]
+
+    def lossy(self: endpoints.Endpoint, key: str, attachment: bytes, payload: bytes) -> None:
+        if key.endswith("/drop") and self._service == "server" and len(payload) > 500:
+            count[0] += 1
+            if count[0] % 5 == 0:
+                return
+        take(self, key, attachment, payload)
+
+    monkeypatch.setattr(endpoints.Endpoint, "_take", lossy)
+    for number in range(301):
+        out.publish(text(f"{number}" + " " * 800))
+        eventually(lambda number=number: count[0] > number)  # one datagram each, so that the loss is known
+    ledger = settled(client, "/drop", 301)
+    assert ledger.delivered == len(there.payloads) == 301 - 60
+    assert ledger.dropped_total == 60
+    assert balance(ledger) == 301
+    eventually(lambda: route(server, "/drop").ledger == ledger)
+
+
+def test_a_stream_that_misses_a_sample_closes_says_why_and_opens_again(
+    bridge: Bridge, router: Router, robot: Domain, pc: Domain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there, out = pc.listener("/odom"), robot.publisher("/odom")
+    server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over(router))
+    carries([out], server, ["/odom"])
+    take = endpoints.Endpoint._take
+    lost: list[str] = []
+
+    def lossy(self: endpoints.Endpoint, key: str, attachment: bytes, payload: bytes) -> None:
+        if not lost and self._service == "server" and len(payload) > 50_000:
+            lost.append(key)
+            return
+        take(self, key, attachment, payload)
+
+    monkeypatch.setattr(endpoints.Endpoint, "_take", lossy)
+    for number in range(3):
+        out.publish(text(str(number) * 60_000))
+    eventually(lambda: lost)
+    out.publish(text("next"))  # by its number the other side knows
+    event = eventually(lambda: happened(server, EventCode.ROUTE_CHANNEL_LOST, "lost in the Zenoh network"))
+    assert event.topic == "/odom"
+    assert linked(server)
+    carries([out], server, ["/odom"])
+    out.publish(text("after"))
+    eventually(lambda: text("after") in there.payloads)
+    ledger = eventually(lambda: found if not (found := route(client, "/odom").ledger).in_flight else None)
+    assert balance(ledger) == ledger.offered == 5
+    assert ledger.delivered == len(there.payloads)
+
+
+def test_a_stranger_who_floods_and_replays_moves_no_budget(
+    bridge: Bridge, router: Router, robot: Domain, pc: Domain
+) -> None:
+    there, out = pc.listener("/odom"), robot.publisher("/odom")
+    captured: list[tuple[str, bytes, bytes]] = []
+    other = stranger(router)
+
+    def capture(sample: zenoh.Sample) -> None:
+        attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
+        captured.append((str(sample.key_expr), sample.payload.to_bytes(), attachment))
+
+    tap = other.declare_subscriber(f"{endpoints.ROOT}/**", capture)
+    server, client = bridge.both(Topic("/odom", "transmit", qos={"depth": 100}), **over(router))
+    carries([out], server, ["/odom"])
+    for number in range(20):
+        out.publish(text(f"{number}"))
+    heard(there, 20)
+    tap.undeclare()
+    before = connections(server)
+    for _ in range(20):
+        for key, payload, attachment in captured:
+            other.put(key, payload, attachment=attachment)
+    address = next(iter(captured))[0].split("/")[3]
+    for number in range(2000):
+        header = endpoints.Header(endpoints.Kind.DATA, 0, 0).pack()
+        other.put(f"{endpoints.ROOT}/fleet/at/{address}/{number:016x}/{number:016x}", bytes(1000), attachment=header)
+    out.publish(text("last"))
+    eventually(lambda: text("last") in there.payloads)
+    assert there.payloads == [*(text(f"{number}") for number in range(20)), text("last")]
+    assert linked(server)
+    assert linked(client)
+    assert connections(server) == before
+    other.close()
+
+
+def test_what_an_operator_is_shown(bridge: Bridge, router: Router) -> None:
+    server, client = bridge.both(**over(router))
+    assert "zenoh" in link(client).peer
+    assert "zenoh" in link(server).peer
+    assert now(client).running
+
+
+def test_without_a_router_who_listens_is_connected_to(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    session = {"server_ip": "zenoh", "server_port": 0}
+    there, out = pc.listener("/scan"), robot.publisher("/scan")
+    server = bridge.server(zenoh=ZenohSettings(listen=(where,)), **session)
+    client = bridge.client(Topic("/scan", "transmit"), zenoh=ZenohSettings(connect=(where,)), **session)
+    both_linked(server, client)
+    carries([out], server, ["/scan"])
+    out.publish(text("direct"))
+    heard(there, 1)
+    client.stop()
+    eventually(lambda: not linked(server))
+    assert link(server).cause in {LinkCause.CLOSED, LinkCause.LOST}
+
+
+def test_an_action_crosses(bridge: Bridge, router: Router, server: FibonacciServer, client: FibonacciClient) -> None:
+    engines = bridge.both(Topic(ACTION, "receive", kind="action"), **over(router))
+    goal = client.send(5)
+    assert goal.handle().accepted
+    goal.ask()
+    eventually(lambda: server.is_heard and feedback_listeners(engines[0]))
+    server.feedback(0, 1)
+    eventually(lambda: goal.feedbacks)
+    server.finish(0, 1, 1, 2, 3)
+    assert goal.result() == ("succeeded", [0, 1, 1, 2, 3])

@@ -1,0 +1,151 @@
+"""What a side tells a peer that follows its graph, whatever that asks for; and what a pattern makes of names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+
+from rsb_bridge.link.authorizing import Authority, authorized
+from rsb_bridge.link.errors import LinkError
+from rsb_bridge.link.following import FollowedByPeer
+from rsb_bridge.link.pattern_entry import PatternEntry
+from rsb_bridge.model.patterns import NAMES_FOLLOWED
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.wire.following import Follow, Followed, FoundName, NamePattern
+from rsb_bridge.wire.messages import Propose
+
+if TYPE_CHECKING:
+    from rsb_bridge.context import Context
+    from rsb_bridge.link.name_watch import Names
+
+TYPE = "std_msgs/msg/String"
+
+
+class Side:
+    """The side that is asked."""
+
+    def __init__(self) -> None:
+        self.sent: list[Followed] = []
+        self.changes = 0
+        self.followed = FollowedByPeer(cast("Context", self), lambda name, _: "secret" not in name, self._sent)
+
+    def _sent(self, message: object) -> None:
+        assert isinstance(message, Followed)
+        self.sent.append(message)
+
+    def names_changed(self) -> None:
+        """Somebody follows something else."""
+        self.changes += 1
+
+    def look(self, names: Names) -> list[Followed]:
+        """What is sent after a look at the graph."""
+        self.sent.clear()
+        self.followed.patterns_here()
+        self.followed.look(names)
+        return self.sent
+
+    def ask(self, *patterns: NamePattern, request: int = 1) -> None:
+        """The peer asks."""
+        self.followed.asked(Follow(request, patterns))
+
+
+def topics(*names: str) -> Names:
+    """A graph."""
+    return {("topic", name): TYPE for name in names}
+
+
+def test_the_first_answer_has_all_there_is_and_the_next_ones_what_changes() -> None:
+    side = Side()
+    assert side.look(topics("/a/x")) == [], "nobody has asked"
+    side.ask(NamePattern("/a/*"), NamePattern("/s/*", "service"))
+    assert side.changes == 1
+    names: Names = {**topics("/a/x", "/a/y", "/b/x", "/a/secret", "/s/topic"), ("service", "/s/call"): ""}
+    (told,) = side.look(names)
+    assert (told.request, told.gone, told.more) == (1, (), 0)
+    assert set(told.present) == {
+        FoundName("/a/x", TYPE),
+        FoundName("/a/y", TYPE),
+        FoundName("/s/call", "", "service"),
+    }
+    assert side.look(names) == []
+    del names["topic", "/a/x"]
+    names["topic", "/a/y"] = "another/msg/Type"
+    (told,) = side.look(names)
+    assert (told.present, told.gone) == ((FoundName("/a/y", "another/msg/Type"),), (FoundName("/a/x"),))
+    side.followed.disconnected()
+    assert side.look(topics("/a/z")) == []
+
+
+def test_that_nothing_matches_is_an_answer_too() -> None:
+    side = Side()
+    side.ask(NamePattern("/a/*"), request=7)
+    assert side.look({}) == [Followed(7)]
+    assert side.look({}) == []
+    side.ask(request=8)
+    assert side.look(topics("/a/x")) == [Followed(8)]
+
+
+@pytest.mark.parametrize("pattern", ["/a**", "", "*", "/a/[*", "/a/" + "*" * 9, "no/*"])
+def test_what_is_no_pattern_asks_for_nothing(pattern: str) -> None:
+    side = Side()
+    side.ask(NamePattern(pattern), NamePattern("/a/*", "telepathy"))
+    assert side.look(topics("/a/x")) == [Followed(1)]
+
+
+def test_what_is_told_has_a_limit_and_what_was_told_stays() -> None:
+    side = Side()
+    side.ask(NamePattern("/**"))
+    told = side.look(topics(*(f"/t{n:04}" for n in range(500, 500 + NAMES_FOLLOWED))))
+    assert sum(len(each.present) for each in told) == NAMES_FOLLOWED
+    assert max(len(each.present) for each in told) < NAMES_FOLLOWED, "no message holds up the others"
+    (one,) = side.look(topics(*(f"/t{n:04}" for n in range(500 + NAMES_FOLLOWED))))
+    assert (one.present, one.gone, one.more) == ((), (), 500)
+
+
+@pytest.mark.parametrize("name", ["/a/x y", "/a/1x", "/a/_x", "/a/", "/b/x", "/a/out", "/a/x/y"])
+def test_a_name_that_was_not_asked_for_is_no_topic(name: str) -> None:
+    """Whatever the peer says that its graph has."""
+    entry = PatternEntry(Topic("/a/*", "receive", excepts=("/a/out",)), client="robot1", prefixed=False)
+    assert entry.match(name, TYPE) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "source", "name", "made"),
+    [
+        ({}, {"prefixed": False}, "/a/*", "/a/x", ("/a/x", None)),
+        ({}, {"prefixed": True}, "/robot1/a/*", "/robot1/a/x", ("/a/x", None)),
+        ({}, {"prefixed": False, "always_prefixed": True}, "/robot1/a/*", "/robot1/a/x", ("/a/x", None)),
+        ({"remote_topic": "/b/*"}, {"prefixed": True}, "/b/*", "/b/x", ("/a/x", "/b/x")),
+        (
+            {"remote_topic": "/b/*"},
+            {"prefixed": False, "always_prefixed": True},
+            "/robot1/b/*",
+            "/robot1/b/x",
+            ("/a/x", "/b/x"),
+        ),
+        (
+            {"remote_topic": "/robot1/*"},
+            {"prefixed": False, "always_prefixed": True},
+            "/robot1/*",
+            "/robot1/x",
+            ("/a/x", "/robot1/x"),
+        ),
+    ],
+)
+def test_the_server_s_names_are_those_that_the_route_will_have(
+    changes: dict[str, Any], options: dict[str, bool], source: str, name: str, made: tuple[str, str | None]
+) -> None:
+    entry = PatternEntry(Topic("/a/*", "receive", **changes), client="robot1", **options)
+    assert entry.source.text == source
+    topic = entry.match(name, TYPE)
+    assert topic is not None
+    assert (topic.topic, topic.remote_topic) == made
+
+
+@pytest.mark.parametrize("names", [("/a/*", "/a/*"), ("/a", "/a/**"), ("/**", "/a")])
+def test_a_peer_proposes_no_patterns(names: tuple[str, str]) -> None:
+    session = Session(name="robot1", role="server", server_ip="127.0.0.1", server_port=49152)
+    proposal = Propose(route=1, topic=names[0], remote_topic=names[1], from_client=True)
+    with pytest.raises(LinkError, match="pattern"):
+        authorized(proposal, cast("Authority", None), session)

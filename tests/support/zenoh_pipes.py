@@ -1,0 +1,153 @@
+"""Two ends of a Zenoh stream with a network between that a test owns: no router, no thread, no time."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+from rsb_bridge.transport.zenoh.endpoint import Header, Kind
+from rsb_bridge.transport.zenoh.pipe import Pipe
+
+if TYPE_CHECKING:
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+
+STREAM = "5" * 16
+
+
+class Sent(NamedTuple):
+    """One sample on its way."""
+
+    header: Header
+    payload: bytes
+
+
+class FakeEndpoint:
+    """What a pipe asks of its endpoint.
+
+    Attributes:
+        address: of its own.
+        on_its_way: samples that were sent, and have not been carried to the other end.
+        backlog: bytes that Zenoh has not been given yet.
+        end: the pipe; None once it is over.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.on_its_way: list[Sent] = []
+        self.backlog = 0
+        self.end: Pipe | None = None
+        self.outbox = self
+
+    def key(self, to: str, stream: str) -> str:
+        """As `rsb_bridge.transport.zenoh.endpoint.Endpoint.key`."""
+        return f"{to}/{self.address}/{stream}"
+
+    def add(self, peer: str, stream: str, end: Pipe) -> None:
+        """Likewise."""
+        self.end = end
+
+    def forget(self, peer: str, stream: str) -> None:
+        """Likewise."""
+        self.end = None
+
+    def put(self, key: str, payload: bytes, header: Header) -> None:
+        """As `rsb_bridge.transport.zenoh.outbox.Outbox.put`."""
+        self.on_its_way.append(Sent(header, bytes(payload)))
+
+    def waiting(self, key: str, rank: int) -> int:
+        """Likewise."""
+        return self.backlog
+
+
+class Recorder(asyncio.Protocol):
+    """Keeps what it is told.
+
+    Attributes:
+        calls: names of what was called, but for data.
+        pieces: data, as delivered.
+        error: what ended it.
+        pause_after: pause reading when so many pieces have come.
+    """
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.pieces: list[bytes] = []
+        self.error: Exception | None = None
+        self.pause_after = 0
+        self.transport: asyncio.Transport | None = None
+
+    @property
+    def data(self) -> bytes:
+        """All that came."""
+        return b"".join(self.pieces)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = cast("asyncio.Transport", transport)
+        self.calls.append("made")
+
+    def data_received(self, data: bytes) -> None:
+        self.pieces.append(data)
+        if len(self.pieces) == self.pause_after and self.transport is not None:
+            self.transport.pause_reading()
+
+    def eof_received(self) -> None:
+        self.calls.append("eof")
+
+    def pause_writing(self) -> None:
+        self.calls.append("pause")
+
+    def resume_writing(self) -> None:
+        self.calls.append("resume")
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self.error = error
+        self.calls.append("lost")
+
+
+class Side:
+    """One end.
+
+    Attributes:
+        network: its endpoint.
+        told: its protocol.
+        pipe: itself.
+    """
+
+    def __init__(self, address: str, peer: str) -> None:
+        self.network = FakeEndpoint(address)
+        self.told = Recorder()
+        self.pipe = Pipe(cast("Endpoint", self.network), peer, STREAM, 1, self.told)
+
+    def arrive(self, kind: int, number: int, payload: bytes = b"") -> None:
+        """Have a sample come."""
+        self.pipe.arrived(Header(kind, 1, number), payload)
+
+    def sent(self, kind: Kind) -> list[Sent]:
+        """What is on its way, of a kind."""
+        return [each for each in self.network.on_its_way if each.header.kind == kind]
+
+
+class Pair:
+    """Both ends. Nothing crosses until `carry`."""
+
+    def __init__(self) -> None:
+        self.near, self.far = Side("a" * 16, "b" * 16), Side("b" * 16, "a" * 16)
+
+    def carry(self) -> bool:
+        """Bring what is on its way, of both sides; says whether there was anything."""
+        moved = False
+        for here, there in ((self.near, self.far), (self.far, self.near)):
+            going, here.network.on_its_way = here.network.on_its_way, []
+            for sample in going:
+                if there.network.end is not None:
+                    there.pipe.arrived(*sample)
+                moved = True
+        return moved
+
+    async def settle(self) -> None:
+        """Carry until nothing moves any more."""
+        for _ in range(1000):
+            moved = self.carry()
+            await asyncio.sleep(0)
+            if not moved:
+                return

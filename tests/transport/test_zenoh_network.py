@@ -1,0 +1,485 @@
+"""Endpoints over a router of Zenoh's own, and what a stranger in the same network may cause."""
+
+from __future__ import annotations
+
+import asyncio
+import builtins
+import contextlib
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.session import ZenohSettings
+from rsb_bridge.transport.zenoh import endpoint as endpoints
+from rsb_bridge.transport.zenoh.endpoint import ROOT, Header, Kind
+from rsb_bridge.transport.zenoh.network import Network
+
+zenoh = pytest.importorskip("zenoh")
+from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402 (it needs the package)
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable, Iterator
+
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint
+
+NOBODY = "0123456789abcdef"
+
+
+@pytest.fixture(scope="module")
+def _router() -> Iterator[Router]:
+    made = Router()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def router(_router: Router) -> Router:
+    return _router
+
+
+async def until(condition: Callable[[], object], what: str = "") -> None:
+    """Wait on a loop."""
+    async with asyncio.timeout(60):
+        while not condition():  # noqa: ASYNC110 (it is no event of ours)
+            await asyncio.sleep(0.01)
+
+
+@contextlib.asynccontextmanager
+async def in_network(router: Router, service: str = "server", *watched: str) -> AsyncIterator[Endpoint]:
+    """An endpoint of a network of its own."""
+    network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+    made = await network.endpoint(service, "a label", watched)
+    while made.address not in {each.address for each in await made.ask(service)}:  # noqa: ASYNC110 (no event of ours)
+        await asyncio.sleep(0.01)  # the router does not know yet what is to be sent here
+    try:
+        yield made
+    finally:
+        made.close()
+        network.close()
+
+
+class End:
+    """A stream's end that keeps what comes."""
+
+    def __init__(self) -> None:
+        self.came: list[tuple[Header, bytes]] = []
+        self.cut: list[str] = []
+
+    def arrived(self, header: Header, payload: bytes) -> None:
+        self.came.append((header, payload))
+
+    def cut_off(self, reason: str) -> None:
+        self.cut.append(reason)
+
+
+def _kept(asked: list[str], what: str) -> End:
+    asked.append(what)
+    return End()
+
+
+def test_endpoints_see_one_another_come_and_go(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router, "server", "client") as server:
+            seen: list[tuple[str, bool]] = []
+            server.on_seen = lambda who, comes: seen.append((who.address, comes))
+            async with in_network(router, "client") as client:
+                await until(lambda: client.address in server.seen)
+                assert server.seen[client.address].label == "a label"
+                assert [each.address for each in await client.ask("server")] == [server.address]
+                address = client.address
+            await until(lambda: not server.seen)
+            assert seen == [(address, True), (address, False)]
+
+    asyncio.run(test())
+
+
+def test_a_process_that_is_killed_is_missed_at_once(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router, "server", "client") as server:
+            end = End()
+            client = Announced(router, f"{ROOT}/fleet/here/client/{NOBODY}/x")
+            try:
+                await until(lambda: NOBODY in server.seen)
+                server.add(NOBODY, NOBODY, end)
+            finally:
+                client.kill()
+            await until(lambda: end.cut)
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize(
+    ("sender", "stream"),
+    [("UPPER", NOBODY), ("\x1b[2J", NOBODY), (NOBODY, "short"), ("a" * 5000, NOBODY), (NOBODY, "f" * 17)],
+)
+def test_keys_that_no_endpoint_makes_are_passed_over(router: Router, sender: str, stream: str) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            asked: list[str] = []
+            server.on_stream = lambda who, which, _: _kept(asked, who)
+            other = stranger(router)
+            at = f"{ROOT}/fleet/at/{server.address}"
+            other.put(f"{at}/{sender}/{stream}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
+            other.put(f"{at}/{NOBODY}/{NOBODY}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
+            await until(lambda: asked)
+            assert asked == [NOBODY]
+            other.close()
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize(
+    "attachment", [None, b"", b"\1", bytes(11), bytes(60_000)], ids=["none", "empty", "1", "11", "60000"]
+)
+def test_attachments_that_are_none_of_ours_are_passed_over(router: Router, attachment: bytes | None) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            asked: list[str] = []
+            server.on_stream = lambda who, which, _: _kept(asked, which)
+            other = stranger(router)
+            at = f"{ROOT}/fleet/at/{server.address}/{NOBODY}"
+            other.put(f"{at}/{'1' * 16}", b"x", attachment=attachment)
+            other.put(f"{at}/{'2' * 16}", b"x", attachment=Header(Kind.DATA, 0, 0).pack())
+            await until(lambda: asked)
+            assert asked == ["2" * 16]
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router: Router) -> None:
+    """Captured samples that are played again, for example, and all that waits for the loop is within a budget."""
+
+    async def test() -> None:
+        async with in_network(router) as server:
+            asked: list[str] = []
+            server.on_stream = lambda who, which, _: _kept(asked, which)
+            other = stranger(router)
+            ends: list[Any] = []
+            other.declare_subscriber(f"{ROOT}/fleet/at/{NOBODY}/*/*", ends.append)
+            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/{NOBODY}"
+            for number in (7, 8):
+                other.put(key, b"x", attachment=Header(Kind.DATA, 0, number).pack())
+            for kind in (Kind.WINDOW, Kind.END):
+                other.put(key, b"x", attachment=Header(kind, 0, 0).pack())
+            await until(lambda: len(ends) == 2)
+            assert [Header(*endpoints._HEADER.unpack(each.attachment.to_bytes())).kind for each in ends] == [
+                Kind.END
+            ] * 2
+            assert asked == []
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_what_waits_for_the_loop_is_bounded(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endpoints, "RECEIVE_BUFFER", 100_000)
+    counted: list[int] = []
+    within = endpoints.Endpoint._within_budget
+
+    def count(self: Endpoint, length: int, work: Callable[[], None]) -> None:
+        within(self, length, work)
+        if length == 1000:
+            counted.append(length)
+
+    monkeypatch.setattr(endpoints.Endpoint, "_within_budget", count)
+
+    async def test() -> None:
+        async with in_network(router) as server:
+            came: list[bytes] = []
+            server.on_datagram = lambda who, payload: came.append(payload)
+            other = stranger(router)
+            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"
+            for _ in range(500):
+                other.put(key, bytes(1000), congestion_control=zenoh.CongestionControl.BLOCK)
+            eventually(lambda: len(counted) == 500)  # the loop has had no turn
+            other.close()
+            await until(lambda: server._waiting_bytes == 0)
+            assert len(came) == 100_000 // (1000 + endpoints._OVERHEAD)
+
+    asyncio.run(test())
+
+
+def test_a_flood_does_not_keep_the_loop_from_its_other_work() -> None:
+    async def test() -> None:
+        router = Router()
+        try:
+            async with in_network(router) as server:
+                turns: list[int] = []
+                for number in range(5 * endpoints._AT_A_TIME):
+                    server._soon(lambda number=number: turns.append(number))  # type: ignore[misc]
+                seen_at: list[int] = []
+                while len(turns) < 5 * endpoints._AT_A_TIME:
+                    await asyncio.sleep(0)
+                    seen_at.append(len(turns))
+                assert max(b - a for a, b in zip([0, *seen_at], seen_at, strict=False)) <= endpoints._AT_A_TIME
+        finally:
+            router.close()
+
+    asyncio.run(test())
+
+
+def test_one_arrival_that_fails_does_not_hold_up_the_next(router: Router) -> None:
+    async def test() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda *_: None)
+        async with in_network(router) as server:
+            done: list[bool] = []
+            server._soon(lambda: 1 // 0)  # type: ignore[arg-type]
+            server._soon(lambda: done.append(True))
+            await until(lambda: done)
+
+    asyncio.run(test())
+
+
+def test_announcements_are_limited_in_number_and_harmless(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(endpoints, "MOST_SEEN", 5)
+
+    async def test() -> None:
+        async with in_network(router, "server", "client") as server:
+            other = stranger(router)
+            live = other.liveliness()
+            root = f"{ROOT}/fleet/here/client"
+            tokens = [live.declare_token(f"{root}/{'z' * 16}/odd"), live.declare_token(f"{root}/{'1' * 5000}/long")]
+            tokens.append(live.declare_token(f"{root}/{'e' * 16}/%1B%5B2J%FF{'x' * 5000}"))
+            await until(lambda: "e" * 16 in server.seen)
+            label = server.seen["e" * 16].label
+            assert label.isprintable()
+            assert len(label) <= 300
+            tokens += [live.declare_token(f"{root}/{number:016x}/x") for number in range(20)]
+            last = live.declare_token(f"{root}/{'f' * 16}/x")
+            heard: list[Any] = []
+            other.declare_subscriber(f"{ROOT}/fleet/at/{'f' * 16}/*/*", heard.append)
+            await until(lambda: len(server.seen) == 5)
+            assert all(endpoints._ADDRESS.fullmatch(each) for each in server.seen)
+            for token in [*tokens, last]:
+                token.undeclare()
+            await until(lambda: not server.seen)
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_whoever_announces_anothers_address_and_leaves_ends_no_stream_of_it(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router, "server", "client") as server, in_network(router, "client") as client:
+            await until(lambda: client.address in server.seen)
+            end = End()
+            server.add(client.address, NOBODY, end)
+            came: list[str] = []
+            server.on_seen = lambda who, comes: came.append(who.address)
+            other = stranger(router)
+            root = f"{ROOT}/fleet/here/client"
+            other.liveliness().declare_token(f"{root}/{client.address}/liar").undeclare()
+            with other.liveliness().declare_token(f"{root}/{NOBODY}/marker"):
+                await until(lambda: NOBODY in came)
+            assert end.cut == []
+            assert server.seen[client.address].label == "a label"
+            other.close()
+
+    asyncio.run(test())
+
+
+def test_a_router_that_is_killed_cuts_streams_off_and_is_found_again() -> None:
+    async def test() -> None:
+        router = Router()
+        network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+        try:
+            server = await network.endpoint("server", "x", ("client",))
+            end = End()
+            server.add(NOBODY, NOBODY, end)
+            router.kill()
+            await until(lambda: end.cut)
+            with pytest.raises(OSError, match="nobody listens there"):
+                await network.open()
+            router.start()
+            await until(lambda: network.connected)
+            await network.open()
+            async with in_network(router, "client") as client:
+                await until(lambda: client.address in server.seen)
+                assert [each.address for each in await client.ask("server")] == [server.address]
+            server.close()
+        finally:
+            network.close()
+            router.close()
+
+    asyncio.run(test())
+
+
+def test_nothing_is_left_of_a_network_that_was_opened_and_closed(router: Router) -> None:
+    def descriptors() -> int:
+        return len([*Path("/proc/self/fd").iterdir()])
+
+    async def once() -> None:
+        async with in_network(router, "server", "client") as server:
+            server.outbox.put(server.key(NOBODY, NOBODY), bytes(900_000), Header(Kind.DATA, 2, 0))
+
+    def threads() -> int:
+        return len([*Path("/proc/self/task").iterdir()])
+
+    for _ in range(3):  # Zenoh's own pools grow to their size, and stay
+        asyncio.run(once())
+    before = descriptors(), threads()
+    for _ in range(10):
+        asyncio.run(once())
+    eventually(lambda: descriptors() < before[0] + 10, what="descriptors")
+    eventually(lambda: threads() < before[1] + 10, what="threads")
+
+
+async def why(settings: ZenohSettings, base: Path) -> str:
+    """What an operator is told of a network that is not reached."""
+    network = Network(settings, base)
+    try:
+        with pytest.raises(OSError) as caught:
+            await network.open()
+        assert not network.connected
+        return str(caught.value)
+    finally:
+        network.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "No such file"),
+        ("{ mode:", "expected"),
+        ("{ nothing: 1 }", "unknown field `nothing`"),
+        ("[1]", ""),
+        ("\x00", ""),
+    ],
+)
+def test_a_configuration_that_is_none_is_named(tmp_path: Path, text: str | None, words: str) -> None:
+    if text is not None:
+        (tmp_path / "z.json5").write_text(text)
+    said = asyncio.run(why(ZenohSettings(connect=("tcp/127.0.0.1:1",), config="z.json5"), tmp_path))
+    assert "zenoh.config: " in said
+    assert "z.json5" in said
+    assert words in said
+    assert "\n" not in said
+
+
+def test_without_the_package_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = builtins.__import__
+
+    def without(name: str, *args: Any) -> Any:
+        if name == "zenoh":
+            raise ImportError(name)
+        return usual(name, *args)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    assert "pip install 'rsb-console[zenoh]'" in asyncio.run(why(ZenohSettings(connect=("tcp/127.0.0.1:1",)), tmp_path))
+
+
+def test_an_endpoint_where_nobody_or_somebody_else_listens(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        there = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
+        nobody = f"tcp/127.0.0.1:{free_port()}"
+        said = asyncio.run(why(ZenohSettings(connect=(nobody,)), tmp_path))
+        assert f"{nobody}: nobody listens there" in said
+        said = asyncio.run(why(ZenohSettings(connect=(there,)), tmp_path))
+        assert "no answer within" in said or "does not speak Zenoh" in said
+
+
+def test_a_network_that_was_closed_meanwhile_is_left(router: Router, tmp_path: Path) -> None:
+    """Opening goes on in its thread; what it opens, then, is closed."""
+
+    async def test() -> None:
+        network = Network(ZenohSettings(connect=(router.endpoint,)), tmp_path)
+        network.close()
+        with pytest.raises(OSError):
+            await network.open()
+        assert network._session is None
+
+    asyncio.run(test())
+
+
+def test_a_router_that_takes_nothing_holds_up_no_loop() -> None:
+    """Were one of these sent on the loop, it would be held back there, and the router would never go on."""
+
+    async def test() -> None:
+        router = Router()
+        try:
+            async with in_network(router) as server, in_network(router, "client") as client:
+                end = End()
+                server.on_stream = lambda who, which, header: end
+                server_key = client.key(server.address, NOBODY)
+                await until(lambda: server.address)
+                router.pause()
+                for number in range(120):
+                    client.outbox.put(server_key, bytes([number]) * 100_000, Header(Kind.DATA, 2, number))
+                client.outbox.put(client.key(server.address, "1" * 16), b"link", Header(Kind.DATA, 0, 0))
+                assert client.outbox.waiting(server_key, 2) > 2_000_000
+                router.go_on()
+                server.add(client.address, NOBODY, end)
+                await until(lambda: sum(len(payload) == 100_000 for _, payload in end.came) == 120)
+                data = [header.number for header, payload in end.came if len(payload) == 100_000]
+                assert data == [*range(120)]
+        finally:
+            router.close()
+
+    asyncio.run(test())
+
+
+def test_a_sample_that_is_larger_than_any_of_ours_is_refused(router: Router) -> None:
+    async def test() -> None:
+        async with in_network(router) as server:
+            came: list[int] = []
+            server.on_datagram = lambda who, payload: came.append(len(payload))
+            other = stranger(router)
+            key = f"{ROOT}/fleet/at/{server.address}/{NOBODY}/drop"
+            other.put(key, bytes(20_000_000), congestion_control=zenoh.CongestionControl.BLOCK)
+            await until(lambda: other.put(key, b"small") or came)
+            assert {*came} == {5}
+            other.close()
+
+    asyncio.run(test())
+
+
+def sockets(table: str, state: str = "") -> set[str]:
+    """Local addresses of this process's sockets."""
+    own = set()
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # the folder's own
+            own.add(str(descriptor.readlink()))
+    rows = [row.split() for row in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
+    return {row[1] for row in rows if f"socket:[{row[9]}]" in own and row[3].startswith(state)}
+
+
+def test_who_listens_opens_no_other_port_and_calls_nobody(tmp_path: Path) -> None:
+    port = free_port()
+    (tmp_path / "z.json5").write_text("{transport: {link: {tls: {verify_name_on_connect: true}}}}")
+
+    def opened() -> set[str]:
+        return {*sockets("udp"), *sockets("udp6"), *sockets("tcp", "0A"), *sockets("tcp6", "0A")}
+
+    async def test() -> None:
+        before = opened()
+        for config in (None, "z.json5"):
+            network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",), config=config), tmp_path)
+            await network.open()
+            assert {each.partition(":")[2] for each in opened() - before} == {f"{port:04X}"}
+            network.close()
+        with socket.create_server(("127.0.0.1", port)) as busy:
+            network = Network(ZenohSettings(listen=(f"tcp/127.0.0.1:{port}",)), tmp_path)
+            with pytest.raises(OSError, match="Zenoh: "):
+                await network.open()
+            network.close()
+            del busy
+
+    asyncio.run(test())
+
+
+def test_who_connects_opens_no_port(router: Router, tmp_path: Path) -> None:
+    (tmp_path / "z.json5").write_text("{transport: {link: {tls: {verify_name_on_connect: true}}}}")
+
+    async def test() -> None:
+        for config in (None, "z.json5"):
+            network = Network(ZenohSettings(connect=(router.endpoint,), config=config), tmp_path)
+            await network.open()
+            assert sockets("udp") | sockets("udp6") | sockets("tcp", "0A") | sockets("tcp6", "0A") == set()
+            network.close()
+
+    asyncio.run(test())

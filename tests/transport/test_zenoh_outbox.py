@@ -1,0 +1,167 @@
+"""What is sent on the loop and what by a thread, with a session that takes nothing when the test says so."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+from tests.support.virtual_time import VirtualLoop, virtual_loop
+from tests.support.waiting import eventually
+
+from rsb_bridge.transport.zenoh.endpoint import Header, Kind
+from rsb_bridge.transport.zenoh.outbox import AT_ONCE, LINK_RANK, Outbox
+
+zenoh = pytest.importorskip("zenoh")
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+HERE = threading.get_ident
+
+
+class FakeSession:
+    """Takes samples.
+
+    Attributes:
+        put_by: of each sample: its payload, its priority, and the thread that brought it.
+        open: while it is not set, samples of these priorities are held back.
+    """
+
+    def __init__(self) -> None:
+        self.put_by: list[tuple[bytes, Any, int]] = []
+        self.held_back: list[Any] = []
+        self.open = threading.Event()
+        self.closed = False
+
+    def put(self, key: str, payload: bytes, *, priority: Any, congestion_control: Any, **_: Any) -> None:
+        """As `zenoh.Session.put`."""
+        if self.closed:
+            raise zenoh.ZError("closed")
+        if priority in self.held_back and congestion_control == zenoh.CongestionControl.BLOCK:
+            self.open.wait()
+        self.put_by.append((payload, priority, threading.get_ident()))
+
+    def payloads(self) -> list[bytes]:
+        """What was taken."""
+        return [payload for payload, _, _ in self.put_by]
+
+
+class Case:
+    """An outbox on a virtual loop."""
+
+    def __init__(self, loop: VirtualLoop) -> None:
+        self.loop = loop
+        self.session = FakeSession()
+        self.outbox = Outbox(cast("Any", self.session), loop)
+
+    def put(self, payload: bytes, rank: int = 2, key: str = "k") -> None:
+        self.outbox.put(key, payload, Header(Kind.DATA, rank, 0))
+
+
+@pytest.fixture
+def case() -> Iterator[Case]:
+    with virtual_loop() as loop:
+        made = Case(loop)
+        yield made
+        made.session.open.set()
+        made.outbox.close()
+        eventually(lambda: all(each.name != "zenoh-send" for each in threading.enumerate()), what="no thread left")
+
+
+def test_a_little_is_sent_at_once_and_without_a_thread(case: Case) -> None:
+    for number in range(100):
+        case.put(bytes([number]))
+    assert case.session.payloads() == [bytes([number]) for number in range(100)]
+    assert {thread for _, _, thread in case.session.put_by} == {HERE()}
+
+
+def test_order_is_kept_between_both_ways(case: Case) -> None:
+    sent = [str(number).encode() * (20_000 if number % 7 == 0 else 10) for number in range(300)]
+    for each in sent:
+        case.put(each)
+        case.loop.jump(0.02)
+    eventually(lambda: len(case.session.put_by) == len(sent))
+    assert case.session.payloads() == sent
+    assert len({thread for _, _, thread in case.session.put_by}) == 2
+
+
+def test_what_is_sent_at_once_fits_zenohs_queue_whatever_is_sent(case: Case) -> None:
+    """16 batches of 64 kB, half full at the worst, in the 5 s in which a router that takes nothing is found out."""
+    for _ in range(600):
+        case.put(bytes(40_000))
+        case.put(bytes(100))
+        case.loop.jump(0.005)
+    eventually(lambda: len(case.session.put_by) == 1200)
+    at_once = sum(len(payload) for payload, _, thread in case.session.put_by if thread == HERE())
+    assert 0 < at_once <= 16 * 32 * 1024
+
+
+def test_a_sender_that_is_held_back_is_a_thread(case: Case) -> None:
+    case.put(bytes(5 * AT_ONCE))
+    eventually(lambda: case.session.put_by)
+    case.session.held_back.append(zenoh.Priority.DATA)
+    for number in range(50):
+        case.put(bytes([number]) * AT_ONCE)  # returns, though nothing is taken
+    assert case.outbox.waiting("k", 2) >= 49 * AT_ONCE
+    case.session.open.set()
+    eventually(lambda: len(case.session.put_by) == 51)
+    assert case.session.payloads()[1:] == [bytes([number]) * AT_ONCE for number in range(50)]
+    assert case.outbox.waiting("k", 2) == 0
+
+
+def test_a_rank_does_not_wait_for_another(case: Case) -> None:
+    """A link's own messages go, while a map waits."""
+    case.session.held_back.append(zenoh.Priority.DATA)
+    for _ in range(3):
+        case.put(bytes(6 * AT_ONCE))
+    case.put(b"alive", LINK_RANK)
+    assert case.session.payloads() == [b"alive"]
+
+
+def test_datagrams_fill_no_queue_of_a_stream(case: Case) -> None:
+    case.outbox.drop("k", b"datagram")
+    for rank in range(5):
+        case.put(b"stream", rank)
+    (_, of_datagrams, _), *streams = case.session.put_by
+    assert of_datagrams not in [priority for _, priority, _ in streams]
+
+
+def test_after_a_call_that_took_long_a_thread_sends(case: Case) -> None:
+    """The network is slower than what goes at once: the loop waits for it one time at most."""
+    slow = case.session.put
+
+    def put(*args: Any, **settings: Any) -> None:
+        slow(*args, **settings)
+        case.loop.jump(1.0)
+
+    case.session.put = put  # type: ignore[method-assign]
+    case.put(b"first")
+    case.session.put = slow  # type: ignore[method-assign]
+    case.put(b"second")
+    eventually(lambda: len(case.session.put_by) == 2)
+    assert [thread == HERE() for _, _, thread in case.session.put_by] == [True, False]
+    case.loop.jump(60)
+    eventually(lambda: not case.outbox._lanes[2]._queue)
+    case.put(b"third")
+    assert case.session.put_by[-1][2] == HERE()
+
+
+def test_samples_of_nothing_are_counted_as_nothing(case: Case) -> None:
+    case.session.held_back.append(zenoh.Priority.DATA)
+    case.put(bytes(6 * AT_ONCE))
+    for _ in range(3):
+        case.put(b"")
+    case.session.open.set()
+    eventually(lambda: len(case.session.put_by) == 4)
+    assert case.outbox._lanes[2].waiting == {}
+
+
+def test_a_closed_network_takes_no_harm(case: Case) -> None:
+    case.session.closed = True
+    case.put(b"x")
+    case.outbox.drop("k", b"x")
+    case.put(bytes(6 * AT_ONCE))
+    case.outbox.close()
+    case.put(bytes(6 * AT_ONCE))
+    assert case.session.put_by == []

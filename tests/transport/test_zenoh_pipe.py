@@ -1,0 +1,426 @@
+"""A stream over Zenoh by itself: order, loss, windows and the end, through a network that the test owns."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.support.virtual_time import virtual_loop
+from tests.support.zenoh_pipes import Pair, Sent
+
+from rsb_bridge.transport.zenoh.endpoint import Header, Kind
+from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+UNDER_WAY = WINDOW + SAMPLE
+"""Bytes at most that a receiver has to hold."""
+
+
+def run(test: Coroutine[None, None, None]) -> None:
+    """Run a test's coroutine; whatever nobody caught fails it."""
+    with virtual_loop() as loop:
+        loop.run_until_complete(test)
+        assert loop.errors == []
+
+
+def test_what_is_written_arrives_in_order_and_whole() -> None:
+    async def test() -> None:
+        pair, sent = Pair(), random.Random(1)
+        written = [sent.randbytes(sent.choice([1, 100, 70_000, SAMPLE + 1])) for _ in range(60)]
+        for each in written:
+            pair.near.pipe.write(each)
+        await pair.settle()
+        assert pair.far.told.data == b"".join(written)
+        assert pair.near.pipe.get_write_buffer_size() == 0
+
+    run(test())
+
+
+@pytest.mark.parametrize("size", [1, SAMPLE - 1, SAMPLE, SAMPLE + 1, SAMPLE * 2 + SAMPLE // 2])
+def test_a_write_is_split_where_it_is_longer_than_a_sample(size: int) -> None:
+    async def test() -> None:
+        pair = Pair()
+        data = random.Random(size).randbytes(size)
+        pair.near.pipe.write(memoryview(data))
+        pieces = [each.payload for each in pair.near.sent(Kind.DATA)]
+        assert max(map(len, pieces)) <= SAMPLE
+        assert len(pieces) == -(-size // SAMPLE)
+        assert b"".join(pieces) == data
+
+    run(test())
+
+
+def test_a_buffer_may_be_used_again_at_once() -> None:
+    async def test() -> None:
+        pair = Pair()
+        buffer = bytearray(b"first")
+        pair.near.pipe.write(memoryview(buffer))
+        buffer[:] = b"other"
+        await pair.settle()
+        assert pair.far.told.data == b"first"
+
+    run(test())
+
+
+def test_what_is_under_way_is_bounded_and_congestion_is_told_once() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.set_write_buffer_limits(high=SAMPLE)
+        for _ in range(20):
+            pair.near.pipe.write(bytes(SAMPLE // 2))
+        under_way = sum(len(each.payload) for each in pair.near.sent(Kind.DATA))
+        assert WINDOW <= under_way <= UNDER_WAY
+        assert pair.near.told.calls == ["made", "pause"]
+        await pair.settle()
+        assert pair.near.told.calls == ["made", "pause", "resume"]
+        assert len(pair.far.told.data) == 10 * SAMPLE
+
+    run(test())
+
+
+def test_a_receiver_that_pauses_holds_up_its_sender_and_nothing_is_lost() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        data = random.Random(2).randbytes(12 * SAMPLE)
+        pair.near.pipe.write(data)
+        await pair.settle()
+        assert pair.far.told.data == b""
+        assert pair.near.pipe.get_write_buffer_size() == len(data) - WINDOW
+        pair.far.pipe.resume_reading()
+        await asyncio.sleep(0)
+        assert 0 < len(pair.far.told.data) < SAMPLE  # a turn of the loop for each piece, and not all at once
+        for _ in range(100):
+            await pair.settle()
+        assert pair.far.told.data == data
+
+    run(test())
+
+
+def test_reading_that_is_resumed_while_data_is_taken_keeps_the_order() -> None:
+    """What takes data pauses when it has enough, and resumes from within: it must not be called inside of itself."""
+
+    async def test() -> None:
+        pair = Pair()
+        inside = False
+
+        def take(data: bytes) -> None:
+            nonlocal inside
+            assert not inside
+            inside = True
+            pair.far.told.pieces.append(data)
+            pair.far.pipe.pause_reading()
+            pair.far.pipe.resume_reading()
+            inside = False
+
+        pair.far.told.data_received = take  # type: ignore[method-assign]
+        pair.far.pipe.pause_reading()
+        data = random.Random(3).randbytes(2 * SAMPLE)
+        pair.near.pipe.write(data)
+        await pair.settle()
+        pair.far.pipe.resume_reading()
+        for _ in range(50):
+            await pair.settle()
+        assert pair.far.told.data == data
+
+    run(test())
+
+
+def test_reading_that_is_paused_again_stops_at_once() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        pair.near.pipe.write(bytes(3 * SAMPLE))
+        await pair.settle()
+        pair.far.told.pause_after = 1
+        pair.far.pipe.resume_reading()
+        for _ in range(20):
+            await pair.settle()
+        assert len(pair.far.told.pieces) == 1
+
+    run(test())
+
+
+def test_a_paused_receiver_holds_no_more_than_the_bytes_that_came() -> None:
+    """A sample of nothing, too, would take memory if each were kept."""
+
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        for number in range(100_000):
+            pair.far.arrive(Kind.DATA, number)
+        assert len(pair.far.pipe._held) == 0
+        assert not pair.far.pipe.is_closing()
+
+    run(test())
+
+
+def test_a_stream_that_misses_a_sample_is_over_on_both_sides() -> None:
+    async def test() -> None:
+        pair = Pair()
+        for number in range(4):
+            pair.near.pipe.write(bytes([number]))
+        del pair.near.network.on_its_way[1:3]
+        await pair.settle()
+        assert pair.far.told.data == b"\0"
+        for side in (pair.near, pair.far):
+            assert side.told.calls[-1] == "lost"
+            assert str(side.told.error) == "2 samples were lost in the Zenoh network"
+            assert side.network.end is None
+
+    run(test())
+
+
+def test_a_sample_that_comes_again_changes_nothing() -> None:
+    async def test() -> None:
+        pair = Pair()
+        for number in range(3):
+            pair.far.arrive(Kind.DATA, number, bytes([number]))
+        for number in (0, 2, 1):
+            pair.far.arrive(Kind.DATA, number, b"again")
+        pair.far.arrive(Kind.DATA, 3, b"\3")
+        assert pair.far.told.data == b"\0\1\2\3"
+        assert not pair.far.pipe.is_closing()
+
+    run(test())
+
+
+def test_a_peer_that_ignores_the_window_is_cut_off() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        for number in range(2 * UNDER_WAY // SAMPLE):
+            pair.far.arrive(Kind.DATA, number, bytes(SAMPLE))
+            assert len(pair.far.pipe._held) <= UNDER_WAY
+        await pair.settle()
+        assert pair.far.told.calls[-1] == "lost"
+        assert f"{WINDOW:,}" in str(pair.far.told.error)
+        assert str(pair.near.told.error) == str(pair.far.told.error)
+        assert len(pair.far.pipe._held) == 0
+
+    run(test())
+
+
+def test_a_window_cannot_be_opened_for_what_zenoh_has_not_been_given() -> None:
+    """Anyone in the network can claim that all has come, while the router takes nothing."""
+
+    async def test() -> None:
+        pair = Pair()
+        network = pair.near.network
+        for _ in range(10):
+            pair.near.pipe.write(bytes(WINDOW))
+            network.backlog = sum(len(each.payload) for each in pair.near.sent(Kind.DATA))
+            pair.near.arrive(Kind.WINDOW, 2**63)
+        assert network.backlog <= UNDER_WAY
+
+    run(test())
+
+
+def test_an_older_window_closes_nothing() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(bytes(WINDOW + 2 * SAMPLE))
+        pair.near.arrive(Kind.WINDOW, 2 * SAMPLE)
+        pair.near.arrive(Kind.WINDOW, SAMPLE)
+        assert pair.near.pipe.get_write_buffer_size() == 0
+
+    run(test())
+
+
+def test_a_window_that_is_lost_is_asked_for() -> None:
+    """Else the stream would stand still for good, with nothing that shows it."""
+
+    async def test() -> None:
+        pair = Pair()
+        data = random.Random(3).randbytes(3 * WINDOW)
+        pair.near.pipe.write(data)
+        for each in pair.near.network.on_its_way:
+            pair.far.pipe.arrived(*each)
+        pair.near.network.on_its_way.clear()
+        lost = pair.far.sent(Kind.WINDOW)
+        pair.far.network.on_its_way.clear()
+        assert len(lost) > 1
+        await pair.settle()
+        assert len(pair.far.told.data) < len(data)
+        await asyncio.sleep(4.1)
+        await pair.settle()
+        assert pair.far.told.data == data
+
+    run(test())
+
+
+def test_the_loss_of_a_last_sample_shows_though_nothing_follows() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"a map, once")
+        pair.near.network.on_its_way.clear()
+        await asyncio.sleep(2.1)
+        await pair.settle()
+        assert [side.told.calls[-1] for side in (pair.near, pair.far)] == ["lost", "lost"]
+        assert "lost in the Zenoh network" in str(pair.near.told.error)
+
+    run(test())
+
+
+def test_a_stream_at_rest_says_once_that_it_has_said_all() -> None:
+    async def test() -> None:
+        pair, said = Pair(), 0
+        pair.near.pipe.write(b"one")
+        await pair.settle()
+        for _ in range(60):
+            await asyncio.sleep(1.0)
+            said += len(pair.near.network.on_its_way)
+            await pair.settle()
+        assert said == 1
+
+    run(test())
+
+
+def test_what_waits_for_a_reader_is_asked_about_now_and_then_only() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        pair.near.pipe.write(bytes(3 * WINDOW))
+        asked = 0
+        for _ in range(60):
+            await pair.settle()
+            await asyncio.sleep(1.0)
+            asked += pair.near.sent(Kind.DATA).count(Sent(Header(Kind.DATA, 1, 4 + asked), b""))
+        assert 20 <= asked <= 30
+        pair.near.pipe.abort()
+        await pair.settle()
+        await asyncio.sleep(10.0)
+        assert pair.near.network.on_its_way == []
+
+    run(test())
+
+
+def test_closing_sends_what_waits_and_then_ends() -> None:
+    async def test() -> None:
+        pair = Pair()
+        data = random.Random(4).randbytes(7 * SAMPLE)
+        pair.near.pipe.write(data)
+        pair.near.pipe.close()
+        pair.near.pipe.write(b"too late")
+        assert pair.near.told.calls[-1] != "lost"
+        await pair.settle()
+        assert pair.far.told.data == data
+        assert pair.far.told.calls == ["made", "eof", "lost"]
+        assert pair.near.told.calls[-1] == "lost"
+        assert pair.near.told.error is None
+        assert pair.far.told.error is None
+
+    run(test())
+
+
+def test_aborting_waits_for_nothing() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        pair.near.pipe.write(bytes(7 * SAMPLE))
+        pair.near.pipe.close()
+        pair.near.pipe.abort()
+        pair.near.pipe.abort()
+        await asyncio.sleep(0)
+        assert pair.near.told.calls.count("lost") == 1
+        assert pair.near.pipe.get_write_buffer_size() == 0
+        assert len(pair.near.sent(Kind.END)) == 1
+
+    run(test())
+
+
+def test_what_came_before_the_end_is_delivered_though_reading_was_paused() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        data = random.Random(5).randbytes(SAMPLE)
+        pair.near.pipe.write(data)
+        pair.near.pipe.close()
+        await pair.settle()
+        assert pair.far.told.calls == ["made"]
+        pair.far.pipe.resume_reading()
+        for _ in range(20):
+            await pair.settle()
+        assert pair.far.told.data == data
+        assert pair.far.told.calls == ["made", "eof", "lost"]
+
+    run(test())
+
+
+def test_an_end_that_counts_more_than_came_says_so() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(b"lost")
+        pair.near.network.on_its_way.clear()
+        pair.near.pipe.close()
+        await pair.settle()
+        assert str(pair.far.told.error) == "a sample was lost in the Zenoh network"
+
+    run(test())
+
+
+def test_an_end_while_this_side_still_has_much_to_send_ends_it() -> None:
+    """Its window will never open again."""
+
+    async def test() -> None:
+        pair = Pair()
+        pair.far.pipe.pause_reading()
+        pair.near.pipe.write(bytes(9 * SAMPLE))
+        pair.near.pipe.close()
+        await pair.settle()
+        pair.far.pipe.abort()
+        await pair.settle()
+        assert pair.near.told.calls[-1] == "lost"
+        assert pair.near.network.end is None
+
+    run(test())
+
+
+def test_nothing_is_delivered_once_this_side_closes() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.write(bytes(WINDOW + SAMPLE))
+        pair.near.pipe.close()
+        pair.near.arrive(Kind.DATA, 0, b"late")
+        assert pair.near.told.data == b""
+        assert pair.near.told.calls == ["made", "pause"]
+
+    run(test())
+
+
+def test_a_reason_from_afar_is_short_and_harmless() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.arrive(Kind.END, 0, b"\x1b[2J\xff" + b"x" * 100_000)
+        await pair.settle()
+        words = str(pair.far.told.error)
+        assert words.isprintable()
+        assert len(words) <= 200
+
+    run(test())
+
+
+def test_kinds_that_a_later_version_may_send_are_passed_over() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.far.arrive(200, 7, b"?")
+        await pair.settle()
+        assert pair.far.told.calls == ["made"]
+        assert pair.far.network.on_its_way == []
+
+    run(test())
+
+
+def test_cut_off_tells_both_sides() -> None:
+    async def test() -> None:
+        pair = Pair()
+        pair.near.pipe.cut_off("the router is lost")
+        await pair.settle()
+        assert str(pair.near.told.error) == "the router is lost"
+        assert pair.far.told.calls[-1] == "lost"
+
+    run(test())
