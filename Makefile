@@ -1,4 +1,4 @@
-# `make demo` and `make test` set everything up by themselves, on a machine with git, make and Python ≥ 3.11.
+# `make demo`, `make demo-fleet` and `make test` set everything up by themselves, on a machine with git, make and Python ≥ 3.11.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -14,10 +14,13 @@ unexport PYTHONDONTWRITEBYTECODE
 # Nothing that runs from here leaves this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 
-.PHONY: demo test test-wire lint bench soak fuzz lock screenshots man clean system
+.PHONY: demo demo-fleet test test-wire lint bench soak fuzz lock screenshots man clean system
 
 demo: $(STAMP)
 	$(BIN)/rsb-console demo
+
+demo-fleet: $(STAMP)
+	$(BIN)/rsb-console demo --fleet
 
 # The tests by folder, the longest first. Five folders at a time, since many wait for most of their time, and beside them
 # those that only compute, one after another. The largest folders are run by halves. Folders share no ROS domain, port or
@@ -96,7 +99,7 @@ $(STAMP): pyproject.toml
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
 	@touch $@
 
-# The README's pictures, from the running demo.
+# The pictures of the documentation, from the running demos.
 screenshots: $(STAMP)
 	$(BIN)/python docs/screenshots.py
 

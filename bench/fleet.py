@@ -155,7 +155,8 @@ def measure(
     plan = plan or Plan()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rsb-fleet-")))
-        running = stack.enter_context(fleet(folder, count, domain=domain, over=over, load=load))
+        names = [f"robot{number:03d}" for number in range(count)]  # as `many` below has them
+        running = stack.enter_context(fleet(folder, names, domain=domain, over=over, load=load))
         heard, flooding = running.names[0], running.names[-1]
         listener = stack.enter_context(bed.Process("-m", beds.TRAFFIC, "listen", str(domain), f"/{heard}/pose"))
         stack.enter_context(bed.Process("-m", beds.TRAFFIC, "many", str(domain), "/robot", str(count), "/goal"))

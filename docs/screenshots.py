@@ -1,34 +1,46 @@
-"""Takes the README's pictures of the console on the running demo: ``make screenshots``."""
+"""Takes the pictures of the console on the running demos: ``make screenshots``, or those that are named."""
 
 from __future__ import annotations
 
 import asyncio
+import sys
+import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+
+from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.app import ConsoleApp
+from rsb_console.command.demo_fleet import seen, simulated, trouble
+from rsb_console.fleet_app import FleetApp
 from rsb_console.session.demo import running_demo
+from rsb_console.widgets.fleet import FleetView
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from textual.pilot import Pilot
 
+    from rsb_console.fleet.fleet import Fleet, Robot
+    from rsb_console.fleet.source import FleetSource
+
 PICTURES = Path(__file__).parent / "pictures"
 FLOWING = 6  # topics of the demo, its service, and its robot's parameters
 HISTORY = 60  # s: long enough for a curve to be worth a picture
-WIDE, NARROW = (120, 36), (80, 24)
+WIDE, NARROW, LOW = (120, 36), (80, 24), (120, 24)
+ROBOTS = 8
 
 
-async def take(pilot: Pilot[None], name: str, *keys: str) -> None:
+async def take(pilot: Pilot[Any], name: str, *keys: str) -> None:
     """Press `keys`, and keep what the screen shows then."""
     await pilot.press(*keys)
     await pilot.pause(1.0)
     pilot.app.save_screenshot(f"{name}.svg", str(PICTURES))
 
 
-async def until(condition: Callable[[], bool], pilot: Pilot[None], seconds: float = 90.0) -> None:
+async def until(condition: Callable[[], bool], pilot: Pilot[Any], seconds: float = 90.0) -> None:
     """Wait for it."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -42,8 +54,8 @@ def states(app: ConsoleApp) -> list[str]:
     return [route.state.value for route in app.snapshot().routes]
 
 
-async def main() -> None:
-    """All pictures."""
+async def of_a_robot() -> None:
+    """Those of the demo."""
     with running_demo() as demo:
         app = ConsoleApp(demo.session, demo.path, theme="dark", config=PICTURES)
         try:
@@ -71,6 +83,43 @@ async def main() -> None:
             await asyncio.to_thread(app.stop)
 
 
+async def of_a_fleet() -> None:
+    """The one of the demo of a fleet, when a robot is away, and another one has lost a topic."""
+    over = threading.Event()
+    with simulated(ROBOTS) as running, seen(running) as fleet:
+        _of_no_machine(fleet.sources[0])
+        app = FleetApp(fleet, FleetView(), theme="dark", config=PICTURES)
+        async with app.run_test(size=LOW) as pilot:
+            await until(lambda: all(robot.summary.battery for robot in robots(fleet)), pilot)
+            troubling = threading.Thread(target=trouble, args=(running, over.is_set))
+            troubling.start()
+            try:
+                await until(lambda: {RobotState.MISSING, RobotState.FAULT} <= states_of(fleet), pilot)
+                await take(pilot, "fleet", "j", "j")  # on the robot with the fault
+            finally:
+                over.set()
+                await asyncio.to_thread(troubling.join)
+
+
+def _of_no_machine(source: FleetSource) -> None:
+    """Have each robot be a machine of its own, instead of all of them this one."""
+    known = source.robots
+    source.robots = lambda: [msgspec.structs.replace(each, host=each.name) for each in known()]  # type: ignore[method-assign]
+
+
+def robots(fleet: Fleet) -> list[Robot]:
+    """Those with a battery."""
+    return [robot for robot in fleet.robots() if robot.summary.name != "control"]
+
+
+def states_of(fleet: Fleet) -> set[RobotState]:
+    """How the robots are."""
+    return {robot.summary.state for robot in robots(fleet)}
+
+
+PARTS = {"robot": of_a_robot, "fleet": of_a_fleet}
+
 if __name__ == "__main__":
     PICTURES.mkdir(exist_ok=True)
-    asyncio.run(main())
+    for part in sys.argv[1:] or PARTS:
+        asyncio.run(PARTS[part]())

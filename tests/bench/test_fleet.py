@@ -17,7 +17,10 @@ from bench.fleet import Plan, measure
 from tests.support.locks import two_domains
 from tests.support.waiting import eventually
 
+from rsb_bridge.cdr.decoder import decode
+from rsb_bridge.cdr.description import read_description
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.battery_state import BATTERY_STATE
 from rsb_bridge.ros.stamped import made_at, message
 from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
 from rsb_bridge.ros.std_string import STRING, STRING_HASH, string_bytes
@@ -76,6 +79,33 @@ def test_a_message_of_the_stand_in_is_a_string_of_its_size_that_says_when_it_was
     assert {len(string_bytes(each)) for each in (first, second)} == {200}
     assert 0 < made_at(first) <= made_at(second)
     assert len(string_bytes(message(1))) == 20
+
+
+def test_a_battery_of_the_stand_in_is_a_message_whose_charge_falls() -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import BatteryState
+
+    from rsb_bridge.ros.typesupport import hash_of
+
+    talk = Talk("/battery_state", 1.0, 0, BATTERY_STATE)
+    ros, other = StandIn("robot1", [talk]), StandIn("robot2", [talk])
+    assert (ros.topics(), ros.publishers(talk.topic)[0].type_hash) == (
+        {talk.topic: [BATTERY_STATE]},
+        hash_of(BatteryState),
+    )
+    description = ros.installed_description(BATTERY_STATE)
+    assert description is not None
+    taken: list[RawMessage] = []
+    for each in (ros, other):
+        each.subscribe(talk.topic, BATTERY_STATE, hash_of(BatteryState), Qos(), taken.extend, "")
+    ros.publish(talk.topic, 0, 2)
+    other.publish(talk.topic, 0)
+    first, second, others = (deserialize_message(each.payload, BatteryState).percentage for each in taken)
+    assert 0 < second <= first <= 1
+    assert others != pytest.approx(first, abs=0.01)
+    read = decode(read_description(description, hash_of(BatteryState)), taken[0].payload, items=0)
+    assert read.message["percentage"] == first
 
 
 def test_what_a_node_publishes_reaches_subscriptions_and_what_it_hears_is_counted() -> None:

@@ -1,29 +1,101 @@
-"""The demo of a fleet, headless: every robot is linked, and a summary says so."""
+"""The demo of a fleet: on its screen in a real terminal, and headless with a line for each engine."""
 
 from __future__ import annotations
 
+import shutil
+import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
+from tests.console.terminal import COMMAND, Terminal
+from tests.console.tmux import Tmux
+from tests.support.waiting import eventually
 
 from rsb_console.command.arguments import parser_and_commands
 
-if TYPE_CHECKING:
-    from pathlib import Path
+pytest.importorskip("rclpy", reason="needs ROS 2")
 
 WITHIN = 120.0
+WITHOUT_ZENOH = """
+import sys
+sys.modules["zenoh"] = None
+from rsb_console.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
 
 
-def test_each_robot_is_linked_and_has_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    command = [sys.executable, "-m", "rsb_console", "demo", "--fleet", "--robots", "3", "--no-ui", "--seconds", "0.1"]
+@pytest.fixture(autouse=True)
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the demo puts its files."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("program", "engines"),
+    [
+        (("-m", "rsb_console"), ["control", "robot1", "robot2"]),
+        (("-c", WITHOUT_ZENOH), ["robot1", "robot2"]),
+    ],
+    ids=["zenoh", "tcp"],
+)
+def test_each_engine_is_linked_and_has_a_line(program: tuple[str, ...], engines: list[str], temporary: Path) -> None:
+    command = [sys.executable, *program, "demo", "--fleet", "--robots", "2", "--no-ui", "--seconds", "0.1"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=WITHIN, check=False)
     assert done.returncode == 0, done.stderr
-    rows = [line.split() for line in done.stdout.splitlines() if line.startswith("robot00")]
-    assert [row[:2] for row in rows[-3:]] == [[f"robot00{number}", "ok"] for number in range(3)]
-    assert [*tmp_path.iterdir()] == []
+    rows = [line.split()[:2] for line in done.stdout.splitlines()[-len(engines) :]]
+    assert rows == [[name, "ok"] for name in engines]
+    assert [*temporary.iterdir()] == []
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path, temporary: Path) -> None:
+    with Tmux(tmp_path, str(COMMAND), "demo", "--fleet", "--robots", "2") as tmux:
+        tmux.wait_for("robot2", WITHIN)
+        demo = int(tmux("display-message", "-p", "#{pane_pid}"))
+        started = {demo} | descendants(demo)
+        assert len(started) >= 4  # itself, the router, the control side, the robots
+        tmux("send-keys", "/", "robot:robot2", "Enter")
+        tmux.wait_for("1 of 3", WITHIN)
+        tmux("send-keys", "Enter")
+        tmux.wait_for("client robot2", WITHIN)
+        tmux("send-keys", "q")
+        tmux.wait_for("1 of 3", WITHIN)
+        tmux("send-keys", "q")
+        eventually(lambda: not running(started), WITHIN, "the end of all processes")
+    assert [*temporary.iterdir()] == []
+
+
+@pytest.mark.parametrize(("seen", "how"), [("starting", signal.SIGTERM), ("robot1", signal.SIGHUP)])
+def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Signals, temporary: Path) -> None:
+    with Terminal(str(COMMAND), "demo", "--fleet", "--robots", "1") as terminal:
+        terminal.wait_for(seen, WITHIN)
+        started = descendants(terminal.pid)
+        if how is signal.SIGHUP:
+            terminal.hang_up()
+        else:
+            terminal.kill(how)
+        terminal.exit_code(WITHIN)
+    eventually(lambda: not running(started), WITHIN, "the end of all processes")
+    assert [*temporary.iterdir()] == []
+
+
+def descendants(pid: int) -> set[int]:
+    """The children of a process, and theirs."""
+    children = {
+        int(child)
+        for thread in Path(f"/proc/{pid}/task").iterdir()
+        for child in (thread / "children").read_text().split()
+    }
+    return children.union(*map(descendants, children))
+
+
+def running(processes: set[int]) -> set[int]:
+    return {process for process in processes if Path(f"/proc/{process}").exists()}
 
 
 @pytest.mark.parametrize("text", ["0", "-1", "many"])

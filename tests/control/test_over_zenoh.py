@@ -12,7 +12,8 @@ from tests.support.zenoh_router import stranger
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.folders import UnclearError
-from rsb_bridge.model.robot_summary import RobotState
+from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.model.robot_summary import RobotState, decode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,6 +54,20 @@ def test_engines_are_seen_as_they_come_and_go(fleet: Fleet) -> None:
     fleet.servers["robot1"].close()
     eventually(lambda: is_in(seen, "robot1", RobotState.MISSING))
     assert has_spoken(seen, "robot2")
+
+
+def test_how_long_it_has_been_so_is_by_the_engines_own_clock(fleet: Fleet) -> None:
+    fleet.add("robot1")
+    own = decode(Summaries(fleet.engines["robot1"], "0.1.0")())
+    assert own.seen is not None
+    assert own.seen - own.since > 1
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, "robot1"))
+    found = robot(seen, "robot1")
+    assert found is not None
+    assert found.seen is not None
+    assert found.seen < own.seen  # its clock is ahead
+    assert found.seen - found.since == pytest.approx(own.seen - own.since, abs=1e-3)
 
 
 def test_an_operator_attaches_by_name_and_does_what_the_engine_lets_them(fleet: Fleet) -> None:

@@ -11,39 +11,45 @@ import itertools
 import secrets
 import threading
 import time
+from random import Random
 from typing import TYPE_CHECKING
 
 import msgspec
 
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.ros.api import Endpoint, RawMessage
+from rsb_bridge.ros.battery_state import BATTERY_STATE, BATTERY_STATE_HASH, battery_state
 from rsb_bridge.ros.no_ros import NoRos
 from rsb_bridge.ros.stamped import message
 from rsb_bridge.ros.std_string import STRING, STRING_HASH
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
-    from random import Random
 
     from rsb_bridge.ros.api import OnFailure, Sink
 
 _GID_LENGTH = 16
 _FLOOD_AT_ONCE = 16
 _QOS = Qos()
+_HASHES = {STRING: STRING_HASH, BATTERY_STATE: BATTERY_STATE_HASH}
+_BATTERY_LASTS, _CHARGED_AT = 900.0, 0.1
+"""s from a full battery to the charge at which it is changed for another."""
 
 
 class Talk(msgspec.Struct, frozen=True):
-    """A topic that a node of the stand-in publishes, as ``std_msgs/String``.
+    """A topic that a node of the stand-in publishes.
 
     Attributes:
         topic: its name.
         rate: Hz; 0: as fast as the bridge takes them.
-        size: bytes of each message.
+        size: bytes of each message, if it is a String.
+        type: ``std_msgs/msg/String``, or ``sensor_msgs/msg/BatteryState``.
     """
 
     topic: str
     rate: float
     size: int
+    type: str = STRING
 
 
 class StandIn(NoRos):
@@ -68,6 +74,8 @@ class StandIn(NoRos):
         self.received = dict.fromkeys(hears, 0)
         self.muted: set[str] = set()
         self._node = f"/{name}"
+        self._types = dict.fromkeys(hears, STRING) | {each.topic: each.type for each in talks}
+        self._began = time.monotonic() - _BATTERY_LASTS * Random(name).random()  # noqa: S311 -- no secret
         self._hears = frozenset(hears)
         self._gids = {each.topic: secrets.token_bytes(_GID_LENGTH) for each in talks}
         self._readers: dict[str, list[_Reader]] = {}
@@ -81,9 +89,15 @@ class StandIn(NoRos):
         readers = self._readers.get(topic, ())
         if readers:
             gid, stamp = self._gids[topic], time.time_ns()
-            batch = [RawMessage(message(size), stamp, gid, first + each) for each in range(count)]
+            make = self._battery if self._types[topic] == BATTERY_STATE else message
+            batch = [RawMessage(make(size), stamp, gid, first + each) for each in range(count)]
             for reader in tuple(readers):
                 reader.take(batch)
+
+    def _battery(self, _: int) -> bytes:
+        """A battery that falls; each robot's has begun at another time."""
+        used = (time.monotonic() - self._began) % _BATTERY_LASTS / _BATTERY_LASTS
+        return battery_state(1.0 - used * (1.0 - _CHARGED_AT))
 
     # --- the engine's side
 
@@ -91,19 +105,28 @@ class StandIn(NoRos):
         self._readers.clear()
 
     def topics(self) -> dict[str, list[str]]:
-        return {topic: [STRING] for topic in (*self.published, *self._hears)}
+        return {topic: [type_name] for topic, type_name in self._types.items()}
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        return [self._endpoint(self._gids[topic])] if topic in self._gids else []
+        return [self._endpoint(topic, self._gids[topic])] if topic in self._gids else []
 
     def subscriptions(self, topic: str) -> list[Endpoint]:
-        return [self._endpoint(b"")] if topic in self._hears else []
+        return [self._endpoint(topic, b"")] if topic in self._hears else []
 
-    def _endpoint(self, gid: bytes) -> Endpoint:
-        return Endpoint(self._node, STRING, STRING_HASH, _QOS, gid)
+    def _endpoint(self, topic: str, gid: bytes) -> Endpoint:
+        type_name = self._types[topic]
+        return Endpoint(self._node, type_name, _HASHES[type_name], _QOS, gid)
 
     def installed_hash(self, type_name: str) -> str | None:
-        return STRING_HASH if type_name == STRING else None
+        return _HASHES.get(type_name)
+
+    def installed_description(self, type_name: str) -> str | None:
+        try:
+            from rsb_bridge.ros.descriptions import installed_description  # noqa: PLC0415 (needs ROS)
+
+            return installed_description(type_name) if type_name in _HASHES else None
+        except (ImportError, ValueError):  # a bench without ROS does without
+            return None
 
     def subscribe(
         self,

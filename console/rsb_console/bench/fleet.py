@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import random
 import signal
 import socket
@@ -14,7 +15,8 @@ import msgspec
 
 from rsb_bridge.config import session_file
 from rsb_bridge.config.keys import write_key
-from rsb_bridge.model.session import ZENOH_HOST, Client, Session, Topic, ZenohSettings
+from rsb_bridge.model.session import ZENOH_HOST, Client, Operator, Session, Topic, ZenohSettings
+from rsb_bridge.ros.battery_state import BATTERY_STATE
 from rsb_bridge.ros.stand_in import Talk
 from rsb_bridge.ros.std_string import STRING
 from rsb_console.bench import beds
@@ -29,8 +31,10 @@ if TYPE_CHECKING:
 
 ROBOTS, ROUTER = "rsb_console.bench.robots", "rsb_console.bench.router"
 USUAL = Load((Talk("/pose", 10.0, 200), Talk("/status", 1.0, 200), Talk("/scan", 5.0, 2500)), ("/goal",))
+WITH_BATTERY = Load((*USUAL.talks, Talk("/battery_state", 1.0, 0, BATTERY_STATE)), USUAL.hears)
 MOST_IN_ONE = 50
 """Robots of one process."""
+_OPERATOR, _OPERATOR_KEY = "operator", "operator.key"
 _HOST = "127.0.0.1"
 _PORTS = range(20_000, 32_000)
 """None that the kernel gives to a client, who would then sit on the server's port, or connect to itself."""
@@ -86,7 +90,7 @@ def zenoh() -> Iterator[Way]:
     """Robots and the control side connect to a router."""
     router = Router()
     try:
-        settings = ZenohSettings((router.endpoint,), fleet="bench")
+        settings = ZenohSettings((router.endpoint,), fleet="simulated")
         yield Way({"server_ip": ZENOH_HOST, "zenoh": settings}, router)
     finally:
         router.process.stop()
@@ -109,6 +113,7 @@ class Fleet:
         control: the control side's process.
         started: s since the epoch, when the robots were started.
         router: that the links go through; None: none.
+        file: by which an operator's console reaches all engines over Zenoh; None: no operator is let in.
     """
 
     folder: Path
@@ -117,6 +122,7 @@ class Fleet:
     session: Path
     command: Sequence[str]
     router: Router | None = None
+    file: Path | None = None
     processes: list[Process] = field(default_factory=list)
     control: Process | None = None
     started: float = 0.0
@@ -188,37 +194,50 @@ class Fleet:
             time.sleep(_LOOK_EVERY)
 
     def stop(self) -> None:
-        """End everything."""
-        for process in [*self.processes, *filter(None, [self.control])]:
+        """End everything, all at once."""
+        processes = [*self.processes, *filter(None, [self.control])]
+        for process in processes:
+            process.signal(signal.SIGTERM)
+        for process in processes:
             process.stop()
 
 
 @contextlib.contextmanager
 def fleet(
     folder: Path,
-    count: int,
+    names: Sequence[str],
     *,
     domain: int,
     over: str = "tcp",
     load: Load = USUAL,
     control: Sequence[str] = ("-m", "rsb_console"),
+    groups: Sequence[str] = (),
+    operated: bool = False,
 ) -> Iterator[Fleet]:
     """Write the sessions and keys of a fleet; what is started of it ends with this.
 
     Args:
         folder: for all files.
-        count: of robots.
+        names: of the robots.
         domain: the control side's.
         over: what the links go over, of `WAYS`.
         load: of each robot.
         control: the Python command that is the control side's `rsb-console`.
+        groups: that the robots belong to, in turn; empty: none.
+        operated: each engine lets an operator in, over Zenoh.
     """
-    names = [f"robot{number:03d}" for number in range(count)]
-    topics = [*((talk.topic, "transmit") for talk in load.talks), *((topic, "receive") for topic in load.hears)]
+    group_of = dict(zip(names, itertools.cycle(groups), strict=False)) if groups else {}
+    topics = (
+        *(Topic(topic=talk.topic, direction="transmit", type=talk.type) for talk in load.talks),
+        *(Topic(topic=topic, direction="receive", type=STRING) for topic in load.hears),
+    )
     with WAYS[over]() as way:
+        common = dict(way.fields)
+        if operated:
+            write_key(folder / _OPERATOR_KEY)
+            common["operators"] = (Operator(_OPERATOR, _OPERATOR_KEY, "change"),)
         for name in names:
             write_key(folder / f"{name}.key")
-            bridged = tuple(Topic(topic=topic, direction=to, type=STRING) for topic, to in topics)  # type: ignore[arg-type]
             session = Session(
                 name=name,
                 role="client",
@@ -226,19 +245,30 @@ def fleet(
                 key_file=f"{name}.key",
                 shutdown_topic=None,
                 diagnostics_topic=None,
-                topics=bridged,
-                **way.fields,
+                topics=topics,
+                group=group_of.get(name),
+                **common,
             )
             session_file.save(session, folder / f"{name}.yaml")
-        clients = tuple(Client(name, key_file=f"{name}.key") for name in names)
+        clients = tuple(Client(name, key_file=f"{name}.key", group=group_of.get(name)) for name in names)
         path = folder / "control.yaml"
-        server = Session(name="control", role="server", domain_id=domain, use_name=True, clients=clients, **way.fields)
-        session_file.save(server, path)
-        running = Fleet(folder, names, load, path, control, way.router)
+        control_side = Session(
+            name="control", role="server", domain_id=domain, use_name=True, clients=clients, **common
+        )
+        session_file.save(control_side, path)
+        file = _operators_file(folder, way.fields["zenoh"]) if operated else None
+        running = Fleet(folder, names, load, path, control, way.router, file)
         try:
             yield running
         finally:
             running.stop()
+
+
+def _operators_file(folder: Path, network: ZenohSettings) -> Path:
+    """Write what an operator's console reaches a fleet by; JSON is YAML."""
+    path = folder / "fleet.yaml"
+    path.write_bytes(msgspec.json.encode({"zenoh": network, "operator": _OPERATOR, "key_file": _OPERATOR_KEY}))
+    return path
 
 
 def listening(process: Process, session: Path) -> float:

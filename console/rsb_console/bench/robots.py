@@ -1,7 +1,8 @@
 """Robots in one process, each with a bridge of its own: ``python -m rsb_console.bench.robots LOAD SESSION...``.
 
 LOAD is the JSON of a `Load`. The bridges are the real ones, over real sockets; their ROS is a stand-in
-(`rsb_bridge.ros.stand_in`). It is commanded by lines, answers with lines of JSON, and ends with its standard input:
+(`rsb_bridge.ros.stand_in`). One whose session lets operators in is served, on the socket ``NAME.sock`` beside its file.
+The process is commanded by lines, answers with lines of JSON, and ends with its standard input:
 
 - ``look`` answers with a `Look`.
 - ``stop NAME`` stops a robot's bridge, ``start NAME`` starts it again, ``mute NAME TOPIC`` has its node publish a topic
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING
@@ -19,12 +21,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from rsb_bridge.config.session_file import load
+from rsb_bridge.control.bridges import serve
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.ros.stand_in import Metronome, StandIn, Talk
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from rsb_bridge.control.server import ControlServer
 
 _ATTEMPTS = (EventCode.LINK_UNREACHABLE, EventCode.LINK_REFUSED)
 
@@ -89,18 +94,37 @@ class _Bridged:
         self.ros = StandIn(self.name, load_.talks, load_.hears)
         self._robot = Robot()
         self._engine: Engine | None = None
+        self._server: ControlServer | None = None
         self._followed = 0
+        self._changing = threading.Lock()
 
     def start(self) -> None:
-        if self._engine is None:
-            self._engine, self._followed = Engine(self._session, base=self._path.parent, ros=self.ros), 0
-            self._engine.start()
+        with self._changing:
+            if self._engine is None:
+                self._engine, self._followed = Engine(self._session, base=self._path.parent, ros=self.ros), 0
+                if self._session.operators:
+                    self._server = serve(
+                        self._engine,
+                        self._session,
+                        file=self._path,
+                        control=self._path.with_suffix(".sock"),
+                        on_stop=self._stop_soon,
+                    )
+                self._engine.start()
 
     def stop(self) -> None:
-        if self._engine is not None:
-            self._engine.stop()
-            self._follow()
-            self._engine = None
+        with self._changing:
+            if self._engine is not None:
+                self._engine.stop()
+                self._follow()
+                self._engine = None
+            if self._server is not None:
+                self._server.close()
+                self._server = None
+
+    def _stop_soon(self) -> None:
+        """What ends the process of a robot that has one of its own."""
+        threading.Thread(target=self.stop, daemon=True).start()
 
     def look(self) -> Robot:
         self._follow()

@@ -83,7 +83,7 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     demo = command("demo", commands.demo, "bridge two ROS domains on this machine, with a simulated robot")
     demo.add_argument("--no-ui", action="store_true", help="print the log, without the console")
     demo.add_argument("--seconds", type=seconds, metavar="N", help="stop after N s")
-    demo.add_argument("--fleet", action="store_true", help="several simulated robots and one control side instead")
+    demo.add_argument("--fleet", action="store_true", help="the fleet's screen on several simulated robots instead")
     demo.add_argument("--robots", type=count, metavar="N", default=8, help="with --fleet: how many (%(default)s)")
     _service_arguments(command("service", commands.service, "run a session as a service of systemd"))
     add_remote_commands(command, _complete, commands.attach, _console_options)

@@ -1,27 +1,39 @@
-"""``rsb-console demo --fleet``: simulated robots and one control side on this machine, for the fleet's screens."""
+"""``rsb-console demo --fleet``: simulated robots and one control side on this machine, on the fleet's screen."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
 import sys
 import tempfile
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.client import RemoteEngine
-from rsb_bridge.control.folders import ControlError
-from rsb_bridge.model.snapshot import State
+from rsb_bridge.config.fleet_file import load_fleet
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.bench.ends import BenchError
-from rsb_console.bench.fleet import fleet, listening
+from rsb_console.bench.fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals
 from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, print_error, print_line
+from rsb_console.fleet.fleet import Fleet
+from rsb_console.fleet.memory import Memory
+from rsb_console.fleet.servers import ServerFleet
+from rsb_console.fleet.zenoh import ZenohFleet
 from rsb_console.session.demo import need_ros, own_domain
 
 if TYPE_CHECKING:
-    from rsb_bridge.model.snapshot import Snapshot
-    from rsb_console.bench.fleet import Fleet
+    from collections.abc import Callable, Iterator, Sequence
 
+    from rsb_console.bench.fleet import Fleet as Simulated
+    from rsb_console.fleet.fleet import Robot
+    from rsb_console.fleet.source import FleetSource
+
+GROUPS = ("hall", "yard")
 _OPEN_WITHIN, _SEEN_WITHIN = 60.0, 10.0
 _AFTER = 5.0
 """s until the first trouble."""
@@ -32,64 +44,115 @@ _FAULTY = "/scan"
 
 
 def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
-    """Run a fleet until a signal, or for a while.
+    """Run a fleet on its screen until the operator quits; or headless, and sum it up at the end.
 
     Args:
         robots: how many.
-        ui: only say how to look at it; else print a summary at the end, too.
-        seconds: s to run once all robots are linked; None: until a signal.
+        ui: on the fleet's screen; else headless.
+        seconds: s to run headless once all robots are linked; None: until a signal.
 
     Returns:
-        The exit code: 0 only if each robot was linked and its topics were open.
+        The exit code; headless, 0 only if each robot was linked and its topics were open.
     """
     try:
         need_ros()
-        with (
-            Signals(ignore_hangup=False, has_terminal=True) as signals,
-            tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
-            fleet(Path(folder), robots, domain=own_domain()) as running,
-        ):
-            return _run(running, signals, ui=ui, seconds=seconds)
-    except (BenchError, ControlError, EngineError) as error:
+        with Signals(ignore_hangup=False, has_terminal=True) as signals, simulated(robots) as running:
+            if signals.caught:
+                return INTERRUPTED
+            if ui:
+                return _on_screen(running, signals)
+            return _headless(running, signals, seconds)
+    except (BenchError, EngineError) as error:
         print_error(str(error))
         return FAILURE
 
 
-def _run(running: Fleet, signals: Signals, *, ui: bool, seconds: float | None) -> int:
-    control = running.start_control()
-    listening(control, running.session)
-    running.start_robots(running.names)
+@contextlib.contextmanager
+def simulated(robots: int) -> Iterator[Simulated]:
+    """A fleet whose engines have been started: over Zenoh, or over TCP where that is not installed."""
+    over_zenoh = importlib.util.find_spec("zenoh") is not None
+    network = "a Zenoh router" if over_zenoh else "no Zenoh, which is not installed: pip install 'rsb-console[zenoh]'"
+    print_line(f"starting {robots} simulated robots and a control side, with {network}")
+    sys.stdout.flush()
+    over = "zenoh" if over_zenoh else "tcp"
+    names = [f"robot{number}" for number in range(1, robots + 1)]
+    with (
+        tempfile.TemporaryDirectory(prefix="rsb-fleet-") as folder,
+        fleet(
+            Path(folder), names, domain=own_domain(), over=over, load=WITH_BATTERY, groups=GROUPS, operated=over_zenoh
+        ) as running,
+    ):
+        control = running.start_control()
+        running.start_robots(running.names)
+        listening(control, running.session)
+        running.look()  # all processes answer
+        yield running
+
+
+@contextlib.contextmanager
+def seen(running: Simulated) -> Iterator[Fleet]:
+    """The fleet as an operator's console sees it: over Zenoh the engines themselves, else the server's clients."""
+    source: FleetSource
+    source = ServerFleet("control", running.socket) if running.file is None else ZenohFleet(load_fleet(running.file))
+    shown = Fleet([source], Memory(None), Clock())
+    shown.start()
+    try:
+        yield shown
+    finally:
+        shown.stop()
+
+
+def _on_screen(running: Simulated, signals: Signals) -> int:
+    from rsb_console.command.fleet_console import run_fleet  # noqa: PLC0415 -- needs Textual
+
+    over = threading.Event()
+    with seen(running) as shown, ThreadPoolExecutor(1) as aside:
+        if signals.caught:  # while it waited for the robots; from now on the screen's own handlers catch them
+            return INTERRUPTED
+        troubling = aside.submit(trouble, running, over.is_set)
+        try:
+            code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True)
+        finally:
+            over.set()
+        troubling.result()
+    return code
+
+
+def _headless(running: Simulated, signals: Signals, seconds: float | None) -> int:
     sends = len(running.load.talks)  # nobody publishes the goals that they could receive
     running.wait(lambda robot: len(robot.open) >= sends or bool(signals.caught), _OPEN_WITHIN)
     if signals.caught:
         return INTERRUPTED
-    faulty, restless = running.names[min(1, len(running.names) - 1)], running.names[-1]
-    _say(running, faulty, restless)
+    _say(running)
     ends = None if seconds is None else time.monotonic() + seconds
-    _trouble(running, signals, faulty, restless, ends)
-    if not ui:
-        _print_summary(_seen(running))
+    with seen(running) as shown:
+        trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
+        _print_summary(_heard(shown))
     return OK
 
 
-def _say(running: Fleet, faulty: str, restless: str) -> None:
+def _troubled(names: Sequence[str]) -> tuple[str, str]:
+    """The robot that loses a topic, and the one that comes and goes."""
+    return names[min(1, len(names) - 1)], names[-1]
+
+
+def _say(running: Simulated) -> None:
     count = len(running.names)
-    print_line(
-        f"{count} simulated robots and a control side are linked; the robots' ROS is a stand-in, in {count} graphs"
-    )
+    faulty, restless = _troubled(running.names)
+    look = f"fleet --fleet {running.file}" if running.file else f"fleet --control {running.socket}"
+    print_line(f"{count} simulated robots are linked; their ROS is a stand-in, in {count} graphs")
     print_line(f"{faulty} stops publishing {_FAULTY} after {_AFTER:.0f} s; {restless} comes and goes")
-    print_line(f"to look at them: rsb-console attach --control {running.socket}")
+    print_line(f"to look at them: rsb-console {look}")
     print_line("Ctrl-C ends them all")
     sys.stdout.flush()
 
 
-def _trouble(running: Fleet, signals: Signals, faulty: str, restless: str, ends: float | None) -> None:
-    """Have something to see until a signal or the end comes."""
-    due = [
-        (time.monotonic() + _AFTER, faulty, ("mute", _FAULTY)),
-        (time.monotonic() + _THERE, restless, ("stop",)),
-    ]
-    while not signals.caught and (ends is None or time.monotonic() < ends):
+def trouble(running: Simulated, over: Callable[[], bool]) -> None:
+    """Have something to see until it is over."""
+    faulty, restless = _troubled(running.names)
+    began = time.monotonic()
+    due = [(began + _AFTER, faulty, ("mute", _FAULTY)), (began + _THERE, restless, ("stop",))]
+    while not over():
         now = time.monotonic()
         for at, name, words in [each for each in due if each[0] <= now]:
             due.remove((at, name, words))
@@ -102,24 +165,20 @@ def _trouble(running: Fleet, signals: Signals, faulty: str, restless: str, ends:
         time.sleep(_LOOK_EVERY)
 
 
-def _seen(running: Fleet) -> Snapshot:
-    """What the control side sees now, which it renews once a second."""
-    engine, asked = RemoteEngine(running.socket, read_only=True), time.time()
-    engine.start()
-    try:
-        ends = time.monotonic() + _SEEN_WITHIN
-        while (seen := engine.snapshot()).time < asked and time.monotonic() < ends:
-            time.sleep(_LOOK_EVERY)
-        return seen
-    finally:
-        engine.stop()
+def _heard(shown: Fleet) -> list[Robot]:
+    """The robots as they are now: each says so itself, once a second."""
+    asked = time.time()
+    while time.time() < asked + _SEEN_WITHIN:
+        robots = shown.robots()
+        if all(robot.summary.state is RobotState.MISSING or (robot.summary.seen or 0.0) >= asked for robot in robots):
+            break
+        time.sleep(_LOOK_EVERY)
+    return shown.robots()
 
 
-def _print_summary(seen: Snapshot) -> None:
-    """One line a robot: its link, how many of its topics flow, and the worst that is not well."""
-    for link in seen.links:
-        routes = [route for route in seen.routes if route.link == link.name]
-        flowing = sum(route.state.flows for route in routes)
-        worst = min(routes, key=lambda route: route.state.rank, default=None)
-        why = link.reason or ("" if worst is None or worst.state is State.OK else worst.reason)
-        print_line(f"{link.name:<10} {link.state:<8} {flowing} of {len(routes)} topics flow  {why}".rstrip())
+def _print_summary(robots: Sequence[Robot]) -> None:
+    """One line an engine: how it is, how many of its topics flow, its battery, and the worst that is not well."""
+    for _, summary, _ in sorted(robots, key=lambda robot: robot.order):
+        battery = f"{summary.battery.charge:.0%}" if summary.battery is not None else ""
+        flow = f"{summary.flowing} of {summary.routes} topics flow"
+        print_line(f"{summary.name:<10} {summary.state:<8} {flow:<21} {battery:>4}  {summary.why}".rstrip())

@@ -13,10 +13,12 @@ class FleetSource(Protocol):
     """Knows some robots, no two of the same name. All but `start` and `open` answer at once.
 
     Attributes:
+        kind: what it is, in a word: ``server`` or ``fleet``.
         name: what an operator calls it: ``control``, the server's name. No other source has it.
         kind: what it is: ``server``, ``fleet``.
     """
 
+    kind: str
     name: str
     kind: str
 

@@ -161,13 +161,18 @@ class ZenohFleet:
 
     def _take(self, name: str, summary: RobotSummary) -> None:
         now = time.time()
-        why, state = summary.why, summary.state
+        before, why, state = self._robots[name], summary.why, summary.state
+        # What the engine says of times is by its clock, which nobody has set by this one: only their ages are known.
+        ahead = 0.0 if summary.seen is None else summary.seen - now
+        since = min(now, summary.since - ahead)
         if name != summary.name:  # only whoever is in the network can be so called, with a key of this operator's
             why, state = f"another engine is called {summary.name}, too: give one of them another name", RobotState.WARN
-        # Since when is by the robot's clock, which nobody has set by this one.
-        before = self._robots[name]
-        since = before.since if (before.state, before.why) == (state, why) else now
-        self._set(name, msgspec.structs.replace(summary, name=name, why=why, state=state, seen=now, since=since))
+            since = before.since if (before.state, before.why) == (state, why) else now
+        if (battery := summary.battery) is not None:
+            battery = battery._replace(time=min(now, battery.time - ahead))
+        self._set(name, msgspec.structs.replace(
+            summary, name=name, why=why, state=state, seen=now, since=since, battery=battery
+        ))  # fmt: skip
 
     def _gone(self, name: str, why: str, state: RobotState) -> None:
         why = sanitize_text(why, WHY_LENGTH)  # it may be the engine's

@@ -359,7 +359,9 @@ class RobotDetail(LiveLines):
             self._lines = list(_detail(rows[0], max(20, self.size.width)))
         else:
             wrong = [row for row in rows if row.robot.summary.state.is_wrong]
-            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]]
+            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [
+                ((" nothing is wrong" if rows else "", ""),)
+            ]
             if len(wrong) > self.LINES:
                 self._lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
         self.entitle(f" {title} " if title else "")
