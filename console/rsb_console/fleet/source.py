@@ -15,12 +15,10 @@ class FleetSource(Protocol):
     Attributes:
         kind: what it is, in a word: ``server`` or ``fleet``.
         name: what an operator calls it: ``control``, the server's name. No other source has it.
-        kind: what it is: ``server``, ``fleet``.
     """
 
     kind: str
     name: str
-    kind: str
 
     @property
     def problem(self) -> str:

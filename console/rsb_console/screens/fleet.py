@@ -12,7 +12,8 @@ from rsb_bridge.model.text import join_first
 from rsb_console.actions.registry import BY_ID, FLEET_ACTIONS, Group, bindings
 from rsb_console.terminal.clipboard import copy
 from rsb_console.terminal.input_queue import DIALOG
-from rsb_console.widgets.fleet import FleetStatus, FleetTable, FleetView, RobotDetail
+from rsb_console.widgets.fleet import FleetStatus, FleetTable, FleetView
+from rsb_console.widgets.robot_detail import RobotDetail
 from rsb_console.widgets.keybar import KeyBar, KeyEntry
 from rsb_console.widgets.prompt import Prompt
 
