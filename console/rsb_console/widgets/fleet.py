@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _GROUP = "\0"
 """Before a group's name: the key of its heading."""
-_MARKED, _FOLDED, _UNFOLDED = "✓", "▸", "▾"
+_MARKED, _FOLDED, _UNFOLDED, _WELL = "✓", "▸", "▾", " nothing is wrong"
 ROOMY = 100  # cells
 _EDGE = 2  # cells: the cursor, and the mark
 
@@ -359,9 +359,7 @@ class RobotDetail(LiveLines):
             self._lines = list(_detail(rows[0], max(20, self.size.width)))
         else:
             wrong = [row for row in rows if row.robot.summary.state.is_wrong]
-            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [
-                ((" nothing is wrong" if rows else "", ""),)
-            ]
+            self._lines = [_in_a_line(row) for row in wrong[: self.LINES]] or [((_WELL if rows else "", ""),)]
             if len(wrong) > self.LINES:
                 self._lines[-1] = ((f" and {len(wrong) - self.LINES + 1} more", "dim"),)
         self.entitle(f" {title} " if title else "")
@@ -377,7 +375,7 @@ def _in_a_line(row: Row) -> Line:
 def _detail(row: Row, width: int) -> Iterator[Line]:
     summary = row.robot.summary
     sign = (f" {ROBOT_SIGN[summary.state]} {ROBOT_WORD[summary.state]} ", ROBOT_LOOK[summary.state])
-    why = summary.why or ("it has not been here yet" if summary.seen is None else "nothing is wrong")
+    why = summary.why or ("it has not been here yet" if summary.seen is None else _WELL.strip())
     since = f"for {formats.clock(row.now - summary.since)}: " if summary.since else ""
     wrapped = textwrap.wrap(f"{since}{why}", max(10, width - len(sign[0]) - 1), max_lines=2, placeholder=" …")
     for number, text in enumerate(wrapped or [""]):
