@@ -186,6 +186,15 @@ def test_groups_fold() -> None:
     Bed().run(steps)
 
 
+def test_of_a_group_that_is_well_it_is_said() -> None:
+    async def steps(bed: Bed) -> None:
+        assert bed.listed == ["[hall]", "robot1", "robot2"]
+        assert bed.cursor == ""
+        await bed.shown("nothing is wrong")
+
+    Bed(robot("robot1", group="hall"), robot("robot2", group="hall"), view=FleetView(grouped=True)).run(steps)
+
+
 def test_without_groups_there_are_no_headings() -> None:
     async def steps(bed: Bed) -> None:
         await bed.press("u")

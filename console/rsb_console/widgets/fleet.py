@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.look import formats
 from rsb_console.widgets import fleet_columns
-from rsb_console.widgets.fleet_columns import ROBOT_LOOK, ROBOT_SIGN, ROBOT_WORD, STATE, Row, percent
+from rsb_console.widgets.fleet_columns import ROBOT_LOOK, ROBOT_SIGN, ROBOT_WORD, STATE, Row
 from rsb_console.widgets.lines import LiveLines, clip, fit, fit_middle
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.widgets.columns import Column
