@@ -23,11 +23,11 @@ demo-fleet: $(STAMP)
 	$(BIN)/rsb-console demo --fleet
 
 # The tests by folder, the longest first. Five folders at a time, since many wait for most of their time, and beside them
-# those that only compute, one after another. The largest folders are run by halves. Folders share no ROS domain, port or
+# those that only compute, one after another. The largest folders are run in shares. Folders share no ROS domain, port or
 # file. `make test-link` runs one of them, `make test-bluetooth` those that boot a machine with the real kernel's Bluetooth
 # (docs/bluetooth.md).
 COMPUTING := bluetooth simulation lint wire
-LONGEST := engine.1 engine.2 console.1 console.2 link calls.1 calls.2 system network command
+LONGEST := engine.1 engine.2 engine.3 console.1 console.2 console.3 link calls.1 calls.2 system network command
 FOLDERS := $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py))))
 PARTS := $(addprefix test-,$(LONGEST) $(filter-out $(COMPUTING) $(basename $(LONGEST)),$(FOLDERS)))
 
@@ -48,7 +48,7 @@ test-wire: $(STAMP)
 
 test-%: $(STAMP) system
 	$(if $(filter bluetooth simulation,$*),$(GIVES_WAY)) timeout -k 5 1800 \
-	  $(BIN)/python -m pytest -p no:cacheprovider tests/$(basename $*) $(addprefix --half=,$(subst .,,$(suffix $*)))
+	  $(BIN)/python -m pytest -p no:cacheprovider tests/$(basename $*) $(addprefix --share=,$(addsuffix /$(words $(filter $(basename $*).%,$(LONGEST))),$(subst .,,$(suffix $*))))
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -26,8 +26,8 @@ def pytest_configure() -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """``--half 1`` and ``--half 2`` run every other file each, so that a large folder is run by two processes."""
-    parser.addoption("--half", type=int, choices=(1, 2), help="run every other file, from the first or second on")
+    """``--share 1/3`` runs every third file, from the first on, so that a large folder is run by three processes."""
+    parser.addoption("--share", metavar="K/N", help="run every N-th file, from the K-th on")
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:
@@ -43,9 +43,10 @@ def pytest_pycollect_makemodule(module_path: Path) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of half of the files, where that is asked for."""
-    if half := config.getoption("half"):
-        files = sorted({item.path for item in items})[half - 1 :: 2]
+    """Keep the tests of some of the files, where that is asked for."""
+    if share := config.getoption("share"):
+        first, every = map(int, share.split("/"))
+        files = sorted({item.path for item in items})[first - 1 :: every]
         config.hook.pytest_deselected(items=[item for item in items if item.path not in files])
         items[:] = [item for item in items if item.path in files]
 
