@@ -107,28 +107,27 @@ class Zenoh(ZenohTraits, StreamTransport):
 
     async def connect(self, host: str, port: int, handler: StreamHandler, rank: int | None = None) -> Stream:
         endpoint = await self._links.endpoint(CLIENT, (SERVER,))
-        peer = await self._server(endpoint) if host == "zenoh" else host
+        peer = self._server(endpoint) if host == "zenoh" else host
         stream = ZenohStream(handler)
         Pipe(endpoint, peer, os.urandom(8).hex(), _priority(rank), stream)
         return stream
 
-    async def _server(self, endpoint: Endpoint) -> str:
-        servers = {seen.address: seen for seen in await endpoint.ask(SERVER)}
+    def _server(self, endpoint: Endpoint) -> str:
+        servers = _servers(endpoint)
         fleet = self._links.network.settings.fleet
         if not servers:
             raise OSError(f"the Zenoh network has no server of the fleet {fleet!r}: is it running, with that fleet?")
         if len(servers) > 1:
-            raise OSError(_several(fleet, servers.values()))
-        return next(iter(servers))
+            raise OSError(_several(fleet, servers))
+        return servers[0].address
 
     async def listen(self, host: str, port: int, acceptor: Acceptor) -> Listener:
         try:
             endpoint = await self._links.endpoint(SERVER, (CLIENT, SERVER))
-            others = [seen for seen in await endpoint.ask(SERVER) if seen.address != endpoint.address]
         except OSError as error:
             self._links.close()
             raise ListenError(str(error)) from None
-        if others:
+        if others := [seen for seen in _servers(endpoint) if seen.address != endpoint.address]:
             self._links.close()
             raise ListenError(_several(self._links.network.settings.fleet, others, own=True))
 
@@ -241,6 +240,10 @@ def _deaf(endpoint: Endpoint, take: Callable[[str, bytes], None]) -> None:
 def _priority(rank: int | None) -> int:
     """The rank of a sample (`rsb_bridge.transport.zenoh.outbox`) for that of a route; None: the link's own."""
     return LINK_RANK if rank is None else _RANKS[(rank > 0) - (rank < 0)]
+
+
+def _servers(endpoint: Endpoint) -> list[Seen]:
+    return [seen for seen in endpoint.seen.values() if seen.service == SERVER]
 
 
 def _several(fleet: str, servers: Iterable[Seen], *, own: bool = False) -> str:
