@@ -475,11 +475,15 @@ def test_who_listens_opens_no_other_port_and_calls_nobody(tmp_path: Path) -> Non
 def test_who_connects_opens_no_port(router: Router, tmp_path: Path) -> None:
     (tmp_path / "z.json5").write_text("{transport: {link: {tls: {verify_name_on_connect: true}}}}")
 
+    def bound() -> set[str]:
+        return sockets("udp") | sockets("udp6") | sockets("tcp", "0A") | sockets("tcp6", "0A")
+
     async def test() -> None:
+        before = bound()  # other tests of this process may leave DDS's
         for config in (None, "z.json5"):
             network = Network(ZenohSettings(connect=(router.endpoint,), config=config), tmp_path)
             await network.open()
-            assert sockets("udp") | sockets("udp6") | sockets("tcp", "0A") | sockets("tcp6", "0A") == set()
+            assert bound() <= before
             network.close()
 
     asyncio.run(test())
