@@ -140,10 +140,13 @@ def test_announcements_that_are_none_are_passed_over(fleet: Fleet) -> None:
     fleet.add("robot1")
     with stranger(fleet.router) as somebody:
         live = somebody.liveliness()
-        tokens = [live.declare_token(f"rsb_console/lab/here/engine/{key}") for key in ("0/-", "1/%FF", "2/client")]
+        keys = ("0/-", "1/%FF", "2/client", f"{'3' * 16}/client%200.1%20{'a' * 256}")
+        tokens = [live.declare_token(f"rsb_console/lab/here/engine/{key}") for key in keys]
         seen = fleet.seen_by()
         eventually(lambda: has_spoken(seen, "robot1"))
         assert [each.name for each in seen.robots()] == ["robot1"]
+        fleet.attach("").retry().result(60)  # the only engine that there is
+        assert fleet.engines["robot1"].commands == [("retry", "")]
         del tokens
 
 

@@ -13,6 +13,7 @@ from rsb_bridge.control.sealed_way import Sealed
 from rsb_bridge.control.summaries import Summaries
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import join_first
 from rsb_bridge.transport.zenoh.network import Network
 from rsb_bridge.transport.zenoh.outbox import LINK_RANK
@@ -161,7 +162,7 @@ class FleetPresence:
     def _seen(self, seen: Seen, *, comes: bool) -> None:
         role, _, rest = seen.label.partition(" ")
         version, _, name = rest.partition(" ")
-        if not name:
+        if not name or len(name.encode()) > NAME_BYTES:  # no engine's
             return
         member = Member(name, role, version, seen.address)
         if not comes:
