@@ -116,7 +116,7 @@ class EventCode(StrEnum):
     LINK_UDP_BUFFER = "link.udp_buffer"
     """A kernel's limit for receive buffers is too small for the messages that come by UDP."""
     LINK_PATTERN_FULL = "link.pattern_full"
-    """More names match a pattern than one may bridge; the rest is not bridged."""
+    """More names match a pattern than one may bridge, or are to be left out than one may; the text says which."""
     LINK_PATTERN_ROOM = "link.pattern_room"
     """All that match a pattern are bridged again."""
     LINK_EVENTS_LEFT_OUT = "link.events_left_out"
