@@ -13,7 +13,9 @@ from tests.support.zenoh_router import stranger
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.folders import UnclearError
 from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
+from rsb_bridge.model.snapshot import Level
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -134,6 +136,17 @@ def test_a_network_that_is_not_there_is_said_at_once(fleet: Fleet) -> None:
     fleet.router.kill()
     with pytest.raises(EngineError, match="nobody listens there"):
         fleet.seen_by()
+
+
+def test_an_engine_that_no_fleet_sees_says_so(fleet: Fleet) -> None:
+    """Its links go elsewhere, and know nothing of that."""
+    fleet.router.kill()
+    fleet.begin("robot1")
+    events = fleet.accesses["robot1"].events
+    eventually(lambda: events.after(0) and events.after(0)[-1].level is Level.WARNING)
+    fleet.router.start()
+    eventually(lambda: events.after(0)[-1].level is Level.INFO)
+    assert {each.code for each in events.after(0)} == {EventCode.ENGINE_FLEET}
 
 
 def test_announcements_that_are_none_are_passed_over(fleet: Fleet) -> None:

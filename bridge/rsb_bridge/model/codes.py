@@ -29,6 +29,8 @@ class EventCode(StrEnum):
     """Nothing is published on the diagnostics topic; the text says why."""
     ENGINE_METRICS = "engine.metrics"
     """Metrics are served, or are not; the text says where, or why."""
+    ENGINE_FLEET = "engine.fleet"
+    """The engine cannot announce itself to its fleet, or can again; the text says why."""
     ENGINE_ROS_FAILED = "engine.ros_failed"
     """The ROS side has ended by itself, and the engine with it."""
     ENGINE_SUBSCRIBE_FAILED = "engine.subscribe_failed"
