@@ -239,8 +239,8 @@ class LinkPatterns:
             self._reconcile(self._wanted())
 
     def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
-        for entry in self.entries:
-            entry.beyond, entry.left_out = 0, {}
+        for each in self.entries:
+            each.beyond, each.left_out = 0, {}
         routes = {route.spec.identity: route for route in self.link.routes.values()}
         self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
         for identity, route in routes.items():
