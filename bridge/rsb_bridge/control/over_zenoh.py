@@ -17,6 +17,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
+from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST
 from rsb_bridge.transport.zenoh.network import Network
 from rsb_bridge.transport.zenoh.outbox import LINK_RANK
 from rsb_bridge.transport.zenoh.pipe import Pipe
@@ -154,7 +155,7 @@ class FleetPresence:
     @property
     def problem(self) -> str:
         """Why nothing gets through; empty: the network is there."""
-        return "" if self._network.connected else f"{self._network.place}: the Zenoh router is lost; Zenoh looks for it"
+        return "" if self._network.connected else f"{self._network.place}: {ROUTER_LOST}; it is tried again"
 
     def sealed(self, member: Member) -> Sealed:
         """A way to an engine, with the operator's key, as long as this is joined."""
