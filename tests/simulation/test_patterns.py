@@ -268,6 +268,24 @@ def test_operators_of_neither_side_make_a_session_that_cannot_be_read(play: Play
     lived(play, yard, live(), 60.0)
 
 
+def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(play: Play) -> None:
+    """A server may do with its client what that lists: not what a server's operator has removed."""
+    yard = Yard(Topic("/cmd/*", "receive"))
+
+    async def live() -> None:
+        yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
+        await until(lambda: "/cmd/vel" in yard.routes(on_server=True), _SEEN)
+        assert yard.link().table.listed == {("topic", "/cmd/vel", "receive")}
+        server = yard.server.run
+        assert server is not None
+        await server.command(server.bridge.remove_topic(yard.routes(on_server=True)["/cmd/vel"].key))
+        await until(lambda: not yard.routes(), _SEEN)
+        assert yard.link().patterns.all()[0].excepts == ("/cmd/vel",)
+        assert yard.link().table.listed == set()
+
+    lived(play, yard, live(), 60.0)
+
+
 def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:
     """500 topics and 20 patterns: a name is held against patterns once, and a graph that rests is not looked at."""
     yard = Yard(*(Topic(f"/group{n}/**/none", "transmit") for n in range(19)), Topic("/group0/*", "transmit"))
