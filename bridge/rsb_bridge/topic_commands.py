@@ -68,17 +68,13 @@ class TopicCommands:
         if (pattern := self._pattern(key)) is not None:
             link, old = pattern
             if not topic.is_pattern:
-                raise LinkError(
-                    f"{old.topic} is a pattern, and {topic.topic} is none: remove the one, and add the other"
-                )
+                raise LinkError(f"{old.topic} is a pattern, and {topic.topic} is none: {_INSTEAD}")
             new_key, name = link.patterns.replace(old.identity, topic), topic.topic
         else:
             link, route = self.find(key)
             old = route.spec
             if topic.is_pattern:
-                raise LinkError(
-                    f"{topic.topic} is a pattern, and {old.topic} is none: remove the one, and add the other"
-                )
+                raise LinkError(f"{topic.topic} is a pattern, and {old.topic} is none: {_INSTEAD}")
             if topic.topic != old.topic:
                 topic = link.client_names(topic)
             new = link.proposed.replace(route, topic)
@@ -95,6 +91,8 @@ class TopicCommands:
             name = topic.topic
         else:
             link, route = self.find(key)
+            if problem := link.patterns.brings_back(route):
+                raise LinkError(problem)
             topic, name = route.spec, route.local_topic
             link.bench.removed(route)
             link.table.remove(route, "removed by an operator")

@@ -37,6 +37,8 @@ def test_what_it_says_is_read_and_its_files_are_beside_it(tmp_path: Path) -> Non
         (ZENOH, {"operator", "key_file"}),
         (ANNA, {"zenoh"}),
         (ZENOH + "operator: ' '\nkey_file: ''\n", {"operator", "key_file"}),
+        (f"{ZENOH}operator: '{256 * 'a'}'\nkey_file: anna.key\n", {"operator"}),
+        (f'{ZENOH}operator: "anna\\u202e"\nkey_file: anna.key\n', {"operator"}),
         (f"{ZENOH}{ANNA}operators: []\n", {"operators"}),
         (f"zenoh: {{connect: [hub], fleet: lab}}\n{ANNA}", {"zenoh.connect[0]"}),
         (f"zenoh: {{connect: [tcp/hub:7447], fleet: 'a/b'}}\n{ANNA}", {"zenoh.fleet"}),

@@ -157,3 +157,14 @@ def test_a_battery_that_is_gone_has_no_figure() -> None:
     engine.describes()
     assert engine.tick(one)
     assert engine.tick(replace(one, state=State.DOWN)) == {}
+
+
+def test_a_clock_that_is_set_back_delays_no_look() -> None:
+    engine, one = LookedAt(), topic_of("robot1")
+    engine.tick(one)
+    engine.waiting[one.key].set_result(None)
+    engine.tick(one, at=-3600.0)
+    assert len(engine.asked) == 2
+    engine.waiting[one.key].set_result(None)
+    engine.tick(one, at=EVERY - 3601.0)
+    assert len(engine.asked) == 2

@@ -10,6 +10,8 @@ from tests.support.operators import ANNA, Reachable
 from tests.support.waiting import eventually
 
 from rsb_bridge.api import EngineError
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.control.sealed_way import Sealed
 from rsb_bridge.model.codes import EventCode
 
 if TYPE_CHECKING:
@@ -115,3 +117,13 @@ def test_a_connection_that_is_cut_is_said_on_both_sides(robot: Reachable, betwee
     between.cut()
     eventually(lambda: remote.unreachable)
     eventually(lambda: robot.events(EventCode.ATTACH_OPERATOR_LEFT))
+
+
+def test_what_ends_a_connection_before_the_answer_is_said() -> None:
+    """And not only that nobody answered."""
+
+    async def connect(protocol: asyncio.Protocol) -> None:
+        protocol.connection_lost(OSError("the other side has left"))
+
+    with pytest.raises(ControlError, match="the other side has left"):
+        asyncio.run(Sealed(connect, "anna", ANNA, "robot1").open(60.0))

@@ -13,7 +13,9 @@ from tests.support.zenoh_router import stranger
 from rsb_bridge.api import EngineError
 from rsb_bridge.control.folders import UnclearError
 from rsb_bridge.control.summaries import Summaries
+from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.robot_summary import RobotState, decode
+from rsb_bridge.model.snapshot import Level
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -136,14 +138,28 @@ def test_a_network_that_is_not_there_is_said_at_once(fleet: Fleet) -> None:
         fleet.seen_by()
 
 
+def test_an_engine_that_no_fleet_sees_says_so(fleet: Fleet) -> None:
+    """Its links go elsewhere, and know nothing of that."""
+    fleet.router.kill()
+    fleet.begin("robot1")
+    events = fleet.accesses["robot1"].events
+    eventually(lambda: events.after(0) and events.after(0)[-1].level is Level.WARNING)
+    fleet.router.start()
+    eventually(lambda: events.after(0)[-1].level is Level.INFO)
+    assert {each.code for each in events.after(0)} == {EventCode.ENGINE_FLEET}
+
+
 def test_announcements_that_are_none_are_passed_over(fleet: Fleet) -> None:
     fleet.add("robot1")
     with stranger(fleet.router) as somebody:
         live = somebody.liveliness()
-        tokens = [live.declare_token(f"rsb_console/lab/here/engine/{key}") for key in ("0/-", "1/%FF", "2/client")]
+        keys = ("0/-", "1/%FF", "2/client", f"{'3' * 16}/client%200.1%20{'a' * 256}")
+        tokens = [live.declare_token(f"rsb_console/lab/here/engine/{key}") for key in keys]
         seen = fleet.seen_by()
         eventually(lambda: has_spoken(seen, "robot1"))
         assert [each.name for each in seen.robots()] == ["robot1"]
+        fleet.attach("").retry().result(60)  # the only engine that there is
+        assert fleet.engines["robot1"].commands == [("retry", "")]
         del tokens
 
 

@@ -8,16 +8,25 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import msgspec
+import pytest
 from tests.simulation.climate import STILL
 from tests.simulation.ros import STRING, Writer, hash_of
 from tests.simulation.test_calls import until
 from tests.simulation.world import World
 
-from rsb_bridge.link import roles
+from rsb_bridge.api import EngineError
+from rsb_bridge.link import following, roles
+from rsb_bridge.link import patterns as link_patterns
 from rsb_bridge.link.name_watch import NameWatch
 from rsb_bridge.model import patterns
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.patterns import GONE_AFTER, ROUTES_BY_PATTERNS, ROUTES_PER_PATTERN, Pattern
+from rsb_bridge.model.patterns import (
+    EXCEPTIONS_PER_PATTERN,
+    GONE_AFTER,
+    ROUTES_BY_PATTERNS,
+    ROUTES_PER_PATTERN,
+    Pattern,
+)
 from rsb_bridge.model.qos import Qos
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import PatternSnapshot, State
@@ -31,6 +40,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.route.route import Route
 
+_OTHER = "std_msgs/msg/Int32"
 _SEEN = 5.0
 """s within which a change of a graph has made routes on both sides."""
 
@@ -184,6 +194,96 @@ def test_a_peer_that_cannot_be_followed_is_named(play: Play) -> None:
     older = tuple(each for each in roles.FEATURES if each != patterns.FEATURE)
     with patch.object(roles, "FEATURES", older):
         lived(play, yard, live(), 60.0)
+
+
+def test_what_the_other_side_does_not_tell_is_forgotten_with_the_connection(play: Play) -> None:
+    yard = Yard(Topic("/cmd/*", "receive"))
+
+    async def live() -> None:
+        yard.publish(*(f"/{yard.link().name}/cmd/{name}" for name in "abc"), on_server=True)
+        await until(lambda: yard.patterns()[0].beyond == 1, _SEEN)
+        assert yard.patterns()[0].state is State.DOWN
+        with yard.world.trouble("server away", *yard.world.robots):
+            await yard.server.stop()
+            await until(lambda: not yard.link().linked, 60.0)
+            assert (yard.patterns()[0].beyond, yard.patterns()[0].state) == (0, State.WAITING)
+            yard.server.start()
+        await until(lambda: yard.patterns()[0].beyond == 1, 60.0)
+
+    with patch.object(following, "NAMES_FOLLOWED", 2):
+        lived(play, yard, live(), 180.0)
+
+
+def test_a_type_is_told_anew_though_no_more_names_have_room(play: Play) -> None:
+    yard = Yard(Topic("/cmd/*", "receive"))
+
+    async def live() -> None:
+        name = f"/{yard.link().name}/cmd/vel"
+        yard.publish(name, on_server=True)
+        await until(lambda: yard.link().patterns.there == {("topic", name): STRING}, _SEEN)
+        Writer(yard.server.domain, "/another", name, _OTHER, hash_of(_OTHER), Qos())
+        await until(lambda: yard.link().patterns.there == {("topic", name): ""}, 2 * _SEEN)
+
+    with patch.object(link_patterns, "NAMES_FOLLOWED", 1):
+        lived(play, yard, live(), 60.0)
+
+
+def test_what_an_edited_pattern_cannot_bridge_any_more_is_named(play: Play) -> None:
+    """Its name on the server would be too long: it stays as it was."""
+    yard = Yard(Topic("/a/*", "transmit", remote_topic="/x/*"))
+    name = f"/a/{'t' * 150}"
+
+    async def live() -> None:
+        yard.publish(name)
+        await until(lambda: yard.routes(on_server=True).keys() == {name}, _SEEN)
+        of_pattern = yard.link().patterns
+        (before,) = of_pattern.all()
+        of_pattern.replace(before.identity, msgspec.structs.replace(before, remote_topic=f"/{'y' * 150}/*"))
+        assert yard.patterns()[0].state is State.DOWN
+        assert name in yard.patterns()[0].reason
+        of_pattern.replace(before.identity, before)
+        assert (yard.patterns()[0].state, yard.patterns()[0].routes) == (State.OK, 1)
+
+    lived(play, yard, live(), 60.0)
+
+
+def test_operators_of_neither_side_make_a_session_that_cannot_be_read(play: Play) -> None:
+    """A pattern has room for so many exceptions, whoever removes what it matches."""
+    full = tuple(f"/gone/t{n}" for n in range(EXCEPTIONS_PER_PATTERN))
+    yard = Yard(Topic("/a/*", "transmit", excepts=full))
+
+    async def live() -> None:
+        yard.publish("/a/one", "/a/two")
+        await until(lambda: yard.routes(on_server=True).keys() == {"/a/one", "/a/two"}, _SEEN)
+        own, other = yard.robot.run, yard.server.run
+        assert own is not None
+        assert other is not None
+        with pytest.raises(EngineError):
+            await own.command(own.bridge.remove_topic(yard.routes()["/a/one"].key))
+        assert "/a/one" in yard.routes()
+        await other.command(other.bridge.remove_topic(yard.routes(on_server=True)["/a/two"].key))
+        await until(lambda: EventCode.LINK_PATTERN_FULL in yard.codes(), _SEEN)
+        assert yard.link().patterns.all()[0].excepts == full
+
+    lived(play, yard, live(), 60.0)
+
+
+def test_what_a_pattern_has_made_is_listed_as_long_as_it_is_there(play: Play) -> None:
+    """A server may do with its client what that lists: not what a server's operator has removed."""
+    yard = Yard(Topic("/cmd/*", "receive"))
+
+    async def live() -> None:
+        yard.publish(f"/{yard.link().name}/cmd/vel", on_server=True)
+        await until(lambda: "/cmd/vel" in yard.routes(on_server=True), _SEEN)
+        assert yard.link().table.listed == {("topic", "/cmd/vel", "receive")}
+        server = yard.server.run
+        assert server is not None
+        await server.command(server.bridge.remove_topic(yard.routes(on_server=True)["/cmd/vel"].key))
+        await until(lambda: not yard.routes(), _SEEN)
+        assert yard.link().patterns.all()[0].excepts == ("/cmd/vel",)
+        assert yard.link().table.listed == set()
+
+    lived(play, yard, live(), 60.0)
 
 
 def test_many_patterns_cost_nothing_while_nothing_changes(play: Play) -> None:

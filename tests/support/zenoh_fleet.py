@@ -62,6 +62,13 @@ class Fleet:
             name: of its session.
             host: of a second one of a name, tells its socket from the first one's.
         """
+        with stranger(self.router) as somebody:
+            before = announced(somebody)
+            self.begin(name, host=host)
+            eventually(lambda: announced(somebody) - before)
+
+    def begin(self, name: str, *, host: str = "robot") -> None:
+        """As `add`, and wait for nothing."""
         folder = self.folder / host
         folder.mkdir(exist_ok=True)
         engine = ScriptedEngine(msgspec.structs.replace(SESSION, name=name))
@@ -70,10 +77,7 @@ class Fleet:
         access = Access(name, EventLog(Clock()), Clock())
         access.grant(granted("anna", ANNA) | granted("bob", BOB, "look"))
         network = Network(self.settings, folder)
-        with stranger(self.router) as somebody:
-            before = announced(somebody)
-            Announcement(server, access, network)
-            eventually(lambda: announced(somebody) - before)
+        Announcement(server, access, network)
         self._resources.callback(machine.close)
         self._resources.callback(network.close)
         self.engines[name], self.servers[name], self.accesses[name] = engine, server, access

@@ -373,6 +373,11 @@ def test_without_the_package_it_is_said_how_to_get_it(tmp_path: Path, monkeypatc
     assert "pip install 'rsb-console[zenoh]'" in asyncio.run(why(ZenohSettings(connect=("tcp/127.0.0.1:1",)), tmp_path))
 
 
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:1#", "tcp/127.0.0.1:1?=", "tcp/a..b:7447", f"tcp/{'a' * 64}:7447"])
+def test_an_endpoint_that_there_cannot_be_is_no_error_of_ours(tmp_path: Path, endpoint: str) -> None:
+    assert asyncio.run(why(ZenohSettings(connect=(endpoint,)), tmp_path))
+
+
 def test_an_endpoint_where_nobody_or_somebody_else_listens(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         there = f"tcp/127.0.0.1:{silent.getsockname()[1]}"

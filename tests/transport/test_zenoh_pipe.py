@@ -253,6 +253,26 @@ def test_a_window_that_is_lost_is_asked_for() -> None:
     run(test())
 
 
+def test_many_questions_have_one_answer_and_none_after_the_end() -> None:
+    """A stranger may ask as often as they like."""
+
+    async def test() -> None:
+        pair = Pair()
+        for number in range(100):
+            pair.far.arrive(Kind.DATA, number, b"")
+        await asyncio.sleep(0)
+        assert len(pair.far.sent(Kind.WINDOW)) == 1
+        pair.far.arrive(Kind.DATA, 100, b"")
+        await asyncio.sleep(0)
+        assert len(pair.far.sent(Kind.WINDOW)) == 2
+        pair.far.arrive(Kind.DATA, 101, b"")
+        pair.far.pipe.abort()
+        await asyncio.sleep(0)
+        assert len(pair.far.sent(Kind.WINDOW)) == 2
+
+    run(test())
+
+
 def test_the_loss_of_a_last_sample_shows_though_nothing_follows() -> None:
     async def test() -> None:
         pair = Pair()

@@ -8,6 +8,7 @@ import msgspec
 
 from rsb_bridge.config.decoding import read
 from rsb_bridge.config.keys import Key, key_path, read_key
+from rsb_bridge.config.operators import operator_name_problem
 from rsb_bridge.config.session_file import read_text
 from rsb_bridge.config.yaml_text import SessionError, read_yaml
 from rsb_bridge.config.zenoh_rules import settings_problems
@@ -53,6 +54,8 @@ def load_fleet(path: Path) -> FleetFile:
         problems += settings_problems(written.zenoh, "zenoh")
         if not written.operator.strip():
             problems.append(Problem("operator", "missing: give a name that the engines' sessions have under operators"))
+        elif problem := operator_name_problem(written.operator):
+            problems.append(Problem("operator", problem))
         if not written.key_file.strip():
             problems.append(Problem("key_file", "missing: give the file of the operator's key"))
     if problems:

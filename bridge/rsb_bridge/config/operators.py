@@ -43,16 +43,23 @@ def operator_problems(session: Session) -> Iterator[Problem]:
     for at, operator in enumerate(session.operators):
         location = join("operators", at)
         name, file = operator.name, operator.key_file
-        if not name.strip() or not (name.isprintable() and is_clean(name)):
-            yield Problem(join(location, "name"), f"{show(name)} is not a name: give printable characters")
-        elif len(name.encode()) > NAME_BYTES:
-            yield Problem(join(location, "name"), f"has {len(name.encode())} bytes in UTF-8; at most {NAME_BYTES}")
+        if problem := operator_name_problem(name):
+            yield Problem(join(location, "name"), problem)
         elif (first := firsts.setdefault(name, at)) != at:
             text = f"{show(name)} is the name of operator number {first + 1} already"
             yield Problem(join(location, "name"), text)
         if not (file.strip() and file.isprintable()):
             text = f"{show(file)} is not a file name: give the file of the operator's key"
             yield Problem(join(location, "key_file"), text)
+
+
+def operator_name_problem(name: str) -> str:
+    """Why no operator can be called so; empty: one can."""
+    if not name.strip() or not (name.isprintable() and is_clean(name)):
+        return f"{show(name)} is not a name: give printable characters"
+    if len(name.encode()) > NAME_BYTES:
+        return f"has {len(name.encode())} bytes in UTF-8; at most {NAME_BYTES}"
+    return ""
 
 
 def granted_operators(session: Session, base: Path, keys: Mapping[str, tuple[Key, ...]]) -> dict[str, Granted]:

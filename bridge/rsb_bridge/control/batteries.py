@@ -55,7 +55,9 @@ class Batteries:
         self.known = {link: battery for link, battery in self.known.items() if link in routes}
         self._due = {link: self._due.get(link, 0.0) for link in routes}
         waiting = sorted(
-            (due, link) for link, due in self._due.items() if due <= now.time and link not in self._looking
+            (due, link)
+            for link, due in self._due.items()
+            if not now.time < due <= now.time + EVERY and link not in self._looking  # later: the clock was set back
         )
         for _, link in waiting[: AT_ONCE - len(self._looking)]:
             route = routes[link]

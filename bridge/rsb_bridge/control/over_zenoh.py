@@ -13,7 +13,11 @@ from rsb_bridge.control.sealed_way import Sealed
 from rsb_bridge.control.summaries import Summaries
 from rsb_bridge.engine import Engine
 from rsb_bridge.model.backoff import Backoff
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.limits import NAME_BYTES
+from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.text import join_first
+from rsb_bridge.transport.zenoh.endpoint import ROUTER_LOST
 from rsb_bridge.transport.zenoh.network import Network
 from rsb_bridge.transport.zenoh.outbox import LINK_RANK
 from rsb_bridge.transport.zenoh.pipe import Pipe
@@ -75,6 +79,8 @@ class Announcement:
     """
 
     def __init__(self, server: ControlServer, access: Access, network: Network) -> None:
+        self._says_so = not server.engine.session.is_zenoh  # else the links do
+        self._events = access.events
         server.summarize = Summaries(server.engine, server.info.program)
         self._acceptor = SealedAcceptor(server, access)
         self._network = network
@@ -90,13 +96,22 @@ class Announcement:
         self._task = asyncio.get_running_loop().create_task(self._announce())
 
     async def _announce(self) -> None:
-        """Join the network; while it is not reached, the links say so."""
+        """Join the network, however long it is not reached."""
+        fleet, told = self._network.settings.fleet, ""
         while self._endpoint is None:
             try:
                 self._endpoint = await self._network.endpoint(ENGINE, self._label, (CONSOLE,))
-            except OSError:
+            except OSError as error:
+                if told != (told := str(error)):
+                    self._tell(Level.WARNING, f"the fleet {fleet} does not see this engine, which tries again: {told}")
                 await asyncio.sleep(self._backoff.next())
         self._endpoint.on_stream = self._accept
+        if told:
+            self._tell(Level.INFO, f"announced to the fleet {fleet}")
+
+    def _tell(self, level: Level, text: str) -> None:
+        if self._says_so:
+            self._events.add(level, EventCode.ENGINE_FLEET, text)
 
     def _accept(self, sender: str, stream: str, header: Header) -> Pipe:
         assert self._endpoint is not None
@@ -140,7 +155,7 @@ class FleetPresence:
     @property
     def problem(self) -> str:
         """Why nothing gets through; empty: the network is there."""
-        return "" if self._network.connected else f"{self._network.place}: the Zenoh router is lost; Zenoh looks for it"
+        return "" if self._network.connected else f"{self._network.place}: {ROUTER_LOST}; it is tried again"
 
     def sealed(self, member: Member) -> Sealed:
         """A way to an engine, with the operator's key, as long as this is joined."""
@@ -161,7 +176,7 @@ class FleetPresence:
     def _seen(self, seen: Seen, *, comes: bool) -> None:
         role, _, rest = seen.label.partition(" ")
         version, _, name = rest.partition(" ")
-        if not name:
+        if not name or len(name.encode()) > NAME_BYTES:  # no engine's
             return
         member = Member(name, role, version, seen.address)
         if not comes:

@@ -245,7 +245,7 @@ class SealedConsole(asyncio.Protocol):
         server = self._acceptor.server
         self._console = Console(server, self, server.full(_PLACES))
         server.add(self._console)
-        text = f"{self.operator} has attached, and may {self._granted.operator.may}; by {self._peer}"
+        text = f"{self.operator} has attached through {self._peer}, and may {self._granted.operator.may}"
         self._acceptor.came_or_went(EventCode.ATTACH_OPERATOR, self.operator, text)
 
     def _refuse(self, code: EventCode, message: str, answer: bytes) -> None:

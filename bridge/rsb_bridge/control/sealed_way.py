@@ -114,11 +114,13 @@ class _Sealed(asyncio.Protocol):
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if not self.admitted.done():
-            self._end(f"{self._engine}: the connection was closed before anybody answered")
-        elif exc is not None and not self._ended:
+        if self._ended:
+            return
+        if exc is not None:
             self._end(f"{self._engine}: {getattr(exc, 'strerror', None) or exc}")
-        elif not self._ended:
+        elif not self.admitted.done():
+            self._end(f"{self._engine}: the connection was closed before anybody answered")
+        else:
             self._ended = True
             self._reader.feed_eof()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.patterns import FEATURE, ROUTES_BY_PATTERNS, ROUTES_PER_PATTERN
+from rsb_bridge.model.patterns import EXCEPTIONS_PER_PATTERN, FEATURE, ROUTES_BY_PATTERNS, ROUTES_PER_PATTERN
 from rsb_bridge.model.snapshot import PatternSnapshot, State
 
 if TYPE_CHECKING:
@@ -58,6 +58,14 @@ def _state(patterns: LinkPatterns, entry: PatternEntry, count: str) -> tuple[Sta
         but = ", but for what it leaves out" if entry.topic.excepts else ""
         return State.WAITING, f"nothing {side} matches {entry.source.text}{but}"
     return State.OK, count
+
+
+def exceptions_reached(entry: PatternEntry) -> str:
+    """Why a pattern can leave out no more names, and what to do; empty: it can."""
+    if len(entry.topic.excepts) < EXCEPTIONS_PER_PATTERN:
+        return ""
+    limit = f"pattern {entry.topic.topic} has {EXCEPTIONS_PER_PATTERN} exceptions already, which is the limit"
+    return f"{limit}: edit it, and use patterns in except"
 
 
 def limit_reached(entry: PatternEntry, routes: int) -> str:

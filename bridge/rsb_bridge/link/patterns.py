@@ -11,7 +11,7 @@ from rsb_bridge.config.rights import Use, as_if_listed, uses
 from rsb_bridge.link.errors import LinkError
 from rsb_bridge.link.following import FollowedByPeer
 from rsb_bridge.link.pattern_entry import PatternEntry
-from rsb_bridge.link.pattern_snapshots import limit_reached
+from rsb_bridge.link.pattern_snapshots import exceptions_reached, limit_reached
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.lanes import LANES
 from rsb_bridge.model.operators import acting
@@ -121,12 +121,20 @@ class LinkPatterns:
         name = route.spec.topic
         if not any(self._claims(entry, route) for entry in self.entries):
             return
+        if problem := self.brings_back(route):
+            self.link.log(Level.WARNING, EventCode.LINK_PATTERN_FULL, problem, topic=name)
+            return
         self._set(
             msgspec.structs.replace(each.topic, excepts=(*each.topic.excepts, name))
             if self._claims(each, route)
             else each.topic
             for each in self.entries
         )
+
+    def brings_back(self, route: Route) -> str:
+        """Why a pattern cannot leave out a route's topic; empty: all can."""
+        reached = (exceptions_reached(entry) for entry in self.entries if self._claims(entry, route))
+        return next(filter(None, reached), "")
 
     def _claims(self, entry: PatternEntry, route: Route) -> bool:
         same = entry.topic.kind == route.spec.kind and entry.topic.direction == route.spec.direction
@@ -173,7 +181,7 @@ class LinkPatterns:
     def disconnected(self) -> None:
         """The connection is over: nothing is known of the peer's graph, and nothing of it is taken for gone."""
         self.followed.disconnected()
-        self.there = None
+        self.there, self.unseen = None, 0
         self.reconcile()
 
     def _ask(self) -> None:
@@ -182,7 +190,7 @@ class LinkPatterns:
         )
         if self.link.linked and FEATURE in self.link.features and (theirs or self._request):
             self._request += 1
-            self.there = None
+            self.there, self.unseen = None, 0
             self.link.send(Follow(self._request, theirs))
 
     def handle(self, message: Follow | Followed) -> None:
@@ -198,7 +206,8 @@ class LinkPatterns:
             if (kind := _KINDS.get(each.kind)) is not None:
                 names.pop((kind, each.name), None)
         for each in message.present:
-            if (kind := _KINDS.get(each.kind)) is not None and len(names) < NAMES_FOLLOWED:
+            kind = _KINDS.get(each.kind)
+            if kind is not None and ((kind, each.name) in names or len(names) < NAMES_FOLLOWED):
                 names[kind, each.name] = each.type
         self.there, self.unseen, self._due = names, message.more, True
 
@@ -230,6 +239,8 @@ class LinkPatterns:
             self._reconcile(self._wanted())
 
     def _reconcile(self, wanted: dict[Identity, tuple[PatternEntry, Topic]]) -> None:
+        for each in self.entries:
+            each.beyond, each.left_out = 0, {}
         routes = {route.spec.identity: route for route in self.link.routes.values()}
         self.gone = {identity: at for identity, at in self.gone.items() if identity in routes}
         for identity, route in routes.items():
@@ -320,8 +331,6 @@ class LinkPatterns:
             counts[identity_of(route)] = counts.get(identity_of(route), 0) + 1
         taken = {route.spec.identity for route in self.link.routes.values()}
         taken |= {topic.identity for topic in self.link.table.yielded.values()}
-        for entry in self.entries:
-            entry.beyond, entry.left_out = 0, {}
         for identity, (entry, topic) in wanted.items():
             if identity in taken:
                 continue

@@ -48,7 +48,7 @@ class RouteTable:
         ids: of their openings.
         arming: arms and disarms them.
         yielded: the topics that this side proposed until the other side's own took their places; by their routes' keys.
-        listed: identities of the topics that this side proposes, also while the other side has removed them.
+        listed: identities of the topics that this side proposes; named ones stay though the other side removes them.
         on_removed: called with a route that an operator of the other side has removed.
     """
 
@@ -110,8 +110,7 @@ class RouteTable:
             raise LinkError(f"{proposal.topic} is bridged in that direction already: edit or remove that route")
         check_overlap(spec, self.routes.values())
         half = half_of(proposal, is_client=self._owner.is_client)
-        route = half(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
-        self.routes[key] = route
+        route = self.routes[key] = half(self._context, self._owner, spec, proposal, proposed_here=proposed_here)
         allow_rate(route, self._owner)
         if proposed_here:
             self.listed.add(spec.identity)
@@ -160,6 +159,7 @@ class RouteTable:
     def _forget(self, route: Route, code: EventCode, reason: str) -> None:
         """Remove a route on this side."""
         self.routes.pop(route.key, None)
+        self.listed -= {route.spec.identity} if route.pattern else set()
         if code is EventCode.ROUTE_REMOVED:
             self.yielded.pop(route.key, None)
         if route.arming.held:

@@ -242,7 +242,7 @@ class OperatorEngine(_Sealed):
             raise ProtocolError(f"unexpected {kind.name} frame where operators attach, and no links")
         offer = parse_operator(frame)
         if offer.engine != self._engine:
-            raise Refusal(RefusalCode.UNKNOWN_NAME, f"{offer.engine!r} is meant, and another engine is here")
+            raise Refusal(RefusalCode.UNKNOWN_NAME, f"this is not the engine {offer.engine!r}")
         keys, replays = self._identity(offer.operator)
         key = key_of(keys, offer.fingerprint, offer.operator, "console", "engine")
         handshake = NoiseHandshake(SUITE, key, offer.header)

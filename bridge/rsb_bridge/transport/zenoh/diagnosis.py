@@ -71,6 +71,8 @@ def _why(endpoint: str, config: zenoh.Config) -> str:
         return f"no answer within {_WITHIN:g} s: is it on, and does no firewall drop it?"
     except socket.gaierror as error:
         return f"the name is not known ({error.strerror})"
+    except UnicodeError:
+        return "no host can be called so: correct the name"
     except ConnectionRefusedError:
         return "nobody listens there: is the router running?"
     except (OSError, OverflowError) as error:

@@ -161,7 +161,10 @@ class Network:
             import zenoh  # noqa: PLC0415 (an extra)
         except ImportError:
             raise OSError(HOW_TO_INSTALL_ZENOH) from None
-        config = self._config(zenoh)
+        try:
+            config = self._config(zenoh)
+        except zenoh.ZError as error:  # it takes no such endpoint
+            raise OSError(f"Zenoh: {first_sentence(str(error))}") from None
         try:
             session = zenoh.open(config)
         except zenoh.ZError as error:

@@ -74,7 +74,7 @@ class Pipe(asyncio.Transport):
         self._waiting_bytes = 0
         self._sent_samples = self._sent = self._taken_there = 0
         self._reading = True
-        self._resuming = False
+        self._resuming = self._saying = False
         self._asking: asyncio.TimerHandle | None = None
         self._held = bytearray()  # and no list of samples, of which each, however small, would take memory of its own
         self._received_samples = self._received = self._taken = self._said = 0
@@ -173,7 +173,7 @@ class Pipe(asyncio.Transport):
         self._received_samples += 1
         self._received += len(payload)
         if not payload:
-            self._say()
+            self._say_soon()
         elif self._received - self._taken > WINDOW + SAMPLE:
             error = f"the other side sends more than the {WINDOW:,} bytes that may be under way"
             self._end(error, OSError(error))
@@ -211,6 +211,17 @@ class Pipe(asyncio.Transport):
         if self._taken - self._said >= _SAID_EVERY:
             self._say()
         self._protocol.data_received(payload)
+
+    def _say_soon(self) -> None:
+        """Say it once for all samples of a turn that ask: anyone may send any number of them."""
+        if not self._saying:
+            self._saying = True
+            self._loop.call_soon(self._say_what_was_asked)
+
+    def _say_what_was_asked(self) -> None:
+        self._saying = False
+        if not self._over:
+            self._say()
 
     def _say(self) -> None:
         self._said = self._taken
