@@ -99,6 +99,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     Attributes:
         name: its session's.
         group: the group that it belongs to; empty: none.
+        role: of its session: ``client`` or ``server``; empty: not known.
         state: its state.
         why: the worst verdict in words, and how many more there are; empty: there is nothing to say.
         since: s since the epoch, when what `why` says began; without a reason, when the state did.
@@ -119,6 +120,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
     name: str
     group: str = ""
+    role: str = ""
     state: RobotState = RobotState.WAITING
     why: str = ""
     since: float = 0.0
@@ -202,6 +204,7 @@ def of_clients(
                 link.name, snapshot, [link], routes[link.name], lambda route: route.spec.topic, from_robot_is_sent=False
             ),
             group=groups.get(link.name, ""),
+            role="client",
             seen=_seen(link, snapshot.time),
             host=sanitize_text(link.peer, TEXT_LENGTH),
             version=sanitize_text(link.peer_version, TEXT_LENGTH),
@@ -239,6 +242,7 @@ def of_engine(
     return msgspec.structs.replace(
         summary,
         group=session.group or "",
+        role=session.role,
         seen=snapshot.time,
         host=sanitize_text(host, TEXT_LENGTH),
         version=version,
@@ -376,6 +380,7 @@ def decode(data: bytes) -> RobotSummary:
         summary,
         name=sanitize_text(summary.name, TEXT_LENGTH),
         group=sanitize_text(summary.group, TEXT_LENGTH),
+        role=summary.role if summary.role in ("client", "server") else "",
         why=sanitize_text(summary.why, WHY_LENGTH),
         host=sanitize_text(summary.host, TEXT_LENGTH),
         version=sanitize_text(summary.version, TEXT_LENGTH),
