@@ -339,7 +339,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
         for step, why in kept:
             print_error(f"{step.name}: not put back: {why}")
     elif stopped:
-        for line in way_back(rollout, outcome):
+        for line in way_back(rollout, outcome, str(arguments.fleet)):
             print_error(line)
     else:
         print_line(f"done on {len(outcome.done)} {plural(len(outcome.done), 'robot')}")
