@@ -98,6 +98,9 @@ def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, capsys: pytest
     assert (ran.code, ran.json["robots"][0]["name"], ran.json["robots"][0]["gone"]) == (1, "robot9", True)
     assert Ran(capsys, "dismiss", "robot1").code == 2  # it is there
     assert Ran(capsys, "dismiss").code == 2
+    ran = Ran(capsys, "exec", "--all", "--", "topics")
+    assert "robot9" in ran.err
+    assert "robot9" not in ran.out
     assert Ran(capsys, "dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
     assert Ran(capsys, "--json", *QUICK).code == 0
 

@@ -116,6 +116,18 @@ def test_two_engines_of_a_name_are_two_lines(fleet: Fleet) -> None:
         fleet.attach("robot1")
 
 
+def test_of_two_engines_of_a_name_the_one_that_stays_has_the_line(fleet: Fleet) -> None:
+    fleet.add("robot1")
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, "robot1"))
+    first = fleet.servers["robot1"]
+    fleet.add("robot1", host="another")
+    eventually(lambda: is_in(seen, "robot1 (2)", RobotState.WARN))
+    first.close()
+    eventually(lambda: has_spoken(seen, "robot1") and robot(seen, "robot1 (2)") is None)
+    eventually(lambda: not is_in(seen, "robot1", RobotState.MISSING))
+
+
 def test_the_screen_says_that_the_router_is_lost_and_all_come_back(fleet: Fleet) -> None:
     fleet.add("robot1")
     seen = fleet.seen_by()

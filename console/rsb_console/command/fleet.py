@@ -224,12 +224,15 @@ def _plain(line: str) -> object:
 
 
 def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
-    """The robots that the arguments name.
+    """The robots that the arguments name. Those that are only remembered are named, and left out.
 
     Raises:
         UsageError: none.
     """
     robots = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone)
+    gone = [robot.summary for robot in fleet.robots() if robot.gone]
+    if left_out := [each.name for each in gone if arguments.everyone or (each.group and each.group == arguments.group)]:
+        print_error(f"not there, and left out: {', '.join(left_out)}")
     if not robots:
         raise UsageError(_WHICH)
     return robots

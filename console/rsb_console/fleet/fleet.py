@@ -183,6 +183,8 @@ class Fleet:
         for name in names:
             meant = [robot for robot in robots if name in (robot.summary.name, robot.key)]
             if not meant:
+                if not gone and any(robot.gone and name in (robot.summary.name, robot.key) for robot in self.robots()):
+                    raise UnknownRobotError(f"{name} is not there: it is only remembered")
                 what = "robot that has gone" if gone else "robot"
                 raise UnknownRobotError(_unknown(what, name, [robot.summary.name for robot in robots]))
             if len(meant) > 1:

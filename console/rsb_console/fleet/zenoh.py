@@ -133,6 +133,8 @@ class ZenohFleet:
             if name is not None:
                 why = "out of reach: this console has lost its Zenoh router" if self.problem else _LEFT
                 self._gone(name, why, RobotState.MISSING)
+                if name == member.name:
+                    self._hand_on(name)
         elif len(self._watches) < MOST:
             name = self._names[member.address] = self._free_name(member.name)
             self._called[name] = member.name
@@ -144,6 +146,16 @@ class ZenohFleet:
                     name=name, version=member.version, why="connecting", since=time.time()
                 )
             self._watches[member.address] = self._loop.create_task(self._watch(member, name))
+
+    def _hand_on(self, name: str) -> None:
+        """Give the row of an engine that has left to another one of its name, which needs no number any more."""
+        assert self._presence is not None
+        heir = next((address for address, row in self._names.items() if self._called[row] == name), None)
+        if heir is not None:
+            row = self._names.pop(heir)
+            self._watches.pop(heir).cancel()
+            del self._robots[row], self._called[row]
+            self._changed(self._presence.members[heir], comes=True)
 
     def _forget_one(self) -> None:
         """Make room for a row: one whose engine has left goes, first those that nobody has ever heard from."""
