@@ -200,9 +200,7 @@ def of_clients(
         routes.get(route.link, []).append(route)
     return [
         msgspec.structs.replace(
-            _summary(
-                link.name, snapshot, [link], routes[link.name], lambda route: route.spec.topic, from_robot_is_sent=False
-            ),
+            _summary(link.name, snapshot, [link], routes[link.name], lambda r: r.spec.topic, from_robot_is_sent=False),
             group=groups.get(link.name, ""),
             role="client",
             seen=_seen(link, snapshot.time),
@@ -314,15 +312,13 @@ def _state(
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
     wrong = [route for route in routes if route_is_wrong(route)]
-    stopped = [route for route in wrong if not route.state.flows]
-    if stopped:
+    if stopped := [route for route in wrong if not route.state.flows]:
         return RobotState.FAULT, *_worst(stopped, len(wrong), called)
     if warned := [link for link in links if link_is_wrong(link)]:
         return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
-    partial = [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]
-    if partial:
+    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]:
         pattern, link = partial[0]
         return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
     if links and all(link.state is State.WAITING for link in links):
