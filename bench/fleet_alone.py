@@ -44,6 +44,9 @@ class MovingSource:
     def start(self) -> None:
         pass
 
+    def wait(self) -> None:
+        pass
+
     def stop(self) -> None:
         pass
 

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -96,6 +97,10 @@ def test_a_robot_that_has_gone_is_dismissed(engine: ServerEngine, capsys: pytest
     ran = Ran(capsys, "--json", *QUICK)
     assert (ran.code, ran.json["robots"][0]["name"], ran.json["robots"][0]["gone"]) == (1, "robot9", True)
     assert Ran(capsys, "dismiss", "robot1").code == 2  # it is there
+    assert Ran(capsys, "dismiss").code == 2
+    ran = Ran(capsys, "exec", "--all", "--", "topics")
+    assert "robot9" in ran.err
+    assert "robot9" not in ran.out
     assert Ran(capsys, "dismiss", "robot9", "--json").json == {"ok": True, "dismissed": ["robot9"]}
     assert Ran(capsys, "--json", *QUICK).code == 0
 
@@ -184,6 +189,7 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFi
         ("robot1", "--", "events", "--follow"),
         ("robot1", "--", "wait", "--for", "linked"),
         ("robot1", "--", "status", "--bridge", "other"),
+        ("robot1", "--", "status", "--fleet", "other.yaml"),
         ("robot1", "--", "pause", "/scan", "--link", "robot2"),
     ],
 )
@@ -266,6 +272,21 @@ def test_it_stops_and_says_the_way_back(machine: Machine, capsys: pytest.Capture
     assert [each[1] for each in engine.commands] == ["robot1 /camera", "robot2 /camera"]
     assert "stopped at robot2" in ran.err
     assert "rsb-console fleet edit robot2 robot1 /camera max_rate=\n" in ran.err
+
+
+def test_it_stops_after_the_robot_at_which_it_is_interrupted(
+    machine: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def edited(route: RouteSnapshot) -> RouteSnapshot:
+        signal.raise_signal(signal.SIGINT)
+        return replace(route, state=State.OK, reason="")
+
+    before = signal.getsignal(signal.SIGINT)
+    engine = ServerEngine("robot1", "robot2", edited=edited)
+    machine.serve(engine)
+    ran = Ran(capsys, "edit", "--all", "/camera", "max_rate=5", "--yes", "--json", *SETTLE)
+    assert (ran.code, ran.json["done"], ran.json["left"]) == (1, ["robot1"], ["robot2"])
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_it_goes_back_by_itself(machine: Machine, capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,6 +124,15 @@ def test_the_worst_first_and_why() -> None:
     Bed().run(steps)
 
 
+def test_what_crosses_a_link_is_counted_at_one_end() -> None:
+    async def steps(bed: Bed) -> None:
+        (first, *_) = text(bed.app).splitlines()
+        assert "from 300 kB/s │ to 4.0 kB/s" in first
+
+    control = robot("control", role="server", bytes_from_robot=4_000.0, bytes_to_robot=300_000.0)
+    Bed(robot("robot1", role="client"), control).run(steps, WIDE)
+
+
 @pytest.mark.parametrize("size", [(40, 12), NARROW, WIDE, (170, 40)])
 def test_every_size(size: tuple[int, int]) -> None:
     async def steps(bed: Bed) -> None:

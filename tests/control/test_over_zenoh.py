@@ -118,6 +118,18 @@ def test_two_engines_of_a_name_are_two_lines(fleet: Fleet) -> None:
         fleet.attach("robot1")
 
 
+def test_of_two_engines_of_a_name_the_one_that_stays_has_the_line(fleet: Fleet) -> None:
+    fleet.add("robot1")
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, "robot1"))
+    first = fleet.servers["robot1"]
+    fleet.add("robot1", host="another")
+    eventually(lambda: is_in(seen, "robot1 (2)", RobotState.WARN))
+    first.close()
+    eventually(lambda: has_spoken(seen, "robot1") and robot(seen, "robot1 (2)") is None)
+    eventually(lambda: not is_in(seen, "robot1", RobotState.MISSING))
+
+
 def test_the_screen_says_that_the_router_is_lost_and_all_come_back(fleet: Fleet) -> None:
     fleet.add("robot1")
     seen = fleet.seen_by()
@@ -170,6 +182,34 @@ def test_a_name_may_be_any_that_a_session_may_have(fleet: Fleet, name: str) -> N
     eventually(lambda: has_spoken(seen, name))
     fleet.attach(name).retry().result(60)
     assert fleet.engines[name].commands == [("retry", "")]
+
+
+def test_a_console_waits_for_the_first_word_of_each_engine_and_not_for_a_link(fleet: Fleet) -> None:
+    for name in ("robot1", "robot2"):
+        fleet.add(name)
+    fleet.accesses["robot2"].grant({})
+    seen = fleet.seen_by()
+    seen.wait()
+    assert has_spoken(seen, "robot1")
+    assert is_in(seen, "robot2", RobotState.FAULT)
+
+
+def test_robots_that_come_and_go_under_new_names_have_a_budget(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rsb_console.fleet.zenoh.MOST", 3)
+    fleet.add("robot1")
+    seen = fleet.seen_by()
+    eventually(lambda: has_spoken(seen, "robot1"))
+    fleet.servers["robot1"].close()
+    eventually(lambda: is_in(seen, "robot1", RobotState.MISSING))
+    with stranger(fleet.router) as somebody:
+        for number in range(5):
+            name = f"stranger{number}"
+            key = f"rsb_console/lab/here/engine/{number:016x}/client%200.1%20{name}"
+            token = somebody.liveliness().declare_token(key)
+            eventually(lambda name=name: robot(seen, name))
+            token.undeclare()
+            eventually(lambda name=name: is_in(seen, name, RobotState.MISSING))
+    assert {each.name for each in seen.robots()} == {"robot1", "stranger3", "stranger4"}
 
 
 def test_who_has_no_key_keeps_no_operator_out_by_a_robots_name(fleet: Fleet) -> None:

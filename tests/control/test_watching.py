@@ -91,7 +91,7 @@ def seen(way: Way, count: int) -> list[bytes]:
             contents.append(content)
             if len(contents) == count:
                 break
-        await figures.aclose()  # type: ignore[attr-defined]
+        await figures.aclose()
         return contents
 
     return asyncio.run(see())

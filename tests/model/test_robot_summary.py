@@ -70,7 +70,7 @@ def test_what_an_engine_says_of_itself() -> None:
     summary = of_engine(now, session, host="arm7", version="1.2", losses=losses, battery=battery)
     assert (summary.messages_from_robot, summary.messages_to_robot) == (0.0, 10.0)
     assert (summary.bytes_from_robot, summary.bytes_to_robot) == (UP.tx_bytes_per_second, UP.rx_bytes_per_second)
-    assert (summary.group, summary.host, summary.version) == ("yard", "arm7", "1.2")
+    assert (summary.group, summary.role, summary.host, summary.version) == ("yard", "client", "arm7", "1.2")
     assert (summary.battery, summary.loss) == (battery, Loss(0.2, 5.0))
     down = of_engine(replace(now, links=(DOWN,)), session, host="arm7", version="1.2", losses={}, battery=None)
     assert (down.state, down.since, down.seen) == (RobotState.FAULT, DOWN.since, NOW)  # it is there, and says so
@@ -217,7 +217,7 @@ def test_what_another_says_is_bounded() -> None:
 
 def test_a_newer_version() -> None:
     """Its states and its further figures harm nobody."""
-    data = msgspec.msgpack.encode({"name": "robot9", "state": "melted", "temperature": 900})
+    data = msgspec.msgpack.encode({"name": "robot9", "role": "captain", "state": "melted", "temperature": 900})
     assert decode(data) == RobotSummary(name="robot9", state=RobotState.WARN)
 
 

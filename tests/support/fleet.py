@@ -58,6 +58,9 @@ class ScriptedSource:
             raise EngineError(self.fails)
         self.began += 1
 
+    def wait(self) -> None:
+        pass
+
     def stop(self) -> None:
         self.ended += 1
 

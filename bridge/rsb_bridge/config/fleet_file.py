@@ -34,7 +34,9 @@ class FleetFile(NamedTuple):
     base: Path
 
 
-class _Written(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Fleet(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The file's keys; a message calls what lacks all of them by this name."""
+
     zenoh: ZenohSettings = ZenohSettings()
     operator: str = ""
     key_file: str = ""
@@ -49,7 +51,7 @@ def load_fleet(path: Path) -> FleetFile:
     """
     document = read_yaml(read_text(path), path)
     problems = list(document.problems)
-    written = read(document.data, _Written, problems)
+    written = read(document.data, Fleet, problems)
     if not problems:
         problems += settings_problems(written.zenoh, "zenoh")
         if not written.operator.strip():

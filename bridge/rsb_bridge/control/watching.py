@@ -12,7 +12,7 @@ from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.protocol import ProtocolError
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncGenerator
 
     from rsb_bridge.control.ways import Way
 
@@ -20,7 +20,7 @@ ANSWERS_WITHIN = 5.0
 _SILENT_FOR = 3 * protocol.SIGN_OF_LIFE_EVERY
 
 
-async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncIterator[bytes]:
+async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGenerator[bytes, None]:
     """An engine's figures, as they change, on the running loop; whoever stops to iterate closes it (`aclose`).
 
     Args:

@@ -99,6 +99,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     Attributes:
         name: its session's.
         group: the group that it belongs to; empty: none.
+        role: of its session: ``client`` or ``server``; empty: not known.
         state: its state.
         why: the worst verdict in words, and how many more there are; empty: there is nothing to say.
         since: s since the epoch, when what `why` says began; without a reason, when the state did.
@@ -119,6 +120,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
     name: str
     group: str = ""
+    role: str = ""
     state: RobotState = RobotState.WAITING
     why: str = ""
     since: float = 0.0
@@ -198,10 +200,9 @@ def of_clients(
         routes.get(route.link, []).append(route)
     return [
         msgspec.structs.replace(
-            _summary(
-                link.name, snapshot, [link], routes[link.name], lambda route: route.spec.topic, from_robot_is_sent=False
-            ),
+            _summary(link.name, snapshot, [link], routes[link.name], lambda r: r.spec.topic, from_robot_is_sent=False),
             group=groups.get(link.name, ""),
+            role="client",
             seen=_seen(link, snapshot.time),
             host=sanitize_text(link.peer, TEXT_LENGTH),
             version=sanitize_text(link.peer_version, TEXT_LENGTH),
@@ -239,6 +240,7 @@ def of_engine(
     return msgspec.structs.replace(
         summary,
         group=session.group or "",
+        role=session.role,
         seen=snapshot.time,
         host=sanitize_text(host, TEXT_LENGTH),
         version=version,
@@ -310,15 +312,13 @@ def _state(
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
     wrong = [route for route in routes if route_is_wrong(route)]
-    stopped = [route for route in wrong if not route.state.flows]
-    if stopped:
+    if stopped := [route for route in wrong if not route.state.flows]:
         return RobotState.FAULT, *_worst(stopped, len(wrong), called)
     if warned := [link for link in links if link_is_wrong(link)]:
         return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
-    partial = [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]
-    if partial:
+    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]:
         pattern, link = partial[0]
         return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
     if links and all(link.state is State.WAITING for link in links):
@@ -376,6 +376,7 @@ def decode(data: bytes) -> RobotSummary:
         summary,
         name=sanitize_text(summary.name, TEXT_LENGTH),
         group=sanitize_text(summary.group, TEXT_LENGTH),
+        role=summary.role if summary.role in ("client", "server") else "",
         why=sanitize_text(summary.why, WHY_LENGTH),
         host=sanitize_text(summary.host, TEXT_LENGTH),
         version=sanitize_text(summary.version, TEXT_LENGTH),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import signal
 import sys
 import time
 from functools import partial
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.source import FleetSource
 
 _LOOK_EVERY = 0.5
+_WHICH = "which robots? Give their names, --group GROUP, or --all"
 
 
 def run(name: str, arguments: Namespace) -> int:
@@ -47,9 +49,13 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
 
     Raises:
         NoBridgeError: none does.
-        UsageError: the bridge that is named is no server.
+        UsageError: the bridge that is named is no server, or the file of a fleet is named, too.
     """
     if arguments.fleet is not None:
+        if arguments.bridge is not None or arguments.control is not None:
+            raise UsageError(
+                "--fleet is about bridges over Zenoh, --bridge and --control about a server here: give one"
+            )
         from rsb_console.fleet.zenoh import ZenohFleet  # noqa: PLC0415 -- not needed elsewhere
 
         return [ZenohFleet(fleet_file(arguments))]
@@ -70,11 +76,18 @@ def sources_of(arguments: Namespace) -> list[FleetSource]:
 
 
 @contextlib.contextmanager
-def _fleet(arguments: Namespace) -> Iterator[Fleet]:
-    """The robots that the arguments are about, as long as they are needed."""
+def _fleet(arguments: Namespace, *, wait: bool = True) -> Iterator[Fleet]:
+    """The robots that the arguments are about, as long as they are needed.
+
+    Args:
+        arguments: of the command.
+        wait: until the robots have said how they are.
+    """
     fleet = Fleet(sources_of(arguments), Memory(memory_path()), Clock())
     fleet.start()
     try:
+        if wait:
+            fleet.wait()
         yield fleet
     except UnknownRobotError as error:
         raise UsageError(str(error)) from None
@@ -94,7 +107,7 @@ def _show(arguments: Namespace) -> int:
         return USAGE
     from rsb_console.command.fleet_console import run_fleet  # noqa: PLC0415 (needs Textual)
 
-    with _fleet(arguments) as fleet:
+    with _fleet(arguments, wait=False) as fleet:
         return run_fleet(
             fleet,
             readonly=arguments.readonly,
@@ -133,6 +146,8 @@ def _report(robot: Robot) -> dict[str, object]:
 
 def _dismiss(arguments: Namespace) -> int:
     with _fleet(arguments) as fleet:
+        if not (arguments.names or arguments.group or arguments.everyone):
+            raise UsageError(_WHICH)
         gone = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone, gone=True)
         fleet.dismiss(gone)
     if arguments.json:
@@ -182,7 +197,7 @@ def _parsed(words: Sequence[str]) -> Namespace:
         raise UsageError("echo does not end: give --once, or --count N")
     if words[0] in ("echo", "wait") and parsed.timeout is None:
         raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
-    if parsed.bridge is not None or parsed.control is not None or (getattr(parsed, "link", None) or ""):
+    if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):
         raise UsageError("which robot the command is for is said before --")
     return parsed
 
@@ -209,14 +224,17 @@ def _plain(line: str) -> object:
 
 
 def _chosen(fleet: Fleet, arguments: Namespace) -> list[Robot]:
-    """The robots that the arguments name.
+    """The robots that the arguments name. Those that are only remembered are named, and left out.
 
     Raises:
         UsageError: none.
     """
     robots = fleet.chosen(arguments.names, arguments.group, everyone=arguments.everyone)
+    gone = [robot.summary for robot in fleet.robots() if robot.gone]
+    if left_out := [each.name for each in gone if arguments.everyone or (each.group and each.group == arguments.group)]:
+        print_error(f"not there, and left out: {', '.join(left_out)}")
     if not robots:
-        raise UsageError("which robots? Give their names, --group GROUP, or --all")
+        raise UsageError(_WHICH)
     return robots
 
 
@@ -250,8 +268,24 @@ def _edit(arguments: Namespace) -> int:
         if not arguments.yes and not _agreed(f"Change {len(wanted)} of {len(steps)} robots, one after the other?"):
             print_error("nothing is changed")
             return FAILURE
-        outcome = rollout.run(steps, _silent if arguments.json else _told)
+        with _interruptible(rollout):
+            outcome = rollout.run(steps, _silent if arguments.json else _told)
         return _ended(arguments, rollout, outcome, steps)
+
+
+@contextlib.contextmanager
+def _interruptible(rollout: Rollout) -> Iterator[None]:
+    """Ctrl-C stops after the present robot, so that it is said what is done, and how to go back; again, at once."""
+
+    def stop(_: int, __: object) -> None:
+        rollout.cancelled = True
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _planned(step: Step) -> dict[str, object]:
@@ -275,7 +309,7 @@ def _agreed(question: str) -> bool:
     """
     if not sys.stdin.isatty():
         raise UsageError("nobody is there to ask: give --yes, or --dry-run")
-    print_line(f"{question} [y/N] ".rstrip("\n"))
+    print_line(f"{question} [y/N]")
     sys.stdout.flush()
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
@@ -308,7 +342,7 @@ def _ended(arguments: Namespace, rollout: Rollout, outcome: Outcome, steps: Sequ
         for step, why in kept:
             print_error(f"{step.name}: not put back: {why}")
     elif stopped:
-        for line in way_back(rollout, outcome):
+        for line in way_back(rollout, outcome, str(arguments.fleet)):
             print_error(line)
     else:
         print_line(f"done on {len(outcome.done)} {plural(len(outcome.done), 'robot')}")

@@ -15,10 +15,15 @@ if TYPE_CHECKING:
 
 _NO_SERVER = """\
   2  wrong usage: bad arguments, no such robot or group
-  3  no server runs here that you may attach to, or it cannot be reached"""
+  3  no server runs here that you may attach to, or it or the fleet is not reached"""
+_WHICH = "only the robots of this server, by the name that `status` prints"
+_OVER = "a fleet file: all bridges of that fleet, over Zenoh, instead of the servers here"
 _FLEET = f"""\
-Without --json, it opens the screen of all robots. A robot that is missing, or of
-which a topic has a fault, is wrong; one that has never been there is not.
+The robots are those of all servers that run here; with --fleet, all bridges of a
+fleet over Zenoh.
+
+Without --json, it opens the screen of all robots. A robot that is missing, or
+has a fault or a warning, is wrong; one that has never been there is not.
 
 exit codes, with --json:
   0  nothing is wrong
@@ -46,7 +51,8 @@ _EDIT = f"""\
 First it prints what would change on each robot, and asks. Then it changes one robot
 after the other. After each, it waits until the robot has been as well as before for
 --settle seconds, and stops at the first that gets worse: it says which, and why, what
-is done and what is not, and how to go back.
+is done and what is not, and how to go back. So it does on Ctrl-C, after the present
+robot.
 
 for example:
   rsb-console fleet edit --group hall /camera max_rate=5 --dry-run
@@ -68,8 +74,8 @@ def add_fleet_commands(
     command: AddCommand, complete: Complete, console_options: Callable[[argparse.ArgumentParser], None]
 ) -> None:
     """Add `fleet` and its own commands; the arguments are those of `add_remote_commands`."""
-    fleet = command("fleet", lazily("show", "fleet"), "show all robots of the servers that run here", _FLEET)
-    bridge_options(fleet, complete)
+    fleet = command("fleet", lazily("show", "fleet"), "show all robots on one screen", _FLEET)
+    bridge_options(fleet, complete, which=_WHICH, over=_OVER)
     fleet.add_argument(
         "--seconds", type=seconds, default=2.0, metavar="N", help="with --json: look for N s, which loss is about (2)"
     )
@@ -80,7 +86,7 @@ def add_fleet_commands(
     listed = f"{', '.join(ALLOWED[:7])},\n{', '.join(ALLOWED[7:])}"
     run = _add(commands, complete, "exec", "run a command for some robots", _EXEC.replace("{commands}", listed))
     complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
-    run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--json] -- COMMAND ..."
+    run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--fleet FILE] [--json] -- COMMAND ..."
     edit = _add(commands, complete, "edit", "change a topic of some robots, one after the other", _EDIT)
     words = edit.add_argument("names", metavar="NAME|TOPIC|KEY=VALUE", nargs="*", help="robots, topic, what to change")
     complete(words, "robots")
@@ -107,7 +113,7 @@ def _add(
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=lazily(name, "fleet"))
-    bridge_options(parser, complete)
+    bridge_options(parser, complete, which=_WHICH, over=_OVER)
     for option in parser._actions:
         if option.dest in ("bridge", "control", "fleet", "json"):
             option.default = argparse.SUPPRESS  # `fleet` has them, too: what stands there counts

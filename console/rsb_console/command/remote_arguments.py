@@ -193,12 +193,17 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
 
 
-def bridge_options(parser: argparse.ArgumentParser, complete: Complete, *, json: bool = True) -> None:
+def bridge_options(
+    parser: argparse.ArgumentParser,
+    complete: Complete,
+    *,
+    json: bool = True,
+    which: str = "the bridge, by the name that `status` prints; needed where several run",
+    over: str = "a fleet file: the bridge is one of that fleet, reached over Zenoh",
+) -> None:
     """Add the options of every command that attaches: which bridge, and whether to print JSON."""
-    which = "the bridge, by the name that `status` prints; needed where several run"
     complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
     parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
-    over = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
     complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
     if json:
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")

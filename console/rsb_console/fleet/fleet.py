@@ -86,6 +86,11 @@ class Fleet:
                 started.callback(source.stop)
             started.pop_all()
 
+    def wait(self) -> None:
+        """Wait until the robots have said how they are; some seconds at most."""
+        for source in self.sources:
+            source.wait()
+
     def stop(self) -> None:
         """End it, and keep what is known for the next time."""
         self._memory.save()
@@ -108,6 +113,8 @@ class Fleet:
 
     def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:
         """A robot that waits for its first connection is missing, if it was there before its server began."""
+        if summary.state is RobotState.WAITING and not summary.links:
+            return summary  # it is there, and has not said yet how it is
         if summary.seen is not None or (before := self._memory.get(source.name, summary.name)) is None:
             return summary
         state = RobotState.MISSING if summary.state is RobotState.WAITING else summary.state
@@ -176,7 +183,10 @@ class Fleet:
         for name in names:
             meant = [robot for robot in robots if name in (robot.summary.name, robot.key)]
             if not meant:
-                raise UnknownRobotError(_unknown(name, [robot.summary.name for robot in robots]))
+                if not gone and any(robot.gone and name in (robot.summary.name, robot.key) for robot in self.robots()):
+                    raise UnknownRobotError(f"{name} is not there: it is only remembered")
+                what = "robot that has gone" if gone else "robot"
+                raise UnknownRobotError(_unknown(what, name, [robot.summary.name for robot in robots]))
             if len(meant) > 1:
                 keys = ", ".join(robot.key for robot in meant)
                 raise UnknownRobotError(f"several robots are called {name}; say which: {keys}")
@@ -197,7 +207,7 @@ def _gone(robot: Remembered) -> RobotSummary:
     )
 
 
-def _unknown(name: str, known: Sequence[str]) -> str:
+def _unknown(what: str, name: str, known: Sequence[str]) -> str:
     if near := difflib.get_close_matches(name, known, n=1):
-        return f"no robot is called {name}; did you mean {near[0]}?"
-    return f"no robot is called {name}; there are {join_first(known, 10) or 'none'}"
+        return f"no {what} is called {name}; did you mean {near[0]}?"
+    return f"no {what} is called {name}; there are {join_first(known, 10) or 'none'}"

@@ -113,8 +113,8 @@ class Rollout:
         """To be set on another thread: no further robot is begun."""
 
     def plan(self) -> list[Step]:
-        """What would change on each robot; nothing does."""
-        return [self._planned(robot) for robot in self._robots]
+        """What would change on each robot; nothing does. Once it is cancelled, no further robot is asked."""
+        return [self._planned(robot) for robot in self._robots if not self.cancelled]
 
     def _planned(self, robot: Robot) -> Step:
         try:

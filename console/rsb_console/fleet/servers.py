@@ -49,6 +49,9 @@ class ServerFleet:
     def start(self) -> None:
         self._engine.start()
 
+    def wait(self) -> None:
+        """The server knows all of them."""
+
     def stop(self) -> None:
         self._engine.stop()
 

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class FleetSource(Protocol):
-    """Knows some robots, no two of the same name. All but `start` and `open` answer at once.
+    """Knows some robots, no two of the same name. All but `start`, `wait` and `open` answer at once.
 
     Attributes:
         kind: what it is, in a word: ``server`` or ``fleet``.
@@ -31,6 +31,10 @@ class FleetSource(Protocol):
         Raises:
             EngineError: that cannot be done.
         """
+        ...
+
+    def wait(self) -> None:
+        """Wait until each robot has said how it is, or why nothing is known of it; some seconds at most."""
         ...
 
     def stop(self) -> None:

@@ -26,13 +26,14 @@ def report(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
     yield f"not begun: {names_of(outcome.left) or 'none'}"
 
 
-def way_back(rollout: Rollout, outcome: Outcome) -> Iterator[str]:
-    """The commands that put back what was before."""
+def way_back(rollout: Rollout, outcome: Outcome, file: str = "FILE") -> Iterator[str]:
+    """The commands that put back what was before; `file` is the fleet file, for robots over Zenoh."""
+    over = f" --fleet {file}" if any(step.robot.source.kind == "fleet" for step in outcome.changed) else ""
     by_keys: dict[str, list[str]] = {}
     for step in outcome.changed:
         by_keys.setdefault(" ".join(step.back(rollout.keys)), []).append(step.name)
     for keys, names in by_keys.items():
-        yield f"to go back: rsb-console fleet edit {' '.join(names)} {rollout.topic} {keys}"
+        yield f"to go back: rsb-console fleet edit {' '.join(names)} {rollout.topic} {keys}{over}"
 
 
 def names_of(steps: Sequence[Step]) -> str:

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 _ENDED_WITHIN = 5.0
 _FIRST_HEARD_WITHIN = 5.0
-"""s that `ZenohFleet.start` waits for the first word of each engine."""
+"""s that `ZenohFleet.wait` waits for the first word of each engine."""
 MOST = 2000
-"""Engines that are watched; anybody in the network may announce any number of them."""
+"""Engines that are watched, and rows; anybody in the network may announce any number of engines."""
 _LEFT = "it has left the Zenoh network"
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
 _AT_ONCE = 16
@@ -52,6 +52,7 @@ class ZenohFleet:
         self._watches: dict[str, asyncio.Task[None]] = {}
         self._names: dict[str, str] = {}  # of rows, by address
         self._called: dict[str, str] = {}  # what the engine of a row calls itself
+        self._silent: set[str] = set()  # addresses of those that have not said yet how they are
         self._may_connect = asyncio.Semaphore(_AT_ONCE)
         self._random = random.Random()  # noqa: S311 -- jitter
         self._loop = asyncio.new_event_loop()
@@ -70,6 +71,12 @@ class ZenohFleet:
     def start(self) -> None:
         self._thread.start()
         self._started.result()
+
+    def wait(self) -> None:
+        heard = asyncio.run_coroutine_threadsafe(self._all_heard(), self._loop)
+        with contextlib.suppress(TimeoutError):
+            heard.result(_FIRST_HEARD_WITHIN)
+        heard.cancel()
 
     def stop(self) -> None:
         with contextlib.suppress(RuntimeError):  # it has ended by itself
@@ -101,11 +108,8 @@ class ZenohFleet:
             self._started.set_exception(ControlError(str(error)))
             return
         self._presence = presence
+        self._started.set_result(None)
         try:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_FIRST_HEARD_WITHIN):
-                    await self._all_heard()
-            self._started.set_result(None)
             await self._ends.wait()
         finally:
             for watch in tuple(self._watches.values()):
@@ -115,7 +119,7 @@ class ZenohFleet:
 
     async def _all_heard(self) -> None:
         """Wait until every engine that is there has said how it is, or why not."""
-        while any(self._robots[name].state is RobotState.WAITING for name in self._names.values()):
+        while self._silent:
             self._news.clear()
             await self._news.wait()
 
@@ -123,18 +127,41 @@ class ZenohFleet:
         """An engine has come or gone."""
         if not comes:
             name = self._names.pop(member.address, None)
+            self._has_spoken(member)
             if watch := self._watches.pop(member.address, None):
                 watch.cancel()
             if name is not None:
                 why = "out of reach: this console has lost its Zenoh router" if self.problem else _LEFT
                 self._gone(name, why, RobotState.MISSING)
+                if name == member.name:
+                    self._hand_on(name)
         elif len(self._watches) < MOST:
             name = self._names[member.address] = self._free_name(member.name)
             self._called[name] = member.name
-            known = self._robots.get(name)
-            if known is None:
-                self._robots[name] = RobotSummary(name=name, version=member.version, since=time.time())
+            self._silent.add(member.address)
+            if name not in self._robots:
+                if len(self._robots) >= MOST:
+                    self._forget_one()
+                self._robots[name] = RobotSummary(
+                    name=name, version=member.version, why="connecting", since=time.time()
+                )
             self._watches[member.address] = self._loop.create_task(self._watch(member, name))
+
+    def _hand_on(self, name: str) -> None:
+        """Give the row of an engine that has left to another one of its name, which needs no number any more."""
+        assert self._presence is not None
+        heir = next((address for address, row in self._names.items() if self._called[row] == name), None)
+        if heir is not None:
+            row = self._names.pop(heir)
+            self._watches.pop(heir).cancel()
+            del self._robots[row], self._called[row]
+            self._changed(self._presence.members[heir], comes=True)
+
+    def _forget_one(self) -> None:
+        """Make room for a row: one whose engine has left goes, first those that nobody has ever heard from."""
+        gone = self._robots.keys() - self._names.values()
+        name = min(gone, key=lambda name: (self._robots[name].seen is not None, self._robots[name].since))
+        del self._robots[name], self._called[name]
 
     def _free_name(self, name: str) -> str:
         """A name for a row: an engine that has the name of another one is shown, too."""
@@ -152,12 +179,20 @@ class ZenohFleet:
         backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE, self._random)
         while True:
             try:
-                async for content in watch(way, self._may_connect):
-                    backoff.reset()
-                    self._take(name, decode(content))
+                async with contextlib.aclosing(watch(way, self._may_connect)) as contents:
+                    async for content in contents:
+                        self._take(name, decode(content))
+                        self._has_spoken(member)
+                        backoff.reset()
             except (ControlError, ValueError) as error:
                 self._gone(name, str(error).removeprefix(f"{member.name}: "), RobotState.FAULT)
+                self._has_spoken(member)
             await asyncio.sleep(backoff.next())
+
+    def _has_spoken(self, member: Member) -> None:
+        """It is known how an engine is, or why not."""
+        self._silent.discard(member.address)
+        self._news.set()
 
     def _take(self, name: str, summary: RobotSummary) -> None:
         now = time.time()
@@ -170,19 +205,15 @@ class ZenohFleet:
             since = before.since if (before.state, before.why) == (state, why) else now
         if (battery := summary.battery) is not None:
             battery = battery._replace(time=min(now, battery.time - ahead))
-        self._set(name, msgspec.structs.replace(
+        self._robots[name] = msgspec.structs.replace(
             summary, name=name, why=why, state=state, seen=now, since=since, battery=battery
-        ))  # fmt: skip
+        )
 
     def _gone(self, name: str, why: str, state: RobotState) -> None:
         why = sanitize_text(why, WHY_LENGTH)  # it may be the engine's
         before = self._robots[name]
         if (before.state, before.why) != (state, why):
-            self._set(name, RobotSummary(
-                name=name, group=before.group, state=state, why=why, since=time.time(), seen=before.seen,
-                host=before.host, version=before.version, links=before.links, routes=before.routes,
-            ))  # fmt: skip
-
-    def _set(self, name: str, summary: RobotSummary) -> None:
-        self._robots[name] = summary
-        self._news.set()
+            self._robots[name] = RobotSummary(
+                name=name, group=before.group, role=before.role, state=state, why=why, since=time.time(),
+                seen=before.seen, host=before.host, version=before.version, links=before.links, routes=before.routes,
+            )  # fmt: skip

@@ -81,7 +81,9 @@ class FleetScreen(Screen[None]):
     def _why_empty(self) -> str:
         if self.table.rows:
             return f"No robot matches. {self._key('back')} shows all of them."
-        return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
+        if all(source.kind == "server" for source in self.fleet.sources):
+            return "No robots yet: on the server, `rsb-console client add NAME` lets one in."
+        return "No robots yet: no bridge with `zenoh` and this fleet's name in its session has announced itself."
 
     def _show_detail(self) -> None:
         self.detail.show(*self.table.described)

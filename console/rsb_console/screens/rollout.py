@@ -100,6 +100,8 @@ class RolloutScreen(ModalScreen[None]):
     def on_unmount(self) -> None:
         """Whatever still waits for a robot ends."""
         self._gone.set()
+        if self._rollout is not None:
+            self._rollout.cancelled = True
 
     # -- phases -------------------------------------------------------------------------------------------------------
 
