@@ -65,7 +65,7 @@ def test_values(parse: Callable[[str], Any], text: str, parsed: object) -> None:
     ("parse", "text"),
     [
         *((sizes, text) for text in ("", "x", "63", "17M", "10q", "k", "nan", "1e999", "-5")),
-        *((transports, text) for text in ("", "zenoh", "tcp,,udp")),
+        *((transports, text) for text in ("", "pigeon", "tcp,,udp")),
         *((topics, text) for text in ("", "501", "0,1", "-1", "x")),
         *((domains, text) for text in ("1", "1,1", "1,102", "a,b", "1,2,3")),
     ],

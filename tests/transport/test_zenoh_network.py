@@ -15,7 +15,7 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.transport.zenoh import endpoint as endpoints
-from rsb_bridge.transport.zenoh.endpoint import ROOT, Header, Kind
+from rsb_bridge.transport.zenoh.endpoint import ROOT, Header, Kind, Seen
 from rsb_bridge.transport.zenoh.network import Network
 
 zenoh = pytest.importorskip("zenoh")
@@ -259,6 +259,28 @@ def test_announcements_are_limited_in_number_and_harmless(router: Router, monkey
                 token.undeclare()
             await until(lambda: not server.seen)
             other.close()
+
+    asyncio.run(test())
+
+
+def test_who_leaves_while_an_endpoint_is_made_is_forgotten(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else a fleet would have two servers for good, and nobody would link."""
+    monkeypatch.setattr(endpoints, "_CONFIRMED", 1.0)
+    ghost, ask = Seen("server", NOBODY, "gone"), endpoints.Endpoint.ask
+
+    async def ask_too_early(self: Endpoint, service: str) -> list[Seen]:
+        return [*await ask(self, service), ghost]
+
+    async def test() -> None:
+        async with in_network(router) as server:
+            monkeypatch.setattr(endpoints.Endpoint, "ask", ask_too_early)
+            network = Network(ZenohSettings(connect=(router.endpoint,)), Path())
+            client = await network.endpoint("client", "", ["server"])
+            assert ghost.address in client.seen
+            await until(lambda: ghost.address not in client.seen)
+            assert server.address in client.seen
+            client.close()
+            network.close()
 
     asyncio.run(test())
 

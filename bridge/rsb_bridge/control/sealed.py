@@ -256,8 +256,7 @@ class SealedConsole(asyncio.Protocol):
         self._stop_waiting()
         self.stage, self._refusal = _Stage.REFUSED, answer
         if delay := refusals.delay(self._host):
-            self._deadline = self._loop.call_later(delay, self._tell)
-            self._transport.pause_reading()
+            self._deadline = self._loop.call_later(delay, self._tell)  # what comes until then is passed over
         else:
             self._tell()
 

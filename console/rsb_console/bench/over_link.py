@@ -122,6 +122,8 @@ def _result(engine: EngineApi, order: Order) -> Outcome:
 def ways_of(link: LinkSnapshot, transports: tuple[str, ...], directions: tuple[str, ...]) -> list[Way]:
     """What can be measured over a link: its own transports, unless others are wanted."""
     own = ("bluetooth",) if "channel" in link.peer else ("tcp", "udp")
+    if link.peer.startswith("zenoh"):
+        own = ("zenoh", "zenoh-drop")
     return [Way(transport, direction) for direction in directions for transport in transports or own]
 
 

@@ -82,8 +82,9 @@ def _on_this_machine(arguments: Namespace) -> int:
         raise BenchError(problem)
     near, far = arguments.domains or _DOMAINS
     transports = arguments.transports or ("tcp", "udp")
-    if "bluetooth" in transports:
-        return failed(arguments, "Bluetooth needs two machines: name the session whose link is to be measured", USAGE)
+    if others := [name for name in transports if name not in ("tcp", "udp")]:
+        message = f"{others[0]} is measured over a link only: name the session whose link that is"
+        return failed(arguments, message, USAGE)
     if arguments.direction != "transmit":
         return failed(arguments, "on one machine both directions are the same: leave --direction out", USAGE)
     loads = _loads_of_running_bridges()

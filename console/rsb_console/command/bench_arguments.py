@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
+from rsb_bridge.model.session import Protocol
 from rsb_console.command.remote_arguments import lazily
 from rsb_console.command.values import seconds
 
 if TYPE_CHECKING:
     from rsb_console.command.remote_arguments import AddCommand, Complete
 
-TRANSPORTS = ("tcp", "udp", "bluetooth")
+TRANSPORTS = get_args(Protocol)
 _UNITS = {"": 1, "b": 1, "k": 1_000, "kb": 1_000, "m": 1_000_000, "mb": 1_000_000}
 _LEAST, _MOST = 64, 16_000_000
 _MOST_DOMAIN = 101
@@ -48,7 +49,7 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")
     parser.add_argument("--seconds", type=seconds, metavar="N", help="at most N s; default: 50 with --quick, else 360")
     parser.add_argument("--sizes", type=sizes, metavar="N,...", help="of the messages: 256,10k,1M; default: 256 to 6M")
-    which = "of tcp, udp, bluetooth; default: all that there are"
+    which = f"of {', '.join(TRANSPORTS)}; default: all that there are"
     parser.add_argument("--transports", type=transports, default=(), metavar="NAME,...", help=which)
     way = "to the server, from it, or both (%(default)s)"
     parser.add_argument("--direction", choices=("transmit", "receive", "both"), default="transmit", help=way)

@@ -124,6 +124,8 @@ def _print(arguments: Namespace) -> int:
         while time.monotonic() < deadline:
             time.sleep(min(_LOOK_EVERY, arguments.seconds))
             robots = fleet.robots()
+    if not robots and arguments.fleet is not None:
+        raise NoBridgeError(f"no engine has announced itself in the fleet {fleet.sources[0].name!r}")
     wrong = [robot for robot in robots if robot.summary.state.is_wrong]
     states = [robot.summary.state for robot in robots]
     summary = {"robots": len(robots), "states": {state: states.count(state) for state in RobotState}}

@@ -48,6 +48,8 @@ _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
 """Samples that are taken in one turn of the loop."""
+_CONFIRMED = 5.0
+"""s within which Zenoh has told a new subscription of all that are there."""
 _SETTLED = 0.1
 """s within which Zenoh says that a router is lost, once it has said who is gone by that."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
@@ -150,6 +152,7 @@ class Endpoint:
         self._waiting_bytes = 0
         self._counting = threading.Lock()
         self._woken = False
+        self._unconfirmed: set[str] = set()
         self._declared: list[zenoh.Subscriber[None] | zenoh.LivelinessToken] = []
 
     async def announce(self) -> None:
@@ -157,6 +160,8 @@ class Endpoint:
         for service in self._watched:  # before anything is declared: from then on, Zenoh answers by what it has heard
             for seen in await self.ask(service):
                 self._announced(seen, comes=True)
+        self._unconfirmed = set(self.seen)
+        self._loop.call_later(_CONFIRMED, self._forget_unconfirmed)
         session, root = self._session, self._root
         live = session.liveliness()
         watched = [f"{root}/here/{service}/*/*" for service in self._watched]
@@ -288,6 +293,7 @@ class Endpoint:
 
     def _announced(self, seen: Seen, *, comes: bool) -> None:
         known = self.seen.get(seen.address)
+        self._unconfirmed.discard(seen.address)
         if comes:
             if known is not None or len(self.seen) >= MOST_SEEN:
                 return  # whoever announces another's address does not become it
@@ -299,6 +305,11 @@ class Endpoint:
             # Where the router is lost, Zenoh says this first, of everybody.
             self._loop.call_later(_SETTLED, self._gone, seen.address)
         self.on_seen(seen, comes)
+
+    def _forget_unconfirmed(self) -> None:
+        """Forget those of whom the subscriptions do not know: they have gone before these were declared."""
+        for address in self._unconfirmed & set(self.seen):
+            self._announced(self.seen[address], comes=False)
 
     def _gone(self, address: str) -> None:
         here = bool(self._session.info.transports())
