@@ -6,6 +6,8 @@ import asyncio
 import builtins
 import contextlib
 import socket
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -329,6 +331,19 @@ def test_a_router_that_is_killed_cuts_streams_off_and_is_found_again() -> None:
             router.close()
 
     asyncio.run(test())
+
+
+def test_a_process_that_ends_with_a_network_open_does_end(router: Router) -> None:
+    """Zenoh's callbacks have threads for which the interpreter waits: for ever, were the session not closed first."""
+    program = f"""
+import asyncio
+from pathlib import Path
+from rsb_bridge.model.session import ZenohSettings
+from rsb_bridge.transport.zenoh.network import Network
+network = Network(ZenohSettings(connect=({router.endpoint!r},)), Path())
+asyncio.run(network.endpoint("server", "x", ("client",)))
+"""
+    assert subprocess.run([sys.executable, "-c", program], timeout=60, check=False).returncode == 0
 
 
 def test_nothing_is_left_of_a_network_that_was_opened_and_closed(router: Router) -> None:

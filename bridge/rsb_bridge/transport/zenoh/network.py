@@ -69,6 +69,7 @@ class Network:
         self._opening = threading.Lock()
         self._session: zenoh.Session | None = None
         self._listener: Any = None
+        self._deleted: Any = None
         self._config_used: zenoh.Config | None = None
         self._endpoints: list[Endpoint] = []
         self._closed = False
@@ -169,6 +170,8 @@ class Network:
             session = zenoh.open(config)
         except zenoh.ZError as error:
             raise OSError(why_unreachable(self.settings, config, str(error))) from None
+        self._deleted = zenoh.SampleKind.DELETE
+        _open_sessions.add(session)
         listener = session.info.declare_transport_events_listener(self._changed)
         with self._lock:
             if not self._closed:
@@ -212,10 +215,12 @@ class Network:
         _set(config, "transport/link/tx/queue/congestion_control/drop/wait_before_drop", 0)
         return config
 
-    def _changed(self, _: object) -> None:
+    def _changed(self, event: zenoh.TransportEvent) -> None:
         """A router or peer has come or gone; on a thread of Zenoh's."""
-        session = self._session
-        if session is None or session.info.transports():
+        session, gone = self._session, event.transport.zid
+        if session is None or event.kind != self._deleted:
+            return
+        if any(each.zid != gone for each in session.info.transports()):  # the one that is gone may still be listed
             return
         with self._lock:
             endpoints = list(self._endpoints)
@@ -235,8 +240,23 @@ def _from_its_folder(config: zenoh.Config, folder: Path) -> None:
             _set(config, f"{TLS}/{key}", str((folder / settings[key]).absolute()))
 
 
+_open_sessions: set[zenoh.Session] = set()
+"""A process that ends with one of them open would wait for the threads of its callbacks for ever."""
+
+
+def _close_all() -> None:
+    for session in tuple(_open_sessions):
+        _open_sessions.discard(session)
+        session.close()  # type: ignore[no-untyped-call]
+
+
+# As concurrent.futures does: `atexit` comes after the wait for threads, and Zenoh has each callback on one of its own.
+threading._register_atexit(_close_all)  # type: ignore[attr-defined]
+
+
 def _close(session: zenoh.Session) -> None:
     """Close it, and wait for that, but not for long: with a router that takes nothing, Zenoh waits for seconds."""
+    _open_sessions.discard(session)
     closing = threading.Thread(target=session.close, name="zenoh-close", daemon=True)
     closing.start()
     closing.join(_CLOSE_WITHIN)
