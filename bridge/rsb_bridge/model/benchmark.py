@@ -107,7 +107,7 @@ class Outcome(msgspec.Struct, frozen=True, omit_defaults=True):
 
 def bench_topic(transport: str, direction: str) -> str:
     """The name of the topic that measures a transport in a direction, as the client sees it."""
-    return f"/{_PART}/{transport}/{direction}"
+    return f"/{_PART}/{transport.replace('-', '_')}/{direction}"
 
 
 def is_bench_topic(topic: str) -> bool:
