@@ -12,11 +12,12 @@ from tests.console.scripted import NOW, route
 from tests.support.fleet import ServerEngine
 
 from rsb_bridge.api import EngineError
-from rsb_bridge.control.batteries import AT_ONCE, EVERY, TYPE, Batteries
+from rsb_bridge.control.batteries import AT_ONCE, EVERY, Batteries
 from rsb_bridge.model.peek import PeekedMessage
 from rsb_bridge.model.robot_summary import Battery
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.ros.battery_state import BATTERY_STATE
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 
@@ -29,16 +30,16 @@ from rsb_bridge.ros.typesupport import hash_of
 if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot
 
-DESCRIPTION = installed_description(TYPE)
+DESCRIPTION = installed_description(BATTERY_STATE)
 
 
 def battery(charge: float, at: float = NOW) -> PeekedMessage:
     payload = serialize_message(BatteryState(percentage=charge))
-    return PeekedMessage(payload, len(payload), TYPE, hash_of(BatteryState), at, outgoing=False)
+    return PeekedMessage(payload, len(payload), BATTERY_STATE, hash_of(BatteryState), at, outgoing=False)
 
 
 def topic_of(robot: str, name: str = "/battery_state", **changes: Any) -> RouteSnapshot:
-    changes = {"type_name": TYPE, **changes}
+    changes = {"type_name": BATTERY_STATE, **changes}
     return route(f"/{robot}{name}", link=robot, spec=Topic(name, "transmit"), **changes)
 
 

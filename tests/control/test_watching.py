@@ -16,6 +16,7 @@ from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.protocol import VERSION, BridgeInfo, Hello, Summary, Watch, Welcome, encode
 from rsb_bridge.control.watching import watch
 from rsb_bridge.control.ways import UnixSocket
+from rsb_bridge.model.robot_summary import SUMMARY_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -114,7 +115,7 @@ def test_a_bridge_that_makes_no_figures_does_not_answer(machine: Machine, monkey
         seen(robot.way(), 1)
 
 
-@pytest.mark.parametrize("content", [bytes(protocol.SUMMARY_LIMIT + 1), bytes(protocol.TO_WATCHER_LIMIT)])
+@pytest.mark.parametrize("content", [bytes(SUMMARY_BYTES + 1), bytes(protocol.TO_WATCHER_LIMIT)])
 def test_figures_that_are_too_long_are_refused(machine: Machine, content: bytes) -> None:
     robot = Reachable(machine)
     robot.server.summarize = lambda: content

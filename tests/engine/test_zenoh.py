@@ -34,6 +34,7 @@ from rsb_bridge.model.session import Client, Topic, ZenohSettings
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.zenoh import endpoint as endpoints
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -285,7 +286,7 @@ def test_a_stranger_who_floods_and_replays_moves_no_budget(
             other.put(key, payload, attachment=attachment)
     address = next(iter(captured))[0].split("/")[3]
     for number in range(2000):
-        header = endpoints.Header(endpoints.Kind.DATA, 0, 0).pack()
+        header = Header(Kind.DATA, 0, 0).pack()
         other.put(f"{endpoints.ROOT}/fleet/at/{address}/{number:016x}/{number:016x}", bytes(1000), attachment=header)
     out.publish(text("last"))
     eventually(lambda: text("last") in there.payloads)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from rsb_bridge.transport.zenoh.endpoint import Header, Kind
 from rsb_bridge.transport.zenoh.pipe import Pipe
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 if TYPE_CHECKING:
     from rsb_bridge.transport.zenoh.endpoint import Endpoint

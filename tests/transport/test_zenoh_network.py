@@ -17,8 +17,9 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.model.session import ZenohSettings
 from rsb_bridge.transport.zenoh import endpoint as endpoints
-from rsb_bridge.transport.zenoh.endpoint import ROOT, Header, Kind, Seen
+from rsb_bridge.transport.zenoh.endpoint import ROOT, Seen
 from rsb_bridge.transport.zenoh.network import Network
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 zenoh = pytest.importorskip("zenoh")
 from tests.support.zenoh_router import Announced, Router, stranger  # noqa: E402 (it needs the package)
@@ -169,9 +170,8 @@ def test_samples_of_a_stream_that_is_over_are_answered_and_begin_nothing(router:
             for kind in (Kind.WINDOW, Kind.END):
                 other.put(key, b"x", attachment=Header(kind, 0, 0).pack())
             await until(lambda: len(ends) == 2)
-            assert [Header(*endpoints._HEADER.unpack(each.attachment.to_bytes())).kind for each in ends] == [
-                Kind.END
-            ] * 2
+            headers = [Header.unpack(each.attachment.to_bytes()) for each in ends]
+            assert [header and header.kind for header in headers] == [Kind.END] * 2
             assert asked == []
             other.close()
 

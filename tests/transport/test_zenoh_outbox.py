@@ -9,8 +9,8 @@ import pytest
 from tests.support.virtual_time import VirtualLoop, virtual_loop
 from tests.support.waiting import eventually
 
-from rsb_bridge.transport.zenoh.endpoint import Header, Kind
 from rsb_bridge.transport.zenoh.outbox import AT_ONCE, LINK_RANK, Outbox
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 zenoh = pytest.importorskip("zenoh")
 

@@ -10,8 +10,8 @@ import pytest
 from tests.support.virtual_time import virtual_loop
 from tests.support.zenoh_pipes import Pair, Sent
 
-from rsb_bridge.transport.zenoh.endpoint import Header, Kind
 from rsb_bridge.transport.zenoh.pipe import SAMPLE, WINDOW
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine

@@ -9,6 +9,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.cdr.decoder import decode
 from rsb_bridge.cdr.description import DescriptionError, read_description
 from rsb_bridge.model.robot_summary import Battery
+from rsb_bridge.ros.battery_state import BATTERY_STATE
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
 
 TOPIC: Final = "/battery_state"
-TYPE: Final = "sensor_msgs/msg/BatteryState"
 _TYPES = 16
 """Descriptions that are kept: every robot should have the same one."""
 EVERY = 30.0
@@ -65,7 +65,7 @@ class Batteries:
             self._looking[link] = self._engine.peek(route.key, kept=link not in self.known)
 
     def _is_battery(self, route: RouteSnapshot) -> bool:
-        of_robot = route.outgoing == self._outgoing and route.type_name == TYPE
+        of_robot = route.outgoing == self._outgoing and route.type_name == BATTERY_STATE
         return of_robot and route.state.flows and route.spec.topic.endswith(TOPIC)
 
     def _take(self, link: str, future: Future[PeekedMessage | None], route: RouteSnapshot) -> bool:

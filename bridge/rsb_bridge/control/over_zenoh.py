@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from rsb_bridge.config.fleet_file import FleetFile
     from rsb_bridge.control.server import ControlServer
     from rsb_bridge.control.ways import Connection
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Header, Seen
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
+    from rsb_bridge.transport.zenoh.sample import Header
 
 ENGINE, CONSOLE = "engine", "console"
 """The services by which engines and consoles announce themselves."""

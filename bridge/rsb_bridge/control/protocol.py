@@ -36,8 +36,6 @@ EVENTS_AT_ONCE = 500
 """Events in one `Events`."""
 TO_WATCHER_LIMIT = 64 << 10
 """Bytes of a frame to a console that only watches: the largest is `Welcome`."""
-SUMMARY_LIMIT = 4096
-"""Bytes of a `Summary`'s content."""
 SUMMARY_EVERY, SIGN_OF_LIFE_EVERY = 1.0, 5.0
 """s between two that differ at least, and between two at most."""
 REQUESTS_WAITING = 32

@@ -10,6 +10,7 @@ from rsb_bridge import __version__
 from rsb_bridge.control import protocol
 from rsb_bridge.control.folders import ControlError
 from rsb_bridge.control.protocol import ProtocolError
+from rsb_bridge.model.robot_summary import SUMMARY_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import AsyncGenerator
@@ -47,7 +48,7 @@ async def watch(way: Way, may_open: asyncio.Semaphore | None = None) -> AsyncGen
                 if not data:
                     raise ControlError(f"{way.text}: the bridge's process has ended, or has closed the connection")
                 for message in frames.feed(data):
-                    if isinstance(message, protocol.Summary) and len(message.content) <= protocol.SUMMARY_LIMIT:
+                    if isinstance(message, protocol.Summary) and len(message.content) <= SUMMARY_BYTES:
                         yield message.content
                     elif isinstance(message, (protocol.Goodbye, protocol.Refused)):
                         raise ControlError(f"{way.text}: {message.reason}")

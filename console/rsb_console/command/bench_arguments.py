@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from rsb_bridge.model.session import Protocol
-from rsb_console.command.remote_arguments import lazily
+from rsb_console.command.remote_arguments import lazily, place_options
 from rsb_console.command.values import seconds
 
 if TYPE_CHECKING:
@@ -41,9 +41,7 @@ def add_bench_command(command: AddCommand, complete: Complete) -> None:
     parser = command("bench", lazily("bench", "bench"), "measure what this machine, or a link, carries", _MORE)
     name = parser.add_argument("bridge", metavar="NAME", nargs="?", help="a running bridge, or its session file")
     complete(name, "bridges_and_files")
-    parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
-    over = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
-    complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
+    place_options(parser, complete)
     which = "on a server of several clients: which one"
     complete(parser.add_argument("--link", default="", metavar="CLIENT", help=which), "links")
     parser.add_argument("--quick", action="store_true", help="at most a minute; else up to six")

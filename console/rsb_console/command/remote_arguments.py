@@ -193,18 +193,26 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
 
 
+_OVER = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
+
+
+def place_options(parser: argparse.ArgumentParser, complete: Complete, over: str = _OVER) -> None:
+    """Add the options that say where a bridge is, beside its name."""
+    parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
+    complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
+
+
 def bridge_options(
     parser: argparse.ArgumentParser,
     complete: Complete,
     *,
     json: bool = True,
     which: str = "the bridge, by the name that `status` prints; needed where several run",
-    over: str = "a fleet file: the bridge is one of that fleet, reached over Zenoh",
+    over: str = _OVER,
 ) -> None:
     """Add the options of every command that attaches: which bridge, and whether to print JSON."""
     complete(parser.add_argument("--bridge", metavar="NAME", help=which), "bridge_names")
-    parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket, instead of NAME")
-    complete(parser.add_argument("--fleet", type=Path, metavar="FILE", help=over), "yaml_files")
+    place_options(parser, complete, over)
     if json:
         parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 

@@ -15,16 +15,15 @@ import contextlib
 import itertools
 import os
 import re
-import struct
 import threading
 from collections import deque
-from enum import IntEnum
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 from urllib.parse import quote, unquote
 
 from rsb_bridge.model.text import sanitize_text
 from rsb_bridge.transport.threads import in_thread
 from rsb_bridge.transport.zenoh.outbox import Outbox
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -43,7 +42,6 @@ ROUTER_LOST = "the connection to the Zenoh router is lost"
 
 _DATAGRAM = "drop"
 _LABEL_LENGTH = 300
-_HEADER = struct.Struct(">BBQ")
 _OVERHEAD = 500
 """Bytes that a sample takes while it waits, beyond its payload."""
 _AT_A_TIME = 256
@@ -54,35 +52,6 @@ _SETTLED = 0.1
 """s within which Zenoh says that a router is lost, once it has said who is gone by that."""
 _ADDRESS = re.compile("[0-9a-f]{16}")
 """Of endpoints, and of streams; keys are whatever a stranger makes of them."""
-
-
-class Kind(IntEnum):
-    """What a sample of a stream is. Its number is..."""
-
-    DATA = 1
-    """... its place among these, from 0."""
-    WINDOW = 2
-    """... how many bytes this side has taken in so far."""
-    END = 3
-    """... how many samples of data came before; the payload says why."""
-
-
-class Header(NamedTuple):
-    """What a sample's attachment says.
-
-    Attributes:
-        kind: a `Kind`; other numbers are passed over.
-        rank: of the stream's priority; `Outbox` has the ranks.
-        number: by the kind.
-    """
-
-    kind: int
-    rank: int
-    number: int
-
-    def pack(self) -> bytes:
-        """The attachment."""
-        return _HEADER.pack(*self)
 
 
 class Seen(NamedTuple):
@@ -276,9 +245,9 @@ class Endpoint:
             if self.on_datagram is not None:
                 self.on_datagram(sender, payload)
             return
-        if len(attachment) != _HEADER.size:
+        header = Header.unpack(attachment)
+        if header is None:
             return
-        header = Header(*_HEADER.unpack(attachment))
         end = self._streams.get((sender, stream))
         if end is None:
             if header.kind != Kind.DATA or not _ADDRESS.fullmatch(stream):

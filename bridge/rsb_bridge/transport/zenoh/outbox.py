@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import zenoh
 
-    from rsb_bridge.transport.zenoh.endpoint import Header
+    from rsb_bridge.transport.zenoh.sample import Header
 
 AT_ONCE = 100 * 1024
 """Bytes of one rank in one second that are sent on the loop's thread, in 5 s together."""

@@ -15,7 +15,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.transport.zenoh.endpoint import Header, Kind
+from rsb_bridge.transport.zenoh.sample import Header, Kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -28,8 +28,9 @@ from rsb_bridge.wire.framing import MESSAGE_LIMIT
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Header, Seen
+    from rsb_bridge.transport.zenoh.endpoint import Endpoint, Seen
     from rsb_bridge.transport.zenoh.network import Network
+    from rsb_bridge.transport.zenoh.sample import Header
 
 SERVER, CLIENT = "server", "client"
 """The services by which the two sides of links announce themselves."""
