@@ -14,7 +14,9 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import node_of
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
@@ -205,6 +207,52 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
     same_on_both_sides(robot, pc, "/path", messages[-3:])
     assert Counter(map(bytes, steady.payloads)).most_common(1)[0][1] == 1
     assert balance(route(client, "/path").ledger) == route(client, "/path").ledger.offered
+
+
+@pytest.mark.parametrize("how", ["client restarts", "server restarts", "cut", "client's process", "server's process"])
+def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
+    how: str, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
+) -> None:
+    """Its publisher has published nothing new, so nothing crosses in the new opening."""
+    topics = "/tcp", "/udp", "/back"
+    outs = [(pc if topic == "/back" else robot).publisher(topic, qos=latched(1)) for topic in topics]
+    for out in outs:
+        publish(out, "once", range(1))
+    heard = [(robot if topic == "/back" else pc).listener(topic, qos=JOINS_LATE) for topic in topics]
+    server, client = bridge.both(
+        Topic("/tcp", "transmit"), Topic("/udp", "transmit", protocol="udp"), Topic("/back", "receive")
+    )
+
+    def fine() -> bool:
+        found = [route(engine, topic) for engine in (client, server) for topic in topics]
+        return all((each.state, each.cause, each.reason) == (State.OK, Cause.NONE, "") for each in found)
+
+    eventually(fine, what="fine at first")
+    before = {engine: {topic: route(engine, topic).age for topic in topics} for engine in (client, server)}
+    again = [connections(engine) + 1 for engine in (client, server)]
+    match how:
+        case "client restarts":
+            client.restart().result(60)
+        case "server restarts":
+            server.restart().result(60)
+        case "cut":
+            relay.cut()
+        case "client's process":
+            client = restart(bridge, client)
+        case "server's process":
+            server = restart(bridge, server)
+    if "process" not in how:
+        eventually(lambda: [connections(engine) for engine in (client, server)] >= again, what="connected again")
+    eventually(lambda: linked(client) and linked(server), what="linked again")
+    eventually(fine, 20.0, "fine again")
+    holds(fine, 1.0)
+    for engine, ages in before.items():
+        if engine in (client, server):  # whoever was there has heard them before
+            assert all((route(engine, topic).age or 0.0) > (age or 0.0) for topic, age in ages.items()) or (
+                "process" in how
+            )
+    expected = 2 if how == "server's process" else 1
+    assert [len(each.payloads) for each in heard[:2]] == [expected] * 2
 
 
 def test_a_publisher_that_is_gone_leaves_no_history(

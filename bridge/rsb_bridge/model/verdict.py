@@ -133,8 +133,9 @@ FINE = Verdict(State.OK)
 def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
     """What counts of what both sides say.
 
-    The worse state counts. Where a side knows only that nothing comes, the other side's cause explains it; where both
-    are equally bad, the sending side's does, at which a message's way begins.
+    The worse state counts. If a side knows only that nothing comes, the other side's cause explains it, and a topic that
+    has stopped is not stale as well. If both are equally bad, the sending side's cause counts: there a message's way
+    begins.
 
     Returns:
         The verdict, and whether it is the sending side's.
@@ -144,5 +145,7 @@ def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
         from_sender = bool(sender.text) or not receiver.text
     chosen, other = (sender, receiver) if from_sender else (receiver, sender)
     if chosen.cause in _DETAILS_UNKNOWN and other.cause not in (*_DETAILS_UNKNOWN, Cause.NONE, Cause.THROTTLED):
-        return replace(other, state=chosen.state), not from_sender
+        explained = (chosen.state, other.state) == (State.STALE, State.STOPPED)
+        state = other.state if explained else chosen.state
+        return replace(other, state=state), not from_sender
     return chosen, from_sender

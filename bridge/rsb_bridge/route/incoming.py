@@ -351,6 +351,16 @@ class IncomingRoute(TopicRoute):
         return facts_of(self)._replace(matched=self._subscribers)
 
     @property
+    def has_kept(self) -> bool:
+        """Whether messages are kept here; the peer's verdict says whether its publishers have newer ones."""
+        return self._outputs.has_kept
+
+    @property
+    def silence_counts(self) -> bool:
+        """As there, unless everything that was sent has arrived: then the sending side's verdict counts."""
+        return super().silence_counts and (self.silence.own or self._sender_ledger.in_flight > 0)
+
+    @property
     def _failure(self) -> str:
         """Why the other side's subscription failed; empty: it did not."""
         peer = self.judged.peer
@@ -383,9 +393,13 @@ class IncomingRoute(TopicRoute):
             ),
             link_stage(self),
             accepted_stage(self),
-            Stage("sent", (report is not None and report.offered > 0) or None),
-            Stage("received", self._received > 0 or None, "" if self._received else self.notices.undelivered),
-            Stage("published", self._delivered > 0 or None),
+            Stage("sent", (report is not None and report.offered > 0) or self.has_kept or None),
+            Stage(
+                "received",
+                self._received > 0 or self.has_kept or None,
+                "" if self._received else self.notices.undelivered,
+            ),
+            Stage("published", self._delivered > 0 or self.has_kept or None),
             Stage(
                 "subscriber seen",
                 self._subscribers > 0 or None,

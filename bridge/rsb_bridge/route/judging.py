@@ -38,7 +38,7 @@ def standing_of(route: Route) -> Standing:
         topic=route.local_topic,
         domain_id=route.context.domain_id,
         link_down="" if route.peer.linked else route.peer.down_reason or "the link is down",
-        refusal=route.refusal,
+        refusal=route.standing_refusal,
         loop=route.notices.loop,
         paused=route.paused,
         paused_by=route.pausing.who,
@@ -59,7 +59,8 @@ def facts_of(route: TopicRoute) -> Facts:
         type_name=route.type_name if known else "",
         qos=route.qos if known else None,
         flowing=route.flowing,
-        came=route.meter.last is not None and route.meter.last >= route.opened_at,
+        came=route.came,
+        came_before=route.meter.last is not None and not route.came,
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
     )
@@ -73,6 +74,6 @@ def _first_missing(route: Route) -> str:
 
 
 def _stale_since(route: TopicRoute) -> float | None:
-    if not route.flowing or route.is_latched:
+    if not route.flowing or not route.silence_counts:
         return None
     return route.silence.stale_since(route.context.now())

@@ -31,7 +31,7 @@ from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
@@ -58,6 +58,7 @@ class OutgoingRoute(TopicRoute):
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
         self._ledger = RouteLedger()
         self._report: ReceivedReport | None = None  # of the present opening
+        self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer has
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
         self._sending = Sending(context, self, self._ledger, self._sorter)
@@ -78,6 +79,7 @@ class OutgoingRoute(TopicRoute):
         described = self._described
         if described is not None and not again:
             self._end_intake()
+            self._kept_there = ready.newest.keys()
             self._intake = Intake(
                 self.context,
                 self,
@@ -222,6 +224,7 @@ class OutgoingRoute(TopicRoute):
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
         self._end_intake()
         self._described = None
+        self._kept_there = ()
         self._lose("link lost", self._sorter.forget())
         self._ledger.drop("link lost", self._sending.clear())
         self._sorter.clear()
@@ -233,7 +236,7 @@ class OutgoingRoute(TopicRoute):
 
     def tick(self) -> None:
         now = self.context.now()
-        latched = self.is_latched  # it is silent for as long as it likes, unless an operator says how often it comes
+        latched = self.is_latched  # silent for as long as it likes, unless an operator expects a rate
         self._health.tick(
             Flow(
                 self.flowing and self._subscribed,
@@ -339,6 +342,16 @@ class OutgoingRoute(TopicRoute):
     def _subscribed(self) -> bool:
         return self._intake is not None and self._intake.active and not self._intake.failure
 
+    @property
+    def has_kept(self) -> bool:
+        """Whether the peer has messages of a publisher that is still there."""
+        return bool(self._kept_there) and any(publisher_id(each.gid) in self._kept_there for each in self.endpoints)
+
+    @property
+    def silence_counts(self) -> bool:
+        """As there; where a rate is known, it says when a topic has stopped."""
+        return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
+
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None
 
@@ -388,9 +401,9 @@ class OutgoingRoute(TopicRoute):
             Stage("subscribed", False if failure else self._subscribed or None, failure),
             link_stage(self),
             accepted_stage(self),
-            Stage("sent", self._ledger.sent_now > 0 or None),
-            Stage("received", self._ledger.received_now > 0 or None),
-            Stage("published", self._ledger.delivered_now > 0 or None),
+            Stage("sent", self._ledger.sent_now > 0 or self.has_kept or None),
+            Stage("received", self._ledger.received_now > 0 or self.has_kept or None),
+            Stage("published", self._ledger.delivered_now > 0 or self.has_kept or None),
             Stage(
                 "subscriber seen",
                 (report is not None and report.subscribers > 0) or None,

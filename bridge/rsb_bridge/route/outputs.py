@@ -223,6 +223,11 @@ class Outputs:
             newest |= topic.newest()
         return newest
 
+    @property
+    def has_kept(self) -> bool:
+        """Whether messages of the sending side are kept."""
+        return any(topic.has_kept for topic in self._latched())
+
     def present(self, publishers: Collection[bytes]) -> None:
         """The sending side tells which of its publishers are there."""
         for topic in self._latched():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.silence import Silence
@@ -86,8 +87,10 @@ class TopicRoute(Route):
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
         self.latency.tick()
-        cause = self.judged.shown(self.verdict()).verdict.cause
-        self.silence.tick(self.context.now(), due=self.flowing and not self.is_latched, cause=cause)
+        if not self.flowing:
+            self.silence.rearm(self.context.now())
+        shown = self.judged.shown(self.verdict()).verdict
+        self.silence.tick(self.context.now(), due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
 
     def _profile_rate(self) -> float:
         """Hz that the link's profile allows a topic that says nothing of it, and may lose messages; 0: any."""
@@ -102,8 +105,27 @@ class TopicRoute(Route):
 
     @property
     def is_latched(self) -> bool:
-        """A latched topic is not stale when silent, unless its session entry says after how long it is."""
-        return not self.silence.own and self.qos is not None and self.qos.latched
+        """Whether it is latched, so that nothing need come after the first message."""
+        return self.qos is not None and self.qos.latched
+
+    @property
+    def came(self) -> bool:
+        """Whether messages have come in this opening, or the receiving side has kept those of a latched topic."""
+        return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept
+
+    @property
+    def has_kept(self) -> bool:
+        """Whether the receiving side has messages of a latched topic from an earlier opening."""
+        raise NotImplementedError
+
+    @property
+    def silence_counts(self) -> bool:
+        """Whether this half judges silence by `stale_after`, without a rate to go by.
+
+        The topic's entry says so, or messages came at a rhythm. A topic that is published on now and then may be
+        silent for as long as it likes.
+        """
+        return self.silence.own or (self.meter.regular and not self.is_latched)
 
     def _judge(self) -> Verdict:
         return judge(self.facts())

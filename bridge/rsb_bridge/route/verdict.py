@@ -11,6 +11,7 @@ from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.gates import gated, no_path, rank, throttled
 from rsb_bridge.route.yielding import verdict_of, why
+from rsb_bridge.telemetry.watches import FAST_ABOVE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
@@ -54,8 +55,9 @@ class Facts(NamedTuple):
         type_name: of its messages; empty: not known yet.
         qos: it is subscribed to and published with; None: not known yet.
         flowing: messages could cross now.
-        came: some have, since it was opened.
-        stale_since: s, of the last message, where that is longer ago than `stale_after`; else None.
+        came: some have since it was opened, or the receiving side has kept those of a latched topic.
+        came_before: some have in an earlier opening, and none in this one.
+        stale_since: s, of the last message, if silence counts and that is longer ago than `stale_after`, or None.
         stopped_since: s, of the last message, where its publishers have stopped; else None.
         slow_since: s, when it got slow; None: it is not.
         rate: Hz, of the messages that are sent.
@@ -90,6 +92,7 @@ class Facts(NamedTuple):
     qos: Qos | None = None
     flowing: bool = False
     came: bool = False
+    came_before: bool = False
     stale_since: float | None = None
     stopped_since: float | None = None
     slow_since: float | None = None
@@ -148,17 +151,26 @@ def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
 
 
 def _stale(facts: Facts) -> Verdict | None:
-    if (since := facts.stale_since) is None:
+    if (since := facts.stale_since) is None or _stopped(facts) is not None:
         return None
     text = f"nothing for {LASTING}"
     if not facts.sends:
         return Verdict(State.STALE, Cause.SILENT, text, since)
+    cause, why = _why_silent(facts)
+    return Verdict(State.STALE, cause, f"{text}: {why}", since)
+
+
+def _why_silent(facts: Facts) -> tuple[Cause, str]:
+    """Explain that nothing is published, as far as that is known: DDS lists a publisher that died for up to 40 s."""
+    ever = facts.came or facts.came_before
     if facts.endpoints:
-        silent = _plural(facts.endpoints, "is running, but publishes nothing", "are running, but publish nothing")
-        return Verdict(State.STALE, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
-    cause = Cause.PUBLISHER_GONE if facts.came else _nobody(facts)
-    nobody = no_publisher(facts.topic, facts.domain_id, facts.similar)
-    return Verdict(State.STALE, cause, f"{text}: {nobody}", since)
+        silent = ("has stopped publishing, or died", "have stopped publishing, or died")
+        if not ever:
+            silent = ("has published nothing yet", "have published nothing yet")
+        return Cause.PUBLISHER_SILENT, _plural(facts.endpoints, *silent)
+    if ever:
+        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    return _nobody(facts), no_publisher(facts.topic, facts.domain_id, facts.similar)
 
 
 def _nobody(facts: Facts) -> Cause:
@@ -172,7 +184,8 @@ def _waiting(facts: Facts) -> Verdict | None:
         text = no_publisher(facts.topic, facts.domain_id, facts.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
     if facts.sends and facts.flowing:
-        text = _plural(facts.endpoints, "has published nothing yet", "have published nothing yet")
+        nothing = "published nothing since it was opened again" if facts.came_before else "published nothing yet"
+        text = _plural(facts.endpoints, f"has {nothing}", f"have {nothing}")
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
@@ -220,18 +233,26 @@ def _stopped(facts: Facts) -> Verdict | None:
     since = facts.stopped_since
     if since is None or facts.expected_rate is None:
         return None
-    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected"
-    if not facts.endpoints:
-        gone = f"{text}: {no_publisher(facts.topic, facts.domain_id)} any more"
-        return Verdict(State.STOPPED, Cause.PUBLISHER_GONE, gone, since)
-    silent = _plural(facts.endpoints, "has stopped publishing, or died", "have stopped publishing, or died")
-    return Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
+    cause, why = _why_silent(facts)
+    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected: {why}"
+    return Verdict(State.STOPPED, cause, text, since)
+
+
+def _departed(facts: Facts) -> Verdict | None:
+    """A rule: the publisher has left, and nothing more was due."""
+    if not facts.sends or not facts.flowing or not facts.came or facts.endpoints:
+        return None
+    text = f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
 
 
 def _slow(facts: Facts) -> Verdict | None:
     if facts.slow_since is None or facts.expected_rate is None:
         return None
-    text = f"{facts.rate:.3g} Hz of {facts.expected_rate:.3g} expected, for {LASTING}"
+    rates = f"{facts.rate:.3g} Hz of {facts.expected_rate:.3g} expected"
+    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits a little before it calls the topic fine
+        return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
+    text = f"{rates}, for {LASTING}"
     if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
         reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
     else:
@@ -314,5 +335,6 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _slow,
     _subscribers,
     _waiting,
+    _departed,
     throttled,
 )

@@ -101,6 +101,11 @@ class RateMeter:
         return self._usual.rate
 
     @property
+    def regular(self) -> bool:
+        """Whether messages have come at a rhythm, so that silence means something."""
+        return self._usual.regular
+
+    @property
     def bytes_per_second(self) -> float:
         """Smoothed over about two seconds."""
         return self._smoothed.rate
