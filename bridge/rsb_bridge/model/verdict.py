@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import floor
 
 from rsb_bridge.model.snapshot import State
 
@@ -123,8 +124,12 @@ class Verdict:
     since: float | None = None
 
     def said(self, now: float) -> str:
-        """The text at `now` (s)."""
-        return self.text.replace(LASTING, about(now - (now if self.since is None else self.since)))
+        """Return the text at `now` (s).
+
+        Seconds begin at the same moment for all topics, so that the figures of several lines change together.
+        """
+        since = now if self.since is None else self.since
+        return self.text.replace(LASTING, about(floor(now) - floor(since)))
 
 
 FINE = Verdict(State.OK)

@@ -28,6 +28,8 @@ _TEXT_LENGTH = 300
 """Characters of a text that is sent: a report has room for a thousand routes."""
 
 _LONGEST = 1e9  # s
+_JITTER = 2.0
+"""s by which a report may take longer than another one, without the trouble having begun anew."""
 _NODES, _NODE_LENGTH = 4, 64
 """Nodes that the other side is told of, and characters of their names."""
 
@@ -69,7 +71,11 @@ class BothSides:
             self.peer = FINE
             return
         state = State(record.state) if record.state in State.__members__.values() else State.WAITING
-        self.peer = Verdict(state, record.cause, record.text, _since(record.lasting, now))
+        since, before = _since(record.lasting, now), self.peer
+        if before.since is not None and (before.state, before.cause) == (state, record.cause):
+            if abs(since - before.since) < _JITTER:  # the reports took different times on their way
+                since = before.since
+        self.peer = Verdict(state, record.cause, record.text, since)
 
     def shown(self, own: Verdict) -> Shown:
         """What counts, given this side's verdict."""

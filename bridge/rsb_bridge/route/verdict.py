@@ -246,10 +246,15 @@ def _departed(facts: Facts) -> Verdict | None:
     return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
 
 
+def _steady_figure(rate: float) -> str:
+    """Format a rate that changes each second with as many digits as before: ``2.00``, ``20.3``."""
+    return f"{rate:#.3g}".rstrip(".")
+
+
 def _slow(facts: Facts) -> Verdict | None:
     if facts.slow_since is None or facts.expected_rate is None:
         return None
-    rates = f"{facts.rate:.3g} Hz of {facts.expected_rate:.3g} expected"
+    rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
     if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits a little before it calls the topic fine
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
     text = f"{rates}, for {LASTING}"

@@ -91,6 +91,12 @@ def age(seconds: float) -> str:
     return f"{seconds:.0f}s"
 
 
+def age_since(since: float, now: float) -> str:
+    """Format the time from `since` to `now` (s) as `age`, in whole seconds: ``4s``, ``31s``, ``12m``."""
+    seconds = max(0, math.floor(now) - math.floor(since))
+    return f"{seconds}s" if seconds < 100 else age(seconds)
+
+
 def clock(seconds: float) -> str:
     """Format a duration as hours, minutes and seconds: ``00:12:04``."""
     whole = max(0, int(seconds))
@@ -109,11 +115,19 @@ def retry(number: int, seconds: float | None) -> str:
     return f"retry {number} in {math.ceil(seconds)} s" if seconds else f"retry {number} now"
 
 
-def next_attempt(link: LinkSnapshot) -> str:
-    """Format when a link is tried again, or when its client asks whether it may come back."""
-    if link.cause == LinkCause.SHUT_DOWN and link.retry_in is not None:
-        return f"asks again in {math.ceil(link.retry_in)} s"
-    return retry(link.attempts + 1, link.retry_in)
+def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
+    """Format when a link is tried again, or when its client asks whether it may come back.
+
+    Args:
+        link: that link.
+        now: s, to have the seconds change together with those of `age_since`, or None.
+    """
+    seconds = link.retry_in
+    if seconds and now is not None:
+        seconds = max(1, math.floor(now + seconds) - math.floor(now))
+    if link.cause == LinkCause.SHUT_DOWN and seconds is not None:
+        return f"asks again in {math.ceil(seconds)} s"
+    return retry(link.attempts + 1, seconds)
 
 
 def counted(count: int, what: str) -> str:

@@ -105,7 +105,7 @@ class MainScreen(Screen[None]):
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
         height, only = self.app.size.height, self.topics.faults_only
         keys = MoreKeys(self._key("links"), f"{self._key('detail')} on one" if only else self._key("faults"))
-        self.faults.show(faults_of(snapshot), max(3, height // (2 if only else 4)), keys)
+        self.faults.show(faults_of(snapshot), max(3, height // (2 if only else 4)), keys, snapshot.time)
         self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -201,11 +202,11 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
         return f"   {STATE_SIGN[worst]} {len(linked)} of {len(links)} linked", worst.value
     (link,) = links
     if linked:
-        return f"   ● LINKED {formats.clock(now - link.since)}", "ok"
-    retry = formats.next_attempt(link)
+        return f"   ● LINKED {formats.clock(math.floor(now) - math.floor(link.since))}", "ok"
+    retry = formats.next_attempt(link, now)
     state = link.state
     return (
-        f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry and f' · {retry}'}",
+        f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age_since(link.since, now)}{retry and f' · {retry}'}",
         state.value,
     )
 
