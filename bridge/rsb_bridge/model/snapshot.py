@@ -20,7 +20,7 @@ class State(StrEnum):
     DOWN = "down"
     """No message can cross."""
     STALE = "stale"
-    """No message has come for `stale_after`."""
+    """No message has come for `stale_after`, though one was due; no rate says when."""
     STOPPED = "stopped"
     """No message has come for several of the periods that its rate lets expect."""
     SLOW = "slow"
