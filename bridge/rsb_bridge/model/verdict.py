@@ -136,11 +136,11 @@ FINE = Verdict(State.OK)
 
 
 def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
-    """What counts of what both sides say.
+    """Return the verdict that counts.
 
-    The worse state counts. If a side knows only that nothing comes, the other side's cause explains it, and a topic that
-    has stopped is not stale as well. If both are equally bad, the sending side's cause counts: there a message's way
-    begins.
+    The worse state counts. If a side knows only that nothing comes, the other side's cause explains it, and a topic
+    that has stopped is not stale as well. If both are equally bad, the sending side's cause counts: there a message's
+    way begins.
 
     Returns:
         The verdict, and whether it is the sending side's.

@@ -29,7 +29,7 @@ _TEXT_LENGTH = 300
 
 _LONGEST = 1e9  # s
 _JITTER = 2.0
-"""s by which a report may take longer than another one, without the trouble having begun anew."""
+"""s by which one report may take longer than another about the same trouble."""
 _NODES, _NODE_LENGTH = 4, 64
 """Nodes that the other side is told of, and characters of their names."""
 
@@ -72,9 +72,11 @@ class BothSides:
             return
         state = State(record.state) if record.state in State.__members__.values() else State.WAITING
         since, before = _since(record.lasting, now), self.peer
-        if before.since is not None and (before.state, before.cause) == (state, record.cause):
-            if abs(since - before.since) < _JITTER:  # the reports took different times on their way
-                since = before.since
+        same = (before.state, before.cause) == (state, record.cause)
+        if (
+            same and before.since is not None and abs(since - before.since) < _JITTER
+        ):  # the reports took different times on their way
+            since = before.since
         self.peer = Verdict(state, record.cause, record.text, since)
 
     def shown(self, own: Verdict) -> Shown:

@@ -357,7 +357,7 @@ class IncomingRoute(TopicRoute):
 
     @property
     def silence_counts(self) -> bool:
-        """As there, unless everything that was sent has arrived: then the sending side's verdict counts."""
+        """Whether silence counts, and messages are on their way; else the sending side knows best."""
         return super().silence_counts and (self.silence.own or self._sender_ledger.in_flight > 0)
 
     @property

@@ -349,7 +349,7 @@ class OutgoingRoute(TopicRoute):
 
     @property
     def silence_counts(self) -> bool:
-        """As there; where a rate is known, it says when a topic has stopped."""
+        """Whether silence counts, and there is no usual rate, by which `Health` judges a topic."""
         return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:

@@ -110,7 +110,7 @@ class TopicRoute(Route):
 
     @property
     def came(self) -> bool:
-        """Whether messages have come in this opening, or the receiving side has kept those of a latched topic."""
+        """Whether messages have come in this opening, or the receiving side has kept some of a latched topic."""
         return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept
 
     @property
@@ -120,10 +120,10 @@ class TopicRoute(Route):
 
     @property
     def silence_counts(self) -> bool:
-        """Whether this half judges silence by `stale_after`, without a rate to go by.
+        """Whether this half judges silence by `stale_after`.
 
-        The topic's entry says so, or messages came at a rhythm. A topic that is published on now and then may be
-        silent for as long as it likes.
+        It does if the topic's entry sets that, or if messages came at a rhythm. A topic that is published on now and
+        then may be silent for as long as it likes.
         """
         return self.silence.own or (self.meter.regular and not self.is_latched)
 

@@ -55,7 +55,7 @@ class Facts(NamedTuple):
         type_name: of its messages; empty: not known yet.
         qos: it is subscribed to and published with; None: not known yet.
         flowing: messages could cross now.
-        came: some have since it was opened, or the receiving side has kept those of a latched topic.
+        came: some have since it was opened, or the receiving side has kept some of a latched topic.
         came_before: some have in an earlier opening, and none in this one.
         stale_since: s, of the last message, if silence counts and that is longer ago than `stale_after`, or None.
         stopped_since: s, of the last message, where its publishers have stopped; else None.
@@ -161,7 +161,7 @@ def _stale(facts: Facts) -> Verdict | None:
 
 
 def _why_silent(facts: Facts) -> tuple[Cause, str]:
-    """Explain that nothing is published, as far as that is known: DDS lists a publisher that died for up to 40 s."""
+    """Explain that nothing is published. DDS lists one that died for up to 40 s, so whether it runs is unknown."""
     ever = facts.came or facts.came_before
     if facts.endpoints:
         silent = ("has stopped publishing, or died", "have stopped publishing, or died")

@@ -10,7 +10,7 @@ _SAMPLES, _ENOUGH = 20, 15
 _JUDGED_OVER = 3.0
 """Messages, and s: a rate is judged over the longer of both (`rsb_bridge.telemetry.meters`, `watches`)."""
 _RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1
-"""Samples that show a rhythm before the rate is known, and how much steadier so few have to be than `_STEADY`."""
+"""Samples that show a rhythm before there are enough to learn its rate, and how steady so few have to be."""
 _STEADY = 0.15
 """Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
 _LONGEST_GAP = 60.0

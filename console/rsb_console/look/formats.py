@@ -120,7 +120,7 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
 
     Args:
         link: that link.
-        now: s, to have the seconds change together with those of `age_since`, or None.
+        now: s, to have the seconds change at the same moment as in `age_since`, or None.
     """
     seconds = link.retry_in
     if seconds and now is not None:

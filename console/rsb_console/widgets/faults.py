@@ -56,7 +56,7 @@ class Fault:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """Which fault it is, whatever its words are."""
+        """Identity of the fault, which stays when its words change."""
         return self.sign, self.robot, self.name
 
     @property
@@ -119,7 +119,7 @@ class FaultLines(LiveLines):
 
 
 class Heights:
-    """The lines that each fault takes, so that what stands below it does not jump while its figures change."""
+    """The lines that each fault takes, which stay as many while its figures change."""
 
     def __init__(self) -> None:
         self._width = 0
@@ -129,7 +129,7 @@ class Heights:
         """Note how many lines faults need.
 
         Args:
-            faults: those that are shown.
+            faults: all that are shown.
             width: cells.
             now: s.
         """
