@@ -73,9 +73,8 @@ class BothSides:
         state = State(record.state) if record.state in State.__members__.values() else State.WAITING
         since, before = _since(record.lasting, now), self.peer
         same = (before.state, before.cause) == (state, record.cause)
-        if (
-            same and before.since is not None and abs(since - before.since) < _JITTER
-        ):  # the reports took different times on their way
+        # Reports take different times on their way.
+        if same and before.since is not None and abs(since - before.since) < _JITTER:
             since = before.since
         self.peer = Verdict(state, record.cause, record.text, since)
 
