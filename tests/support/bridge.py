@@ -288,7 +288,8 @@ def settled(engine: Engine, topic: str, offered: int, within: float = 60.0) -> L
 
 def balance(ledger: Ledger) -> int:
     """What the parts of a ledger add up to."""
-    return ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired + ledger.in_flight
+    settled = ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired
+    return settled + ledger.unknown + ledger.in_flight
 
 
 def happened(engine: Engine, code: EventCode, about: str = "") -> Event | None:

@@ -82,6 +82,9 @@ class FakePeer:
     def send(self, message: ControlMessage) -> None:
         self.sent.append(message)
 
+    def report_soon(self, route: Route) -> None:
+        """It is not sent any reports."""
+
     def open_channel(self, route: Route) -> None:
         pass
 

@@ -15,7 +15,7 @@ from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.patterns import LinkPatterns
 from rsb_bridge.link.proposed_topics import ProposedTopics
-from rsb_bridge.link.reporting import reports
+from rsb_bridge.link.reporting import EarlyReports, reports
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.snapshots import snapshot_of
 from rsb_bridge.link.status import LinkStatus
@@ -105,6 +105,7 @@ class Link(ABC):
         self.patterns = LinkPatterns(self)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.bench = LinkBench(self)
+        self._early = EarlyReports(context.loop, self.send)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
 
     # --- what client and server do differently
@@ -252,7 +253,7 @@ class Link(ABC):
         self.status.down(_CAUSES.get(code, LinkCause.CLOSED), reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
-        asked = (self.patterns, self.topic_lists, self.type_questions)
+        asked = (self.patterns, self.topic_lists, self.type_questions, self._early)
         for part in (self.neighbourhood, self.channels, *asked, self.bench, self.contention):
             part.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
@@ -328,6 +329,10 @@ class Link(ABC):
     def closed(self, route_id: int) -> None:
         """An incarnation of a route is over."""
         self.table.closed(route_id)
+
+    def report_soon(self, route: Route) -> None:
+        """Send a route's counts sooner than with the next second's report. May be called for every batch."""
+        self._early.add(route)
 
     def open_channel(self, route: Route) -> None:
         """Open what carries a route's messages, or begin to."""

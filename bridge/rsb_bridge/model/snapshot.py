@@ -123,11 +123,22 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + in_flight``.
+    """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + unknown + in_flight``.
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
     ``would loop``, ``paused``, ``disarmed``, ``thinned``.
+
+    Attributes:
+        offered: taken from ROS on the sending side.
+        delivered: given to DDS on the receiving side.
+        throttled: left out for a highest rate.
+        expired: given up incomplete.
+        in_flight: not accounted for yet.
+        dropped: by cause.
+        unknown: sent, but the other side's process ended before it said whether they arrived.
+        lost_in_dds: lost before they could be taken; no part of `offered`, like the next one.
+        missed_while_down: published while the route was down, estimated from the time and the usual rate.
     """
 
     offered: int = 0
@@ -136,7 +147,9 @@ class Ledger:
     expired: int = 0
     in_flight: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
+    unknown: int = 0
     lost_in_dds: int = 0
+    missed_while_down: int = 0
 
     @property
     def dropped_total(self) -> int:

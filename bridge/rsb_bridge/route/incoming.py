@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
 """s until the graph is asked again who subscribes, where their number is the same."""
+_REPORTS_AFTER = 100
+"""Messages after which the sender is told sooner than with the next second's report: if this process is killed, the
+sender cannot know what became of those that it was not told of."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
 
@@ -77,6 +80,7 @@ class IncomingRoute(TopicRoute):
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._later: deque[Message] = deque()
         self._received = 0
+        self._report_at = _REPORTS_AFTER  # messages received
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
         self._before: tuple[str, ReceivedReport] | None = None
@@ -97,6 +101,7 @@ class IncomingRoute(TopicRoute):
         if self._received:
             self._before = self.instance, self._received_report()
             self._received = self._delivered = 0
+            self._report_at = _REPORTS_AFTER
             self._dropped.clear()
         self._later.clear()
         super().close(reason)
@@ -221,6 +226,9 @@ class IncomingRoute(TopicRoute):
                 count += 1
                 size += len(payload)
         self._delivered += count
+        if self._received >= self._report_at:
+            self._report_at = self._received + _REPORTS_AFTER
+            self.peer.report_soon(self)
         if count:
             latency = None if (offset := self.peer.clock_offset) is None else (now - stamp) / 1e9 + offset
             if latency is not None:

@@ -14,7 +14,7 @@ from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.judging import facts_of
-from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.publisher_qos import without_history
 from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
@@ -56,7 +56,7 @@ class OutgoingRoute(TopicRoute):
         self._intake: Intake | None = None
         self._type = TypeUse(context.ros, peer.budget.types)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
-        self._ledger = RouteLedger()
+        self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
@@ -167,6 +167,7 @@ class OutgoingRoute(TopicRoute):
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
+        self._ledger.missed.back(self.context.now(), published=self._misses)
         self.silence.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
@@ -220,6 +221,8 @@ class OutgoingRoute(TopicRoute):
 
     def close(self, reason: str) -> None:
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
+        if self.endpoints and self._subscribed and not self.arming.required:
+            self._ledger.missed.lost(self.context.now())
         self._end_intake()
         self._described = None
         self._lose("link lost", self._sorter.forget())
@@ -247,9 +250,28 @@ class OutgoingRoute(TopicRoute):
             ),
             now,
         )
+        self._tick_missed(now, latched=latched)
         super().tick()
         if self._intake is not None:
             self._intake.tick()
+
+    def _tick_missed(self, now: float, *, latched: bool) -> None:
+        """Learn the rate at which messages cross, or estimate how many are missed now."""
+        missed = self._ledger.missed
+        if missed.down:
+            missed.tick(now, published=self._misses)
+        elif self.flowing:
+            usual = None if latched else self.meter.usual_rate
+            rate, limit = usual or self.spec.expected_rate, self.limit.rate
+            missed.rate = min(rate, limit) if rate and limit else rate
+
+    @property
+    def _misses(self) -> bool:
+        """Whether somebody publishes what both sides want, as far as is known while the route is down."""
+        if self.paused or self.refusal:
+            return False
+        own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
+        return bool(own or self.context.ros.publishers(self.topic))
 
     def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         """The messages to take now; those that would loop are lost, those whose source is not known yet are held."""
@@ -306,7 +328,7 @@ class OutgoingRoute(TopicRoute):
     def ledger(self) -> Ledger:
         """Where the messages went, by the peer's last report."""
         lost_in_dds = self._intake.lost if self._intake else 0
-        return self._ledger.ledger(lost_in_dds, numbered=isinstance(self.transport, DatagramTransport))
+        return self._ledger.ledger(lost_in_dds)
 
     def news(self) -> SentReport | None:
         """The report that the peer has not been sent yet; None: it knows everything."""
@@ -326,8 +348,9 @@ class OutgoingRoute(TopicRoute):
             throttled=ledger.throttled,
             expired=ledger.expired,
             in_flight=ledger.in_flight,
-            dropped=ledger.dropped,
+            dropped=reported_drops(ledger),
             lost_in_dds=ledger.lost_in_dds,
+            missed_while_down=ledger.missed_while_down,
             publishers=len(self.endpoints),
             publisher_qos=self._resolver.publisher_qos,
             subscribed=self._subscribed,

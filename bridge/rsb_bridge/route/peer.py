@@ -81,6 +81,10 @@ class Peer(Protocol):
 class Owner(Peer, Protocol):
     """The link that a route belongs to."""
 
+    def report_soon(self, route: Route) -> None:
+        """Send a route's counts sooner than with the next second's report. May be called for every batch."""
+        ...
+
     def open_channel(self, route: Route) -> None:
         """Begin to open `route.channel`. For streams, a server waits for the client's instead."""
         ...

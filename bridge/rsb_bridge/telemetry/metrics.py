@@ -109,7 +109,9 @@ FAMILIES = tuple(
             "messages_delivered_total": "Messages published on the receiving side.",
             "messages_throttled_total": "Messages left out because an operator allows no more.",
             "messages_expired_total": "Messages given up incomplete.",
+            "messages_unknown_total": "Messages sent to a process that ended before it said whether they arrived.",
             "messages_lost_in_dds_total": "Messages lost before the bridge could take them.",
+            "messages_missed_while_down_total": "Messages published while the route was down, estimated.",
             "messages_jitter_seconds": "Variation of the latency (RFC 3550).",
             "messages_in_flight": "Messages whose end is not known yet.",
         },
@@ -252,7 +254,9 @@ def _counts_of(ledger: Ledger) -> dict[str, int]:
         "messages_delivered_total": ledger.delivered,
         "messages_throttled_total": ledger.throttled,
         "messages_expired_total": ledger.expired,
+        "messages_unknown_total": ledger.unknown,
         "messages_lost_in_dds_total": ledger.lost_in_dds,
+        "messages_missed_while_down_total": ledger.missed_while_down,
     }
 
 

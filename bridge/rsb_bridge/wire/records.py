@@ -53,8 +53,9 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
         in_flight: not accounted for yet.
-        dropped: by cause.
+        dropped: by cause; ``unknown``: sent, and the receiver ended before it said whether they arrived.
         lost_in_dds: lost before they could be taken.
+        missed_while_down: published while the route was down, estimated; no part of `offered`.
         publishers: on its topic.
         publisher_qos: what they offer together; None: there are none.
         subscribed: messages are being taken.
@@ -70,6 +71,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     in_flight: int = 0
     dropped: Causes = {}
     lost_in_dds: int = 0
+    missed_while_down: int = 0
     publishers: int = 0
     publisher_qos: Qos | None = None
     subscribed: bool = False

@@ -124,8 +124,8 @@ def rate_text(route: RouteSnapshot) -> str:
 
 
 def _dropped(route: RouteSnapshot) -> str:
-    dropped = route.ledger.dropped_total
-    return f"{dropped} dropped" if dropped else ""
+    counts = {"dropped": route.ledger.dropped_total, "unknown": route.ledger.unknown}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def _failed_calls(calls: CallsSnapshot) -> str:

@@ -114,8 +114,8 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
-    """The ledger. The share delivered is of what neither a limit (Hz) leaves out on purpose nor is still under way."""
-    due = ledger.offered - ledger.throttled - ledger.in_flight
+    """The ledger. The share delivered is of what a limit (Hz) does not leave out on purpose, and whose end is known."""
+    due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),
         ("delivered", ledger.delivered, "", parts.share(ledger.delivered, due)),
@@ -124,7 +124,9 @@ def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
         ("in flight", ledger.in_flight, "", ""),
         ("dropped", ledger.dropped_total, "down", ""),
         *((f"  {cause}", count, "down", "") for cause, count in ledger.dropped.items() if count),
+        *([("unknown", ledger.unknown, "stale", "  the other side died")] if ledger.unknown else []),
         ("lost in DDS", ledger.lost_in_dds, "stale", ""),
+        *([("missed while down", ledger.missed_while_down, "stale", "  estimate")] if ledger.missed_while_down else []),
     ]
     yield from parts.ledger("Ledger", rows)
 
