@@ -58,20 +58,32 @@ class Account:
         offered: messages that it took.
         published: of those, how many the other side's engine has published.
         unreported: how many of these the sender may never learn of, because whoever published them is gone.
+        removed: how many of these the sender may hold for lost, because the receiving half was removed.
+        forgotten: whether whoever published for it was ever gone.
         last_offered: s, when it took the last one.
     """
 
-    __slots__ = ("last_offered", "offered", "published", "unreported")
+    __slots__ = ("forgotten", "last_offered", "offered", "published", "removed", "unreported")
 
     def __init__(self) -> None:
         self.offered = 0
         self.published = 0
         self.unreported = 0
+        self.removed = 0
+        self.forgotten = False
         self.last_offered = 0.0
 
-    def forget(self, route: OutgoingRoute) -> None:
-        """Whoever published for that route is gone, and has reported what the route knows."""
+    def forget(self, route: OutgoingRoute, *, removed: bool = False) -> None:
+        """Whoever published for that route is gone, and has reported what the route knows.
+
+        Args:
+            route: the sending half.
+            removed: whether the receiving half was removed, and its process goes on.
+        """
+        self.forgotten = True
         self.unreported = self.published - route.ledger().delivered
+        if removed:
+            self.removed = self.unreported
 
 
 class Flow:

@@ -89,6 +89,20 @@ def _settled_by_id(self: Any, final: Any, _: str) -> bool:
     return bool(_settle(self, final, _))
 
 
+def _settled_as_lost(self: Any, final: Any, instance: str) -> bool:
+    """As `RouteLedger.settle` was: whatever a process that is gone did not confirm is lost."""
+    before = self.unknown
+    plausible = bool(_settle(self, final, instance))
+    self.drop("link lost", self.unknown - before)
+    self.unknown = before
+    return plausible
+
+
+def _settled_as_unknown(self: Any, final: Any, _: str) -> bool:
+    """As `RouteLedger.settle`, but it trusts no process."""
+    return bool(_settle(self, final, "another"))
+
+
 def _counted_before(self: Any) -> Any:
     """As the receiver's last count was: told to whatever process asks."""
     return self._before[1] if self._before is not None else None
@@ -186,6 +200,16 @@ MUTATIONS = (
         "a count is taken from whatever process has the same route id",
         ((RouteLedger, "settle", _settled_by_id), (IncomingRoute, "_counted_before", _counted_before)),
         "the ledger of", _MANY, 1, 4.0, restarted_while_cut,
+    ),
+    Mutation(
+        "what a process that was killed did not confirm is taken for lost",
+        ((RouteLedger, "settle", _settled_as_lost),),
+        "some of them are said to be lost", _MANY, 1, 4.0, restarted_while_cut,
+    ),
+    Mutation(
+        "what was not confirmed is unknown, though its receiver says what arrived",
+        ((RouteLedger, "settle", _settled_as_unknown),),
+        "whoever published it is still there", STORM, 2, 2.0,
     ),
     Mutation(
         "the ids of routes that were closed are never forgotten",
