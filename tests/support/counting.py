@@ -49,8 +49,13 @@ class Count(NamedTuple):
 
     @property
     def never_taken(self) -> int:
-        """Messages that the bridge has never taken from DDS."""
-        return self.published - int(self.ledger["offered"])
+        """Messages that nobody was there to take: the route was down."""
+        return self.published - int(self.ledger["offered"]) - int(self.ledger["lost_in_dds"])
+
+    @property
+    def ended(self) -> int:
+        """Messages of which the ledger says that they did not arrive."""
+        return sum(self.ledger["dropped"].values()) + int(self.ledger["throttled"]) + int(self.ledger["expired"])
 
     def __str__(self) -> str:
         names = ("offered", "delivered", "expired", "dropped", "unknown", "in_flight", "lost_in_dds")
@@ -192,11 +197,14 @@ class CountedBridge:
 
     def flows(self, rate: float) -> None:
         """Publish at `rate` Hz from now on; wait until more comes."""
+        eventually(
+            lambda: self.publisher.ask()["matched"] and self.listener.ask()["matched"],
+            what=f"both ends; the client says {self.client.output()}",
+        )
         before = self.listener.ask()["heard"]
         self.publisher.ask(f"rate {rate}")
         eventually(
             lambda: self.listener.ask()["heard"] > before + 5,
-            within=30,
             what=f"messages; the client says {self.client.output()}",
         )
 
@@ -247,7 +255,11 @@ def _publish(domain_id: int, topic: str, depth: int) -> None:
                 return
             if line.startswith("rate"):
                 rate, due = float(line.split()[1]), time.monotonic()
-            _say(json.dumps({"published": count}))
+            elif line.startswith("burst"):
+                for _ in range(int(line.split()[1])):
+                    publisher.publish(text(f"{count}"))
+                    count += 1
+            _say(json.dumps({"published": count, "matched": publisher.get_subscription_count()}))
         while rate and due <= time.monotonic():
             publisher.publish(text(f"{count}"))
             count += 1
@@ -261,7 +273,7 @@ def _listen(domain_id: int, topic: str, depth: int) -> None:
     domain = Domain(domain_id)
     listener = domain.listener(topic, qos=QoSProfile(depth=depth))
     heard: set[str] = set()
-    doubled = 0
+    doubled, newest = 0, -1
     _say("ready")
     while True:
         count = len(listener.payloads)  # takes what has come
@@ -270,10 +282,11 @@ def _listen(domain_id: int, topic: str, depth: int) -> None:
         listener._received.clear()
         doubled += len(words) - len(set(words) - heard)
         heard.update(words)
+        newest = max(newest, *map(int, words)) if words else newest
         if select.select([sys.stdin], [], [], 0.001)[0]:
             if not sys.stdin.readline():
                 return
-            _say(json.dumps({"heard": len(heard), "doubled": doubled}))
+            _say(json.dumps({"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}))
 
 
 def _say(line: str) -> None:

@@ -1,7 +1,7 @@
 """What the ledger says against counts from outside, for people: ``python -m tests.system.counting [NAME...]``.
 
 Each case prints its figures: kill -9 and a freeze of the receiving bridge at 2 kHz, over TCP and UDP. ``direct`` has no
-bridge: a listener that is frozen for as long, to know what DDS itself drops.
+bridge: a listener that is frozen for as long, or gets a burst, to know what DDS itself drops.
 """
 
 from __future__ import annotations
@@ -47,7 +47,10 @@ def _direct(domain: int, depth: int, freeze: float) -> str:
     publisher.ask(f"rate {_RATE}")
     eventually(lambda: listener.ask()["heard"] > 1000)
     time.sleep(5)
-    listener.freeze(freeze)
+    if freeze:
+        listener.freeze(freeze)
+    else:
+        publisher.ask("burst 6000")
     time.sleep(2)
     published = publisher.ask("rate 0")["published"]
     time.sleep(2)
