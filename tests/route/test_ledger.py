@@ -129,7 +129,7 @@ def opened(instance: str, sent: int, *, numbered: bool = False) -> RouteLedger:
 
 
 def test_what_a_receiver_that_died_did_not_report_is_unknown() -> None:
-    """Its successor, or nobody, says what came of it: what it reported counts, the rest is neither lost nor delivered."""
+    """What it has reported counts; the rest is neither lost nor delivered."""
     ledger = opened("first", 2005)
     ledger.reported(ReceivedReport(route=1, received=170, delivered=160, newest=170, dropped={"publish failed": 10}), 0)
     ledger.closed()

@@ -50,12 +50,14 @@ class Count(NamedTuple):
     @property
     def never_taken(self) -> int:
         """Messages that nobody was there to take: the route was down."""
-        return self.published - int(self.ledger["offered"]) - int(self.ledger["lost_in_dds"])
+        taken: int = self.ledger["offered"] + self.ledger["lost_in_dds"]
+        return self.published - taken
 
     @property
     def ended(self) -> int:
         """Messages of which the ledger says that they did not arrive."""
-        return sum(self.ledger["dropped"].values()) + int(self.ledger["throttled"]) + int(self.ledger["expired"])
+        ended: int = sum(self.ledger["dropped"].values()) + self.ledger["throttled"] + self.ledger["expired"]
+        return ended
 
     def __str__(self) -> str:
         names = ("offered", "delivered", "expired", "dropped", "unknown", "in_flight", "lost_in_dds")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.support.counting import TOPIC, CountedBridge
+from tests.support.locks import two_domains
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
 
@@ -21,6 +22,13 @@ if TYPE_CHECKING:
 RATE = 400.0
 _TOLERANCE = int(1.5 * RATE)
 """Messages: DDS brings none to a listener that has not found the new publisher yet, and a link is not lost at once."""
+
+
+@pytest.fixture(scope="module")
+def domains() -> tuple[int, int]:
+    """The client's, and the server's."""
+    first = two_domains()
+    return first, first + 1
 
 
 def check(count: Count) -> None:
@@ -54,16 +62,14 @@ def more(counted: CountedBridge) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
-def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, _domains: int) -> None:
+def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple[int, int]) -> None:
     from tests.support.relay import Relay
 
     topic = Topic(TOPIC, "transmit", protocol=protocol, expected_rate=RATE)
     port = free_port()
     relay = Relay(port)
     try:
-        with CountedBridge(
-            tmp_path, (_domains, _domains + 1), topic, address=(Relay.SERVER, Relay.HOST), port=port
-        ) as counted:
+        with CountedBridge(tmp_path, domains, topic, address=(Relay.SERVER, Relay.HOST), port=port) as counted:
             count = through(counted, relay.cut)
     finally:
         relay.close()
@@ -71,7 +77,7 @@ def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, _domains: int)
     assert count.ledger["unknown"] <= RATE, "a receiver reports more often than once a second"
 
 
-def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, _domains: int) -> None:
+def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, domains: tuple[int, int]) -> None:
     pytest.importorskip("zenoh")
     from tests.support.zenoh_router import Router
 
@@ -85,7 +91,7 @@ def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, _domains: i
     settings = {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
     topic = Topic(TOPIC, "transmit", expected_rate=RATE)
     try:
-        with CountedBridge(tmp_path, (_domains, _domains + 1), topic, settings=settings) as counted:
+        with CountedBridge(tmp_path, domains, topic, settings=settings) as counted:
             count = through(counted, cut)
     finally:
         router.close()
