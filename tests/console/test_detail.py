@@ -173,6 +173,15 @@ def test_what_is_throttled_on_purpose_is_no_loss() -> None:
     assert "100.0 %" in words
 
 
+def test_what_is_unknown_is_neither_delivered_nor_dropped() -> None:
+    ledger = Ledger(offered=100, delivered=40, unknown=60, missed_while_down=777)
+    words = said(route("/scan", ledger=ledger))
+    assert "100.0 %" in words
+    assert [line.split()[-1] for line in words.splitlines() if line.strip().startswith("dropped")] == ["0"]
+    assert "60" in words
+    assert "777" in words
+
+
 @pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
 def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
     assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
