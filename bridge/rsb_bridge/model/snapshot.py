@@ -123,7 +123,7 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + unknown + in_flight``.
+    """The balance of a route's messages: ``offered = delivered + throttled + dropped + expired + unknown + in_flight``.
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,

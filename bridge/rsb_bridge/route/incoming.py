@@ -48,8 +48,8 @@ _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
 """s until the graph is asked again who subscribes, where their number is the same."""
 _REPORTS_AFTER = 100
-"""Messages after which the sender is told sooner than with the next second's report: if this process is killed, the
-sender cannot know what became of those that it was not told of."""
+"""Messages after which a report goes sooner than with the next second's: if this process is killed, the sender never
+learns whether the unreported ones arrived."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
 

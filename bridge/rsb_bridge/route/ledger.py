@@ -274,7 +274,7 @@ class MissedWhileDown:
     The time counts only between `lost` and `back`, and only as long as somebody publishes.
 
     Attributes:
-        rate: Hz, the usual rate of what crosses; None if it is not known.
+        rate: Hz, the usual rate of the messages that cross, or None if there is none.
     """
 
     def __init__(self) -> None:
@@ -293,7 +293,7 @@ class MissedWhileDown:
         return self._since is not None
 
     def lost(self, now: float) -> None:
-        """Count from `now` (s) on, if the usual rate is known. May be called twice."""
+        """Count from `now` (s) on, if there is a usual rate. May be called twice."""
         if self._since is None and self.rate:
             self._since = now
 

@@ -267,7 +267,7 @@ class OutgoingRoute(TopicRoute):
 
     @property
     def _misses(self) -> bool:
-        """Whether somebody publishes what both sides want, as far as is known while the route is down."""
+        """Whether somebody publishes the topic, and neither side has paused or refused it."""
         if self.paused or self.refusal:
             return False
         own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)

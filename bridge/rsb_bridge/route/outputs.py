@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Subject(NamedTuple):
-    """What is published.
+    """A topic to publish.
 
     Attributes:
         topic: its name here.

@@ -114,7 +114,7 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
-    """The ledger. The share delivered is of what a limit (Hz) does not leave out on purpose, and whose end is known."""
+    """The ledger. The share delivered leaves out throttled messages (a limit, in Hz), unknown ones and those in flight."""
     due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),
