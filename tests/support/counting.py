@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 TOPIC = "/count"
 _BRIDGE = "import sys; from rsb_console.cli import main; sys.exit(main(sys.argv[1:]))"
-_QUIET = 1.0
+_QUIET = 1.3
 """s in which no count changes before it is taken as final."""
 
 
@@ -235,7 +235,7 @@ class CountedBridge:
             now = (heard, topic["offered"], topic["delivered"], topic["dropped"], topic["in_flight"])
             if now != last or topic["in_flight"]:
                 last, since = now, time.monotonic()
-            return (heard, topic) if time.monotonic() - since > 2 * _QUIET else None
+            return (heard, topic) if time.monotonic() - since > _QUIET else None
 
         heard, topic = eventually(quiet, within=30, what=f"a settled ledger; the last was {last}")
         return Count(published, heard["heard"], heard["doubled"], topic)

@@ -114,7 +114,7 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
-    """The ledger. The share delivered leaves out what a limit (Hz) throttles, what is unknown, and what is in flight."""
+    """The ledger. The share delivered leaves out what is throttled (by a limit, in Hz), unknown or in flight."""
     due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),
