@@ -242,13 +242,13 @@ class _Way:
         return sent
 
 
-def stamp(index: int, size: int) -> bytes:
-    """A message's content, of `size` bytes, that says which one it is and when it was made."""
-    head = f"{index} {time.time_ns()} ".encode()
-    return head + os.urandom(max(0, (size - len(head)) // 2)).hex().encode()[: max(0, size - len(head))]
+def stamped(index: int, size: int) -> str:
+    """The content of a message, of `size` characters, that says which one it is and when it was made."""
+    head = f"{index} {time.time_ns()} "
+    return head + os.urandom((size - len(head) + 1) // 2).hex()[: size - len(head)]
 
 
-def age(content: bytes | str) -> tuple[int, float]:
-    """Which message it is, and how old (s) now."""
-    index, made = (content.encode() if isinstance(content, str) else content).split(b" ", 2)[:2]
-    return int(index), (time.time_ns() - int(made)) / 1e9
+def read_stamp(content: str) -> tuple[int, int]:
+    """Return which message it is, and when it was made (ns since the epoch)."""
+    index, made = content.split(" ", 2)[:2]
+    return int(index), int(made)
