@@ -329,7 +329,7 @@ class ClientLink(Link):
         shared = self.channels.shared_streams.get((transport.name, channel))
         if shared is not None and not shared.stream.over:
             shared.stream.write(DataConnection(self.keys, route.id).start())
-            route.channel = shared.carry(route, self.channels.keys)
+            route.channel = shared.carry(route, self.channels.keys, self.channels.book)
         elif channel in self._waiting:
             self._waiting[channel][route.id] = route
         else:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from functools import partial
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel import window
 from rsb_bridge.channel.datagram import datagram_channel
 from rsb_bridge.link.bench import LinkBench
 from rsb_bridge.link.contention import Contention
@@ -34,6 +35,7 @@ from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Shutdown
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.receipts import Receipts
 
 if TYPE_CHECKING:
     import asyncio
@@ -98,7 +100,7 @@ class Link(ABC):
         self.neighbourhood = Neighbourhood(context, self.send)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
-        self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
+        self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished, self.send)
         self.table = RouteTable(context, self)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
         self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
@@ -230,7 +232,7 @@ class Link(ABC):
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """The peer is connected and authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
-        self.channels.connected(keys, self.role)
+        self.channels.connected(keys, self.role, receipts=window.FEATURE in peer.features)
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)
@@ -305,6 +307,8 @@ class Link(ABC):
                 self.topic_lists.handle(message)
             case Follow() | Followed():
                 self.patterns.handle(message)
+            case Receipts():
+                self.channels.heard(message, self.table.ids.open_route)
             case Neighbours():
                 self.neighbourhood.heard(message)
             case AskType() | TypeText():
@@ -335,7 +339,7 @@ class Link(ABC):
         assert self.channels.keys is not None
         port, transport = route.proposal.port or self.shared_port(), route.transport
         if self.transport.multiplexed and port == self.shared_port():
-            route.channel = self.control.multiplexer.carry(route, self.channels.keys)
+            route.channel = self.control.multiplexer.carry(route, self.channels.keys, self.channels.book)
         elif isinstance(transport, StreamTransport):
             self.open_stream(route, transport)
         elif (udp_channel := self.channels.udp.get(port) or self._new_udp_channel(transport, port)) is not None:
@@ -368,7 +372,7 @@ class Link(ABC):
             return
         self.contention.tick(self.keepalive, self.features, self.connections)
         self.send(self.keepalive.tick())
-        self.channels.udp.tick()
+        self.channels.tick(self.routes.values())
         for report in reports(self.routes.values()):
             self.send(report)
         self.table.tick()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from rsb_bridge import __version__
+from rsb_bridge.channel import window
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.cipher_preference import preferred_suite
@@ -44,7 +45,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, tuple[Key, ...]]
 """Those that are valid, the next one last, by client's name; none: without encryption."""
-FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE)
+FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE)
 """What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
 """Is told each step of a restart, as text for an operator."""

@@ -231,7 +231,7 @@ class ServerLink(Link):
         if not transport.multiplexed or route.proposal.port != shared.channel:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
         assert self.channels.keys is not None
-        route.channel = shared.carry(route, self.channels.keys)
+        route.channel = shared.carry(route, self.channels.keys, self.channels.book)
         route.advance()
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.channel.receipts import Pace, pace_of
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import Peekable, peeked
 from rsb_bridge.route.throttle import LatestLater, Throttle
@@ -168,8 +169,8 @@ class Sending:
             if not holds and self._outbox.pass_on(messages, size, channel):
                 yielding.busy(channel.congested, now)
                 return
-            congested, profile = holds or channel.congested, self._route.peer.profile
-            limits = self._outbox.limits(self._route.qos, depth, congested=congested, profile=profile)
+            pace, profile = Pace.STOPPED if holds else pace_of(channel), self._route.peer.profile
+            limits = self._outbox.limits(self._route.qos, depth, pace, now, profile)
             self._outbox.add(messages, now, publisher, limits)
             self.flush()
 

@@ -40,6 +40,7 @@ from rsb_bridge.wire.fields import (
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.message import ControlMessageBase as _Message
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.receipts import Receipts
 from rsb_bridge.wire.records import (
     CallsReport,
     LaneEntry,
@@ -369,6 +370,7 @@ ControlMessage: TypeAlias = (
     | Ping
     | Pong
     | Report
+    | Receipts
     | ListTopics
     | TopicList
     | AskType
