@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.window import FIRST, PARTS, Taken, Window
+from rsb_bridge.channel.window import FIRST_RECEIPT, Taken, Window
 from rsb_bridge.wire.receipts import MOST_RECEIPTS, Receipts
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class WindowedSender:
     _route: RouteSink
     _window: Window | None = None
     _book: ReceiptBook | None = None
-    _asked = FIRST // PARTS
+    _asked = FIRST_RECEIPT
 
     @property
     def sent(self) -> int:

@@ -21,8 +21,10 @@ FEATURE = "receipts"
 FIRST = 8 * 1024
 """Bytes under way before anything is known: 1.6 s of 5 kB/s. A message more may always be."""
 LEAST = 2 * 1024
-PARTS = 4
+_PARTS = 4
 """A receiver says what it has taken in after each such part of the window."""
+FIRST_RECEIPT = 512
+"""Bytes after which it says so before it was asked: few, so that the way there and back is seen before a queue is."""
 
 _FRESH, _LATE, _AIM = 0.2, 0.8, 0.5
 """s that the oldest byte may be under way: below the first the window grows, above the second it shrinks to what
@@ -31,6 +33,8 @@ _ROOM = 4.0
 """s of what crosses that the window grows to where nothing waits: then the sender needs a receipt once a second."""
 _FARTHEST = 2.0
 """s that a way there and back may take of itself; what takes longer counts as waiting."""
+_SILENT = 2.0
+"""s after which nothing arrives any more: a receiver that has had nothing more for a while says so once a second."""
 _MEASURED_OVER = 1.0
 _STOPPED = 1.5
 """s without a receipt."""
@@ -96,7 +100,7 @@ class Window:
         gained = taken - self._taken
         if gained <= 0:
             return
-        used = sent - self._taken
+        limited = 2 * (sent - self._taken) >= self.size
         marks = self._marks
         written_at = None
         while marks and marks[0][0] < taken:
@@ -112,14 +116,16 @@ class Window:
             self.slow = True
             self.size = max(LEAST, int(rate * _AIM), min(self.size, (sent - taken) // 2))
         elif waits < _FRESH:
-            self.slow = False
-            if 2 * used >= self.size or self.size < rate * _ROOM:
+            self.slow = self.slow and limited
+            if limited or self.size < rate * _ROOM:
                 self.size += gained
+        elif limited:
+            self.slow = True
         self.limit = taken + self.size
 
     def look(self, sent: int, now: float) -> None:
         """Send no more for now where nothing arrives: once a second."""
-        if self._age(now) - self._near > _LATE:
+        if self._age(now) - self._near > _SILENT:
             self.slow = True
             self.limit = min(self.limit, max(sent, self._taken + LEAST))
 
@@ -130,7 +136,7 @@ class Window:
     @property
     def every(self) -> int:
         """Bytes after which a receipt is wanted."""
-        return self.size // PARTS
+        return max(FIRST_RECEIPT, self.size // _PARTS)
 
     def _age(self, now: float) -> float:
         """S since the oldest byte that has not arrived was written; 0: all have arrived."""
@@ -159,7 +165,7 @@ class Taken:
 
     __slots__ = ("_every", "_said", "count", "due")
 
-    def __init__(self, every: float = FIRST // PARTS) -> None:
+    def __init__(self, every: float = FIRST_RECEIPT) -> None:
         self.count = self._said = 0
         self._every = every
         self.due = every
