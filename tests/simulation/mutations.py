@@ -13,10 +13,18 @@ from unittest.mock import patch
 
 import msgspec
 from tests.simulation.climate import ACTIONS, CALLS, LIVELY, STILL, STORM, Climate
-from tests.simulation.episodes import cancelled_while_cut, restarted_while_cut, server_away, type_differs_for
+from tests.simulation.episodes import (
+    cancelled_while_cut,
+    restarted_while_cut,
+    server_away,
+    tunnelled,
+    type_differs_for,
+)
 
+from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
+from rsb_bridge.channel.window import Window
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.backoff import Backoff
@@ -99,6 +107,16 @@ def _end_oldest(self: Any, number: int) -> Any:
     return _end(self, next(iter(self._calls), number))
 
 
+async def _tunnel(world: World) -> None:
+    await tunnelled(world, 120.0)
+
+
+def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
+    """As `Window.took`, but all that is under way seems new."""
+    self._marks.clear()
+    _took(self, count, sent, now)
+
+
 def _end_for_nothing(self: Any, number: int) -> Any:
     """As `UnderWay.end`, without giving back what the call held."""
     return self._calls.pop(number, None)
@@ -131,6 +149,7 @@ _take = KeptAnswers.take
 _keep = KeptCalls.keep
 _end = UnderWay.end
 _settle = RouteLedger.settle
+_took = Window.took
 _propose = RouteTable._propose
 
 
@@ -226,6 +245,16 @@ MUTATIONS = (
         "what the other side makes of a topic is not taken in",
         ((BothSides, "take", _nothing),),
         "do not agree on", _SILENT, 1, 0.5,
+    ),
+    Mutation(
+        "a stream takes whatever its buffers hold",
+        ((WindowedSender, "begin_window", _nothing),),
+        "s after it was published", STILL, 1, 0.05, _tunnel,
+    ),
+    Mutation(
+        "receipts that are late leave the window as it is",
+        ((Window, "took", _took_in_time),),
+        "s after it was published", STILL, 1, 0.05, _tunnel,
     ),
     Mutation(
         "an answer goes to whoever asked first",
