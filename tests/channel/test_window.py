@@ -6,7 +6,7 @@ from collections import deque
 
 import pytest
 
-from rsb_bridge.channel.window import FIRST, FIRST_RECEIPT, LEAST, Taken, Window
+from rsb_bridge.channel.window import FIRST, FIRST_RECEIPT, LEAST, ReceiptCounter, Window
 
 STEP = 0.001
 
@@ -30,7 +30,7 @@ class Path:
         self.ages: list[float] = []
         self.arrived = self.sent = self.receipts = 0
         self.window = Window(0)
-        self.taken = Taken()
+        self.counter = ReceiptCounter()
         self._asked = FIRST_RECEIPT
         self._looked = 0.0
         self._on_the_way: deque[list[float]] = deque()  # when it may arrive, bytes that are left, when written
@@ -55,9 +55,9 @@ class Path:
             self._carry()
             if self.time - self._looked >= 1.0:
                 self._looked = self.time
-                if self.taken.news:
+                if self.counter.has_news:
                     self._give()
-                self.window.look(self.sent, self.time)
+                self.window.check(self.sent, self.time)
             self.most_under_way = max(self.most_under_way, self.under_way)
 
     def _send(self, size: int) -> None:
@@ -73,22 +73,22 @@ class Path:
             first[1] -= piece
             self._credit -= piece
             self.arrived += piece
-            self.taken.count += piece
-            if self.taken.count >= self.taken.due:
+            self.counter.count += piece
+            if self.counter.count >= self.counter.due:
                 self._give()
             if not first[1]:
                 self.ages.append(self.time - first[2])
                 self._on_the_way.popleft()
         while self._back and self._back[0][0] <= self.time:
-            self.window.took(self._back.popleft()[1], self.sent, self.time)
+            self.window.acknowledge(self._back.popleft()[1], self.sent, self.time)
             every = self.window.every
             if every >= 2 * self._asked or 2 * every <= self._asked:
                 self._asked = every
-                self.taken.ask(every)
+                self.counter.set_interval(every)
 
     def _give(self) -> None:
         self.receipts += 1
-        self._back.append((self.time + self.delay, self.taken.say()))
+        self._back.append((self.time + self.delay, self.counter.next_receipt()))
 
 
 @pytest.mark.parametrize(("rate", "size"), [(14, 1000), (1000, 1000), (5, 3000), (300, 60)])
@@ -179,16 +179,16 @@ def test_large_messages_go_whole() -> None:
 def test_lies_change_nothing_for_the_worse() -> None:
     window = Window(100)
     window.wrote(100, 0.0)
-    window.took(10**12, 5_000, 0.1)  # more than was sent
+    window.acknowledge(10**12, 5_000, 0.1)  # more than was sent
     assert window.limit <= 5_000 + 2 * FIRST
     limit = window.limit
-    window.took(0, 5_000, 0.2)
-    window.took(50, 5_000, 0.3)  # takes something back
+    window.acknowledge(0, 5_000, 0.2)
+    window.acknowledge(50, 5_000, 0.3)  # takes something back
     assert window.limit == limit
     silent = Window(0)
     silent.wrote(0, 0.0)
     for second in range(1, 100):
-        silent.look(1_000, float(second))
+        silent.check(1_000, float(second))
     assert LEAST <= silent.limit <= FIRST
 
 
@@ -198,5 +198,5 @@ def test_nothing_grows_without_end() -> None:
         window.wrote(number * 1000, number * 0.1)
     assert len(window._marks) <= 1024
     for number in range(100_000):
-        window.took(number * 1000, 10**9, 1e4 + number * 1e-4)
+        window.acknowledge(number * 1000, 10**9, 1e4 + number * 1e-4)
     assert len(window._receipts) <= 64

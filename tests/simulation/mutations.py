@@ -112,7 +112,7 @@ async def _tunnel(world: World) -> None:
 
 
 def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
-    """As `Window.took`, but all that is under way seems new."""
+    """As `Window.acknowledge`, but all that is under way seems new."""
     self._marks.clear()
     _took(self, count, sent, now)
 
@@ -149,7 +149,7 @@ _take = KeptAnswers.take
 _keep = KeptCalls.keep
 _end = UnderWay.end
 _settle = RouteLedger.settle
-_took = Window.took
+_took = Window.acknowledge
 _propose = RouteTable._propose
 
 
@@ -253,7 +253,7 @@ MUTATIONS = (
     ),
     Mutation(
         "receipts that are late leave the window as it is",
-        ((Window, "took", _took_in_time),),
+        ((Window, "acknowledge", _took_in_time),),
         "s after it was published", STILL, 1, 0.05, _tunnel,
     ),
     Mutation(

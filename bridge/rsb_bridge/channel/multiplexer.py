@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.receipts import ReceiptGiver, WindowedSender
+from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
 from rsb_bridge.model.priority import weight_of
 from rsb_bridge.wire.framing import LENGTH, ProtocolError
 
@@ -96,7 +96,7 @@ class _MultiplexedChannel:
         multiplexer: of the stream.
         route: what it carries.
         keys: make the codecs.
-        book: for receipts; None: the other side does not know them.
+        book: for receipts, or None if the other side does not know them.
     """
 
     ready = True
@@ -184,7 +184,7 @@ class MultiplexedSender(_MultiplexedChannel, WindowedSender):
         super().close(reason)
 
 
-class MultiplexedReceiver(_MultiplexedChannel, ReceiptGiver):
+class MultiplexedReceiver(_MultiplexedChannel, ReceiptSender):
     """The receiving end."""
 
     def __init__(
@@ -207,7 +207,7 @@ class MultiplexedReceiver(_MultiplexedChannel, ReceiptGiver):
         message = self._reader.open_frame(frame)
         if message is not None:
             self._route.deliver((message,))
-        self.note(LENGTH.size + len(frame))
+        self.count_bytes(LENGTH.size + len(frame))
 
     def close(self, reason: str) -> None:
         self._reader.close()

@@ -1,7 +1,7 @@
-"""Ends of stream channels that keep to a window, and what they tell each other.
+"""Ends of stream channels that limit the data in transit by receipts (`rsb_bridge.channel.window`).
 
-All channels of a link share one `ReceiptBook`, so that many routes take few messages. A channel whose other side knows
-no receipts has no book, and no window.
+All channels of a link share one `ReceiptBook`, which puts the receipts of many routes into few messages. Without the
+feature on the other side, a channel has neither book nor window.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from rsb_bridge.channel.window import FIRST_RECEIPT, Taken, Window
+from rsb_bridge.channel.window import FIRST_RECEIPT, ReceiptCounter, Window
 from rsb_bridge.wire.receipts import MOST_RECEIPTS, Receipts
 
 if TYPE_CHECKING:
@@ -23,12 +23,12 @@ _APART = 0.005
 
 
 class Pace(Enum):
-    """How a channel takes messages.
+    """State of a sending channel, as its route's queue needs it.
 
     Attributes:
-        FREE: at once, or within a round trip or two.
-        SLOW: it takes less than it is given: what was sent arrives late.
-        STOPPED: nothing moves.
+        FREE: it accepts messages now or in a round trip or two.
+        SLOW: it delivers messages more slowly than they are published.
+        STOPPED: it delivers none.
     """
 
     FREE = "free"
@@ -48,14 +48,14 @@ class ReceiptBook:
         self.now = loop.time
         self._loop = loop
         self._send = send
-        self._taken: dict[int, int] = {}
+        self._received: dict[int, int] = {}
         self._every: dict[int, int] = {}
         self._sent_at = float("-inf")
         self._timer: asyncio.TimerHandle | None = None
 
-    def say(self, route_id: int, taken: int) -> None:
-        """Say how many bytes of a route have been taken in."""
-        self._taken[route_id] = taken
+    def acknowledge(self, route_id: int, received: int) -> None:
+        """Acknowledge so many bytes of a route."""
+        self._received[route_id] = received
         self._soon()
 
     def ask(self, route_id: int, every: int) -> None:
@@ -64,13 +64,13 @@ class ReceiptBook:
         self._soon()
 
     def forget(self, route_id: int) -> None:
-        """A route's channel is closed."""
-        self._taken.pop(route_id, None)
+        """Drop the entries of a route whose channel is closed."""
+        self._received.pop(route_id, None)
         self._every.pop(route_id, None)
 
     def close(self) -> None:
-        """The connection is over."""
-        self._taken.clear()
+        """Drop all entries at the end of the connection."""
+        self._received.clear()
         self._every.clear()
         if self._timer is not None:
             self._timer.cancel()
@@ -87,16 +87,16 @@ class ReceiptBook:
     def _flush(self) -> None:
         self._timer = None
         self._sent_at = self.now()
-        taken, every = tuple(self._taken.items()), tuple(self._every.items())
-        self._taken.clear()
+        received, every = tuple(self._received.items()), tuple(self._every.items())
+        self._received.clear()
         self._every.clear()
-        for first in range(0, max(len(taken), len(every)), MOST_RECEIPTS):
+        for first in range(0, max(len(received), len(every)), MOST_RECEIPTS):
             part = slice(first, first + MOST_RECEIPTS)
-            self._send(Receipts(taken=taken[part], every=every[part]))
+            self._send(Receipts(received=received[part], every=every[part]))
 
 
 class WindowedSender:
-    """A sending end."""
+    """Sending end with a window."""
 
     _route: RouteSink
     _window: Window | None = None
@@ -114,16 +114,16 @@ class WindowedSender:
         raise NotImplementedError
 
     def begin_window(self) -> None:
-        """Keep to a window from now on, where the other side knows receipts."""
+        """Create the window, if the other side sends receipts."""
         if self._book is not None:
             self._window = Window(self.sent)
 
-    def took(self, count: int) -> None:
-        """The receiver says how many bytes it has taken in."""
+    def acknowledge(self, count: int) -> None:
+        """Adapt the window to a receipt, and send from the queue."""
         window, book = self._window, self._book
         if window is None or book is None:
             return
-        window.took(count, self.sent, book.now())
+        window.acknowledge(count, self.sent, book.now())
         every = window.every
         if every >= 2 * self._asked or 2 * every <= self._asked:
             self._asked = every
@@ -131,14 +131,14 @@ class WindowedSender:
         if not self.congested:
             self._route.flush()
 
-    def look(self) -> None:
-        """Once a second: send no more where nothing arrives."""
+    def check_window(self) -> None:
+        """Close the window while the path is stalled. Called once a second."""
         if self._window is not None and self._book is not None:
-            self._window.look(self.sent, self._book.now())
+            self._window.check(self.sent, self._book.now())
 
     @property
     def pace(self) -> Pace:
-        """How it takes messages now."""
+        """State of the channel now."""
         if not self.congested:
             return Pace.FREE
         window, book = self._window, self._book
@@ -149,37 +149,37 @@ class WindowedSender:
         return Pace.FREE if self.sent >= window.limit else Pace.STOPPED
 
 
-class ReceiptGiver:
-    """A receiving end."""
+class ReceiptSender:
+    """Receiving end that sends receipts."""
 
     _route: RouteSink
-    _taken: Taken
+    _counter: ReceiptCounter
     _book: ReceiptBook | None = None
 
     def begin_receipts(self) -> None:
-        """Give receipts from now on, where the other side knows them."""
-        self._taken = Taken() if self._book is not None else Taken(float("inf"))
+        """Create the counter; receipts are never due if the other side does not know them."""
+        self._counter = ReceiptCounter() if self._book is not None else ReceiptCounter(float("inf"))
 
-    def note(self, size: int) -> None:
-        """Note that so many bytes were taken in."""
-        taken = self._taken
-        taken.count += size
-        if taken.count >= taken.due:
-            self.say()
+    def count_bytes(self, size: int) -> None:
+        """Count received bytes, and send a receipt if one is due."""
+        counter = self._counter
+        counter.count += size
+        if counter.count >= counter.due:
+            self.send_receipt()
 
-    def asked(self, every: int) -> None:
-        """The sender wants a receipt after so many bytes each."""
+    def set_interval(self, every: int) -> None:
+        """Have a receipt sent after every so many bytes."""
         if self._book is not None:
-            self._taken.ask(every)
+            self._counter.set_interval(every)
 
-    def say(self) -> None:
-        """Give a receipt, if there is any news."""
-        if self._book is not None and self._taken.news:
-            self._book.say(self._route.id, self._taken.say())
+    def send_receipt(self) -> None:
+        """Send a receipt, if bytes came since the last one."""
+        if self._book is not None and self._counter.has_news:
+            self._book.acknowledge(self._route.id, self._counter.next_receipt())
 
 
 def pace_of(channel: SendingChannel) -> Pace:
-    """How a channel of any kind takes messages now."""
+    """Return the state of a channel of any kind."""
     if isinstance(channel, WindowedSender):
         return channel.pace
     return Pace.STOPPED if channel.congested else Pace.FREE

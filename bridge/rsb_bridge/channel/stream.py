@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.large_messages import LARGE, LargeMessages
-from rsb_bridge.channel.receipts import ReceiptGiver, WindowedSender
+from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.sealing import SealError
@@ -32,7 +32,7 @@ class _StreamChannel(StreamHandler):
         stream: that is let in.
         route: what it carries.
         keys: make the codecs.
-        book: for receipts; None: the other side does not know them.
+        book: for receipts, or None if the other side does not know them.
 
     Attributes:
         carrier: the stream; the channel is its handler.
@@ -111,7 +111,7 @@ class StreamSender(_StreamChannel, WindowedSender):
         self._fail("the peer sent data on a stream that goes the other way")
 
 
-class StreamReceiver(_StreamChannel, ReceiptGiver):
+class StreamReceiver(_StreamChannel, ReceiptSender):
     """The receiving end."""
 
     def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None) -> None:
@@ -135,7 +135,7 @@ class StreamReceiver(_StreamChannel, ReceiptGiver):
             return
         if messages:
             self._route.deliver(messages)
-        self.note(len(data))
+        self.count_bytes(len(data))
 
 
 class StreamDuplex(StreamReceiver, StreamSender):

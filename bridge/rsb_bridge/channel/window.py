@@ -1,14 +1,15 @@
-"""How much of a stream channel's data may be on its way, so that it waits there for a second at most.
+"""Limits the data in transit on a stream channel, so that messages wait on the way for a second at most.
 
-A stream takes what its buffers hold: the kernel's, and those of a tunnel behind them. On a link of 5 kB/s that is data
-of several minutes. So the receiver says how many bytes it has taken in, and the sender keeps no more under way than
-the window. The rest waits in the route's queue, where the oldest messages go first.
+A stream accepts as much as its buffers hold: the kernel's, and those of a tunnel behind them. On a link of 5 kB/s that
+is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window
+of them in transit. The rest waits in the route's queue, which drops the oldest messages first.
 
-The window follows the age of the oldest byte that has not arrived. While that is low, the window grows with what
-arrives, as TCP's does at first: by as much again in each round trip. Once it is above `_LATE`, the window shrinks
-to what crosses in `_AIM`. So it needs no rate to begin with, and on a link that is fast enough it is never reached.
+The window follows the age of the oldest unacknowledged byte. While the age is low, the window grows by the bytes that
+are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `_LATE`, the window
+shrinks to the bytes that cross in `_AIM`. So the sender needs no rate to begin with, and a link that is fast enough
+never fills the window.
 
-Nothing here knows sockets or clocks. Bytes are counted from the beginning of the stream.
+This module uses neither sockets nor clocks. It counts bytes from the beginning of the stream.
 """
 
 from __future__ import annotations
@@ -16,25 +17,26 @@ from __future__ import annotations
 from collections import deque
 
 FEATURE = "receipts"
-"""A side that says what it has taken in names it (PROTOCOL.md, 1.6)."""
+"""The feature by which a side offers receipts (PROTOCOL.md, 1.6)."""
 
 FIRST = 8 * 1024
-"""Bytes under way before anything is known: 1.6 s of 5 kB/s. A message more may always be."""
+"""Bytes in transit at the beginning, plus one message: 1.6 s of 5 kB/s."""
 LEAST = 2 * 1024
+"""Bytes of the smallest window."""
 _PARTS = 4
-"""A receiver says what it has taken in after each such part of the window."""
+"""The sender asks for a receipt after each such part of the window."""
 FIRST_RECEIPT = 512
-"""Bytes after which it says so before it was asked: few, so that the way there and back is seen before a queue is."""
+"""Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""
 
 _FRESH, _LATE, _AIM = 0.2, 0.8, 0.5
-"""s that the oldest byte may be under way: below the first the window grows, above the second it shrinks to what
-crosses in the third."""
+"""Ages (s) of the oldest unacknowledged byte, beyond the shortest round trip: the window grows below the first, and
+shrinks above the second to the bytes that cross in the third."""
 _ROOM = 4.0
-"""s of what crosses that the window grows to where nothing waits: then the sender needs a receipt once a second."""
+"""The window grows to the bytes that cross in so many seconds where nothing waits, so that receipts are rare."""
 _FARTHEST = 2.0
-"""s that a way there and back may take of itself; what takes longer counts as waiting."""
+"""Longest round trip (s) of a path without a queue; more counts as waiting."""
 _SILENT = 2.0
-"""s after which nothing arrives any more: a receiver that has had nothing more for a while says so once a second."""
+"""s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second."""
 _MEASURED_OVER = 1.0
 _STOPPED = 1.5
 """s without a receipt."""
@@ -43,145 +45,146 @@ _MOST_MARKS, _MOST_RECEIPTS = 1024, 64
 
 
 class Window:
-    """The sending end's.
+    """The limit of a sending channel.
 
     Attributes:
-        limit: bytes sent in all from which on the channel is congested.
-        size: bytes that may be under way.
-        slow: what was sent arrives late.
+        limit: count of sent bytes at which the channel is congested.
+        size: bytes that may be in transit.
+        slow: whether messages wait on the path.
     """
 
     __slots__ = (
+        "_acknowledged",
         "_last_mark",
         "_last_mark_at",
         "_marks",
-        "_near",
         "_origin",
         "_receipts",
-        "_taken",
+        "_shortest",
         "limit",
         "size",
         "slow",
     )
 
     def __init__(self, sent: int) -> None:
-        """Begin where so many bytes have been sent, which are not the channel's."""
+        """Begin on a stream on which so many bytes were sent before."""
         self.size = FIRST
         self.limit = sent + FIRST
         self.slow = False
-        self._origin = self._taken = sent
+        self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
         self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
-        self._near = _FARTHEST  # s, the shortest way there and back so far
+        self._shortest = _FARTHEST  # s, the shortest round trip so far
 
     def wrote(self, before: int, now: float) -> None:
-        """Note that data is written at `now` (s); `before`: bytes sent before it."""
+        """Record that data is written at `now` (s), after `before` bytes."""
         marks = self._marks
         if not marks:
             if not self._receipts or now - self._receipts[-1][1] > 2 * _MEASURED_OVER:
                 self._receipts.clear()
-                self._receipts.append((self._taken, now))  # nothing could arrive before
+                self._receipts.append((self._acknowledged, now))  # the rate counts from here
         elif now - self._last_mark_at < _MARK_EVERY and before - self._last_mark < self.size // _MARKS_PER_WINDOW:
             return
         if len(marks) < _MOST_MARKS:  # else a byte seems older than it is
             marks.append((before, now))
             self._last_mark, self._last_mark_at = before, now
 
-    def took(self, count: int, sent: int, now: float) -> None:
-        """Take a receipt.
+    def acknowledge(self, count: int, sent: int, now: float) -> None:
+        """Adapt to a receipt.
 
         Args:
-            count: bytes of the channel that the receiver has taken in, as it says.
+            count: bytes of the channel that the peer claims to have received.
             sent: bytes sent so far.
             now: s.
         """
-        taken = min(self._origin + count, sent)
-        gained = taken - self._taken
+        acknowledged = min(self._origin + count, sent)
+        gained = acknowledged - self._acknowledged
         if gained <= 0:
             return
-        limited = 2 * (sent - self._taken) >= self.size
+        limited = 2 * (sent - self._acknowledged) >= self.size
         marks = self._marks
         written_at = None
-        while marks and marks[0][0] < taken:
-            written_at = marks.popleft()
+        while marks and marks[0][0] < acknowledged:
+            written_at = marks.popleft()[1]
         if written_at is not None:
-            self._near = min(self._near, max(0.0, now - written_at[1]))
-            if taken < sent and (not marks or marks[0][0] > taken):
-                marks.appendleft((taken, written_at[1]))
-        self._taken = taken
-        rate = self._rate(taken, now)
-        waits = self._age(now) - self._near
+            self._shortest = min(self._shortest, max(0.0, now - written_at))
+            if acknowledged < sent and (not marks or marks[0][0] > acknowledged):
+                marks.appendleft((acknowledged, written_at))
+        self._acknowledged = acknowledged
+        rate = self._rate(acknowledged, now)
+        waits = self._age(now) - self._shortest
         if waits > _LATE:
             self.slow = True
-            self.size = max(LEAST, int(rate * _AIM), min(self.size, (sent - taken) // 2))
+            self.size = max(LEAST, int(rate * _AIM), min(self.size, (sent - acknowledged) // 2))
         elif waits < _FRESH:
             self.slow = self.slow and limited
             if limited or self.size < rate * _ROOM:
                 self.size += gained
         elif limited:
             self.slow = True
-        self.limit = taken + self.size
+        self.limit = acknowledged + self.size
 
-    def look(self, sent: int, now: float) -> None:
-        """Send no more for now where nothing arrives: once a second."""
-        if self._age(now) - self._near > _SILENT:
+    def check(self, sent: int, now: float) -> None:
+        """Close the window while the path is stalled. Called once a second."""
+        if self._age(now) - self._shortest > _SILENT:
             self.slow = True
-            self.limit = min(self.limit, max(sent, self._taken + LEAST))
+            self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
 
     def moves(self, now: float) -> bool:
-        """Whether anything has arrived lately."""
+        """Return whether a receipt came lately."""
         return bool(self._receipts) and now - self._receipts[-1][1] < _STOPPED
 
     @property
     def every(self) -> int:
-        """Bytes after which a receipt is wanted."""
+        """Bytes between two receipts."""
         return max(FIRST_RECEIPT, self.size // _PARTS)
 
     def _age(self, now: float) -> float:
-        """S since the oldest byte that has not arrived was written; 0: all have arrived."""
+        """Return the age (s) of the oldest unacknowledged byte, or 0 if there is none."""
         return now - self._marks[0][1] if self._marks else 0.0
 
-    def _rate(self, taken: int, now: float) -> float:
-        """Bytes/s that have arrived lately."""
+    def _rate(self, acknowledged: int, now: float) -> float:
+        """Return the bytes/s that were acknowledged during the last second."""
         receipts = self._receipts
         while len(receipts) > 1 and receipts[1][1] <= now - _MEASURED_OVER:
             receipts.popleft()
         rate = 0.0
         if receipts:
             first, at = receipts[0]
-            rate = (taken - first) / max(now - at, 0.05)
-        receipts.append((taken, now))
+            rate = (acknowledged - first) / max(now - at, 0.05)
+        receipts.append((acknowledged, now))
         return rate
 
 
-class Taken:
-    """The receiving end's: when to say how much it has taken in.
+class ReceiptCounter:
+    """Counts the bytes of a receiving channel, to send a receipt after every few of them.
 
     Attributes:
-        count: bytes taken in so far.
-        due: of them, from which on it is time to say so.
+        count: bytes received so far.
+        due: count at which the next receipt is due.
     """
 
-    __slots__ = ("_every", "_said", "count", "due")
+    __slots__ = ("_every", "_sent", "count", "due")
 
     def __init__(self, every: float = FIRST_RECEIPT) -> None:
-        self.count = self._said = 0
+        """Begin with a receipt after every so many bytes."""
+        self.count = self._sent = 0
         self._every = every
         self.due = every
 
-    def ask(self, every: int) -> None:
-        """Have it said after so many bytes each."""
+    def set_interval(self, every: int) -> None:
+        """Have a receipt sent after every so many bytes."""
         self._every = max(1, every)
-        self.due = self._said + self._every
+        self.due = self._sent + self._every
 
-    def say(self) -> int:
-        """Return what to say, which counts as said."""
-        self._said = self.count
+    def next_receipt(self) -> int:
+        """Return the count for a receipt that is sent now."""
+        self._sent = self.count
         self.due = self.count + self._every
         return self.count
 
     @property
-    def news(self) -> bool:
-        """Whether more was taken in than was said."""
-        return self.count != self._said
+    def has_news(self) -> bool:
+        """Whether bytes came since the last receipt."""
+        return self.count != self._sent

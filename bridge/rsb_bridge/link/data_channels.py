@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.path_probe import PathProbe
-from rsb_bridge.channel.receipts import ReceiptBook, ReceiptGiver, WindowedSender
+from rsb_bridge.channel.receipts import ReceiptBook, ReceiptSender, WindowedSender
 from rsb_bridge.channel.shared_stream import SharedStream
 from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.link.udp_channels import UdpChannels
@@ -34,10 +34,10 @@ class DataChannels:
         loop: sets the timers.
         log: adds an event about the link.
         unfinished: what the peer may have this side hold of messages that are not whole yet.
-        send_receipts: sends the peer what was taken in.
+        send_receipts: sends receipts to the peer.
 
     Attributes:
-        book: for receipts of streams; None: not linked, or the peer does not know them.
+        book: for receipts of streams, or None without a link or if the peer does not know them.
         keys: what seals and opens routes' messages; None: not linked.
         probe: what is sent to find a UDP path; None: not linked.
         shared_streams: multiplexed streams, by transport and channel.
@@ -96,28 +96,28 @@ class DataChannels:
             handler.received(beginning)
         route.advance()
 
-    def heard(self, receipts: Receipts, open_route: Callable[[int], Route | None]) -> None:
-        """Take the peer's receipts, and how often it wants some."""
+    def handle_receipts(self, receipts: Receipts, open_route: Callable[[int], Route | None]) -> None:
+        """Hand the peer's receipts and intervals to the channels."""
         for route_id, every in receipts.every:
             route = open_route(route_id)
-            if route is not None and isinstance(route.channel, ReceiptGiver):
-                route.channel.asked(every)
-        for route_id, taken in receipts.taken:
+            if route is not None and isinstance(route.channel, ReceiptSender):
+                route.channel.set_interval(every)
+        for route_id, received in receipts.received:
             route = open_route(route_id)
             if route is not None and isinstance(route.channel, WindowedSender):
-                route.channel.took(taken)
+                route.channel.acknowledge(received)
 
     def tick(self, routes: Iterable[Route]) -> None:
-        """Once a second: say what was taken in, and see where nothing arrives."""
+        """Send the receipts that are left, and close the windows of stalled channels. Called once a second."""
         self.udp.tick()
         if self.book is None:
             return
         for route in routes:
             channel = route.channel
-            if isinstance(channel, ReceiptGiver):
-                channel.say()
+            if isinstance(channel, ReceiptSender):
+                channel.send_receipt()
             if isinstance(channel, WindowedSender):
-                channel.look()
+                channel.check_window()
 
     def carriers(self, routes: Iterable[Route], control: ControlChannel | None) -> set[Carrier]:
         """All that carries bytes, what carries the control connection among it."""

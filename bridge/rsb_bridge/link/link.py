@@ -308,7 +308,7 @@ class Link(ABC):
             case Follow() | Followed():
                 self.patterns.handle(message)
             case Receipts():
-                self.channels.heard(message, self.table.ids.open_route)
+                self.channels.handle_receipts(message, self.table.ids.open_route)
             case Neighbours():
                 self.neighbourhood.heard(message)
             case AskType() | TypeText():

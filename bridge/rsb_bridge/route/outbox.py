@@ -96,8 +96,8 @@ class Outbox:
         """Return what may wait at `now` (s). As long as the channel takes messages, the queue only passes them on.
 
         Args:
-            qos: of the route; None: not known yet.
-            depth: messages that the publisher keeps, of a latched topic; else 0.
+            qos: of the route, or None if it is unknown.
+            depth: messages that the publisher of a latched topic keeps, or 0.
             pace: of the channel.
             now: s.
             profile: of the link.

@@ -1,22 +1,22 @@
-"""Tells a topic that is steadily given more than its link carries from one whose link has stalled for a moment.
+"""Distinguishes a steady overload from a link that stalls for a moment.
 
-With ``qos: auto`` the messages of a reliable topic wait for some seconds, so that a link that stalls loses none. Where
-the link moves, and yet the queue only gets longer and older, they would all arrive late from then on: there only new
-ones are worth to wait.
+With ``qos: auto`` a reliable topic keeps messages for some seconds, so that a link that stalls loses none. In a steady
+overload the link delivers, and yet the queue gets longer and older. Then every message would arrive late, so the queue
+keeps only new ones.
 """
 
 from __future__ import annotations
 
 _LOOKS_EVERY = 1.0
 WAITS = 1.0
-"""s that a message of such a topic waits at most, if others do."""
+"""s that an overloaded topic's queue keeps a message, unless it is the only one."""
 
 
 class Overload:
-    """One topic's.
+    """Overload of one topic.
 
     Attributes:
-        lasts: whether it is given more than crosses.
+        lasts: whether more is published than its channel delivers.
     """
 
     def __init__(self) -> None:
@@ -24,13 +24,13 @@ class Overload:
         self._before: tuple[float, float, int] | None = None  # when (s), the oldest message's age (s), the length
 
     def look(self, now: float, oldest_since: float | None, length: int, *, moves: bool) -> None:
-        """Look at the queue at `now` (s), as often as it is used while the channel is congested.
+        """Judge the queue. Called whenever a message is queued.
 
         Args:
             now: s.
-            oldest_since: when (s) the oldest message began to wait; None: none waits.
-            length: messages that wait.
-            moves: whether anything arrives on the other side.
+            oldest_since: when (s) the oldest message was queued, or None if the queue is empty.
+            length: messages in the queue.
+            moves: whether the channel delivers.
         """
         if oldest_since is None:
             self.lasts, self._before = False, None
@@ -46,5 +46,5 @@ class Overload:
             self._before = (now, age, length)
 
     def over(self) -> None:
-        """Nothing waits any more."""
+        """End the overload: the queue is empty."""
         self.lasts, self._before = False, None

@@ -38,7 +38,7 @@ class SendQueue:
 
     @property
     def oldest_since(self) -> float | None:
-        """When (s) the oldest message was added; None: none waits."""
+        """When (s) the oldest message was added, or None if the queue is empty."""
         return self._queue[0][2] if self._queue else None
 
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:

@@ -1,4 +1,4 @@
-"""The control message by which a receiver says what it has taken in (PROTOCOL.md, 1.6)."""
+"""The control message that acknowledges the bytes of streams (PROTOCOL.md, 1.6)."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from rsb_bridge.wire.fields import Count, RouteId
 from rsb_bridge.wire.message import ControlMessageBase
 
 MOST_RECEIPTS = 500
-"""Of each kind in one message."""
+"""Entries of each list in one message."""
 _Counts: TypeAlias = Annotated[tuple[tuple[RouteId, Count], ...], Meta(max_length=MOST_RECEIPTS)]
 
 
 class Receipts(ControlMessageBase, frozen=True, omit_defaults=True):
-    """Either side: how far streams have come. What names no open route is late, and is ignored.
+    """Receipts for streams, from either side. An entry for a route that is not open is ignored.
 
     Attributes:
-        taken: for routes received here, the bytes of the channel taken in so far.
-        every: for routes sent from here, the bytes after which the sender wants a receipt.
+        received: route ids with the bytes of their channels that the sender of the message has received.
+        every: route ids with the bytes after which the sender of the route wants a receipt.
     """
 
-    taken: _Counts = ()
+    received: _Counts = ()
     every: _Counts = ()
