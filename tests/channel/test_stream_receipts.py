@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import pytest
@@ -11,10 +12,11 @@ from tests.channel.test_duplex import CARRIERS, connected, on_its_own, until
 
 from rsb_bridge.channel.receipts import ReceiptBook, ReceiptSender, WindowedSender
 from rsb_bridge.channel.window import FIRST
-from rsb_bridge.wire.receipts import Receipts
 
 if TYPE_CHECKING:
     from tests.channel.test_duplex import End, Place, Route
+
+    from rsb_bridge.wire.receipts import Receipts
 
 
 @dataclass
@@ -33,7 +35,7 @@ class Sides:
 
     def begin(self) -> None:
         for end, other in ((self.near, self.far), (self.far, self.near)):
-            book = ReceiptBook(asyncio.get_running_loop(), lambda message, other=other: self._carry(message, other))
+            book = ReceiptBook(asyncio.get_running_loop(), partial(self._carry, other))
             for route in end.routes.values():
                 channel = route.channel
                 cast("WindowedSender", channel)._book = book
@@ -42,7 +44,7 @@ class Sides:
                 if isinstance(channel, ReceiptSender):
                     channel.begin_receipts()
 
-    def _carry(self, message: Receipts, other: End) -> None:
+    def _carry(self, other: End, message: Receipts) -> None:
         self.messages.append(message)
         if self.silent:
             return
