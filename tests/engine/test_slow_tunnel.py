@@ -134,7 +134,7 @@ def test_topics_in_one_queue_and_pings_beside_them(bridge: Bridge, robot: Domain
             found = [ages(there) for there in theres]
             trip = now(client).links[0].rtt
         assert all(found)
-        assert max(max(each) for each in found) < 6.0
+        assert max(max(each) for each in found) < 7.0
         assert max(each[-1] for each in found) < 4.0
         assert trip is not None
         assert trip < 3.0

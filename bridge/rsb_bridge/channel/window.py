@@ -19,8 +19,8 @@ from collections import deque
 FEATURE = "receipts"
 """The feature by which a side offers receipts (PROTOCOL.md, 1.6)."""
 
-FIRST = 8 * 1024
-"""Bytes in transit at the beginning, plus one message: 1.6 s of 5 kB/s."""
+FIRST = 4 * 1024
+"""Bytes in transit at the beginning, plus one message: 0.8 s of 5 kB/s for each topic."""
 LEAST = 2 * 1024
 """Bytes of the smallest window."""
 _PARTS = 4
