@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import RouteSink, SendingChannel
 
+_OF_FIRST = 2.5
+"""Patience of routes that go ahead of others: the data in front of theirs is the others', who are to yield first."""
 _APART = 0.005
 """s between two messages with receipts."""
 
@@ -123,6 +125,7 @@ class WindowedSender:
         window, book = self._window, self._book
         if window is None or book is None:
             return
+        window.patience = _OF_FIRST if self._route.rank > 0 else 1.0
         window.acknowledge(count, self.sent, book.now())
         every = window.every
         if every >= 2 * self._asked or 2 * every <= self._asked:

@@ -51,6 +51,7 @@ class Window:
         limit: count of sent bytes at which the channel is congested.
         size: bytes that may be in transit.
         slow: whether messages wait on the path.
+        patience: how many times longer than usual messages may wait on the path before the window shrinks.
     """
 
     __slots__ = (
@@ -62,6 +63,7 @@ class Window:
         "_receipts",
         "_shortest",
         "limit",
+        "patience",
         "size",
         "slow",
     )
@@ -71,6 +73,7 @@ class Window:
         self.size = FIRST
         self.limit = sent + FIRST
         self.slow = False
+        self.patience = 1.0
         self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
@@ -114,9 +117,9 @@ class Window:
         self._acknowledged = acknowledged
         rate = self._rate(acknowledged, now)
         waits = self._age(now) - self._shortest
-        if waits > _LATE:
+        if waits > _LATE * self.patience:
             self.slow = True
-            self.size = max(LEAST, int(rate * _AIM), min(self.size, (sent - acknowledged) // 2))
+            self.size = max(LEAST, int(rate * _AIM * self.patience), min(self.size, (sent - acknowledged) // 2))
         elif waits < _FRESH:
             self.slow = self.slow and limited
             if limited or self.size < rate * _ROOM:
