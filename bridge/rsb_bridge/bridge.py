@@ -328,7 +328,7 @@ class Bridge:
     def _steps_to(self, session: Session, keys: Keys) -> list[Step]:
         old = self.context.session
         in_place = (
-            (("stale_after", "stale_warnings"), self._set_stale_after),
+            (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("group",), lambda: None),  # whoever looks reads it in the session
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._instruments.by_key,

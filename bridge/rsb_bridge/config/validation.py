@@ -29,6 +29,7 @@ from rsb_bridge.config.operators import operator_problems
 from rsb_bridge.config.pattern_rules import too_many_patterns
 from rsb_bridge.config.topic_rules import (
     A_KIND,
+    late_problems,
     name_problems,
     port_problems,
     stale_problems,
@@ -163,6 +164,7 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from key_file_problems(session)
     yield from operator_problems(session)
     yield from stale_problems(session.stale_after, "stale_after")
+    yield from late_problems(session.late_after, "late_after")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")
     yield from _profiles(session)

@@ -8,6 +8,7 @@ the definition: msgspec reads and writes them by their type hints.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import msgspec
@@ -19,6 +20,7 @@ from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolv
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Session  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
+from rsb_bridge.model.verdict import state_for_any, state_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -280,6 +282,8 @@ def encode(message: ToBridge | ToConsole) -> bytes:
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
     """A route as it stands in a `State`."""
+    if (state := state_for_any(route.state)) is not route.state:  # an older console would refuse what it does not know
+        route = replace(route, state=state)
     return msgspec.Raw(_encoder.encode(route))
 
 
@@ -289,7 +293,9 @@ def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
     Raises:
         ProtocolError: it is none.
     """
-    return _decoded(_route, raw)
+    route = _decoded(_route, raw)
+    state = state_of(route.state, route.cause)
+    return route if state is route.state else replace(route, state=state)
 
 
 class Frames(Generic[M]):

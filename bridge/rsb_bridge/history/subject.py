@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
+CROSSES = (*UP, State.LATE)
+"""States in which messages cross. A late topic is in trouble, and not out."""
 FINE = (*UP, State.PAUSED, State.DISARMED)
 """A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
@@ -182,7 +184,7 @@ class Subject:
         self._seen = now
         self._known += passed
         self._amount += self._rate * passed
-        if self._state in UP:
+        if self._state in CROSSES:
             self._up += passed
         elif self._state is State.WAITING and self._open is None:
             self._waiting += passed

@@ -288,7 +288,7 @@ class LinkBench:
                 raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
             topic = Topic(
-                name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0
+                name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0, late_after=0.0
             )  # fmt: skip
             route = link.proposed.add(topic)
         deadline = self._now() + _OPENED_WITHIN

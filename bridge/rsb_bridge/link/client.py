@@ -211,7 +211,7 @@ class ClientLink(Link):
 
     def on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
-        begins = not self.warning
+        begins = self.cause is not LinkCause.NAME_TAKEN
         self.duplicates.told(message, self.context.wall())
         if not message.address and not begins:
             self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)

@@ -11,6 +11,7 @@ from rsb_bridge.link.bench import LinkBench
 from rsb_bridge.link.contention import Contention
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
+from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.patterns import LinkPatterns
@@ -32,7 +33,7 @@ from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Shutdown
+from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Report, Shutdown
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
@@ -73,6 +75,7 @@ class Link(ABC):
         connections: how many connections there have been.
         linked_at: s, when the present or last connection was made.
         channels: what carries the routes' messages.
+        fullness: whether the link carries less than is asked of it.
         contention: divides what the link carries, and `budget` is what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
         duplicates: further clients of its name, which are refused.
@@ -100,7 +103,8 @@ class Link(ABC):
         self.keepalive = Keepalive(context, self.carriers)
         self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
         self.table = RouteTable(context, self)
-        self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
+        self.fullness = LinkFullness(self._log_full)
+        self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
         self.patterns = LinkPatterns(self)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
@@ -297,6 +301,7 @@ class Link(ABC):
         """The peer sent a control message."""
         match message:
             case Ping():
+                self.keepalive.pinged(message)
                 if (pong := self.keepalive.answer(message)) is not None:
                     self.send(pong)
             case Pong():
@@ -311,6 +316,10 @@ class Link(ABC):
                 self.type_questions.handle(message)
             case BenchAsk() | BenchAnswer():
                 self.bench.handle(message)
+            case Report():
+                if message.full is not None:
+                    self.fullness.told(message.full, self._peer_name)
+                self.table.handle(message)
             case Duplicate():
                 self.on_duplicate(message)
             case Shutdown():
@@ -366,10 +375,10 @@ class Link(ABC):
         self.patterns.tick()
         if self.control is None:
             return
-        self.contention.tick(self.keepalive, self.features, self.connections)
+        self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name)
         self.send(self.keepalive.tick())
         self.channels.udp.tick()
-        for report in reports(self.routes.values()):
+        for report in reports(self.routes.values(), self.fullness.news()):
             self.send(report)
         self.table.tick()
         self.bench.tick()
@@ -385,7 +394,42 @@ class Link(ABC):
     @property
     def warning(self) -> str:
         """What is wrong though the link is up, for an operator; or empty."""
-        return self.duplicates.warning(self.context.now(), self.context.wall()) if self.linked else ""
+        if not self.linked:
+            return ""
+        taken = self.duplicates.warning(self.context.now(), self.context.wall())
+        return "; ".join(filter(None, (taken, self.fullness.warning(self._peer_name))))
+
+    @property
+    def cause(self) -> LinkCause:
+        """Why it is down, or what is wrong though it is up."""
+        if not self.linked:
+            return self.status.cause
+        if self.duplicates.warning(self.context.now(), self.context.wall()):
+            return LinkCause.NAME_TAKEN
+        full = self.fullness.out is not None or self.fullness.into is not None
+        return LinkCause.FULL if full else self.status.cause
+
+    @property
+    def full_out(self) -> Fullness | None:
+        """What it carries from here, if that is less than is asked of it."""
+        return self.fullness.out
+
+    @property
+    def full_in(self) -> Fullness | None:
+        """What it carries to here, likewise."""
+        return self.fullness.into
+
+    @property
+    def report_delay(self) -> float:
+        """Seconds that what the peer reports takes to get here, about."""
+        return self.keepalive.way_back
+
+    @property
+    def _peer_name(self) -> str:
+        return "the server" if self.is_client else self.name
+
+    def _log_full(self, level: Level, code: EventCode, text: str) -> None:
+        self.log(level, code, text, link_status=True)
 
     def _log_udp(self, level: Level, code: EventCode, text: str) -> None:
         self.log(level, code, f"{self.peer_at}: {text}")
@@ -394,6 +438,5 @@ class Link(ABC):
         """Add an event about this link; `link_status`: it says whether the link is up."""
         about: About = {"link": self.name, "topic": topic}
         if link_status:
-            cause = LinkCause.NAME_TAKEN if self.warning else self.status.cause
-            about |= {"state": self.status.state, "since": self.status.since, "cause": cause}
+            about |= {"state": self.status.state, "since": self.status.since, "cause": self.cause}
         self.context.log(level, code, text, link_status=link_status, **about)

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
+    from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport
 
 _REPORTED_AT_ONCE = 250
 """Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
 
 
-def reports(routes: Iterable[Route]) -> Iterator[Report]:
-    """This side's counts, as far as the peer does not know them."""
+def reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator[Report]:
+    """This side's counts, as far as the peer does not know them, and how full the link is if that is news."""
     sent: list[SentReport] = []
     received: list[ReceivedReport] = []
     calls: list[CallsReport] = []
@@ -35,6 +35,8 @@ def reports(routes: Iterable[Route]) -> Iterator[Report]:
                 received.append(receiving)
         elif isinstance(route, CallsRoute) and (carrying := route.news()) is not None:
             calls.append(carrying)
+    if full is not None:
+        yield Report(sent=(), received=(), full=full)
     for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
         part = slice(first, first + _REPORTED_AT_ONCE)
         yield Report(sent=tuple(sent[part]), received=tuple(received[part]), calls=tuple(calls[part]))

@@ -86,6 +86,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         max_rate: Hz; None: no limit.
         expected_rate: Hz, shown beside the real rate; None: learned.
         stale_after: s without a message until a warning; None: the session's; 0: never.
+        late_after: s that a message may take until the topic is late; None: the session's; 0: any time.
         paused: the topic is set up, and carries nothing until it is resumed.
         arm: it carries nothing until an operator of either side arms it on a console.
         deadman: s without a key on that console after which it disarms; None: `DEADMAN`; 0: none.
@@ -106,6 +107,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     max_rate: float | None = None
     expected_rate: float | None = None
     stale_after: float | None = None
+    late_after: float | None = None
     paused: bool = False
     arm: bool = False
     deadman: float | None = None
@@ -243,6 +245,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         key_file: path, relative to the session file.
         next_key_file: on a server, the key that replaces it. Both are valid as long as it is given.
         stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
+        late_after: s that messages may take until their topic is late; 0: any time.
         stale_warnings: how many times to warn of it (thesis: 5).
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
@@ -275,6 +278,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     key_file: str | None = None
     next_key_file: str | None = None
     stale_after: float = 15.0
+    late_after: float = 1.0
     stale_warnings: int = 5
     shutdown_topic: str | None = "/shutdown"
     diagnostics_topic: str | None = "/diagnostics"

@@ -10,6 +10,7 @@ import msgspec
 # These types must be known where a snapshot is decoded
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot  # noqa: TC001
 from rsb_bridge.model.capacity import Capacity  # noqa: TC001
+from rsb_bridge.model.fullness import Fullness  # noqa: TC001
 from rsb_bridge.model.qos import Qos  # noqa: TC001
 from rsb_bridge.model.session import Kind, Topic  # noqa: TC001
 
@@ -23,6 +24,8 @@ class State(StrEnum):
     """No message has come for `stale_after`."""
     STOPPED = "stopped"
     """No message has come for several of the periods that its rate lets expect."""
+    LATE = "late"
+    """Messages cross, and take longer than `late_after`."""
     SLOW = "slow"
     """Fewer messages come than its rate lets expect, or part of them is lost."""
     UNHEARD = "unheard"
@@ -46,12 +49,19 @@ class State(StrEnum):
 
     @property
     def flows(self) -> bool:
-        """Whether messages cross, be it too few of them, or unheard."""
-        return self in (State.OK, State.UNHEARD, State.SLOW)
+        """Whether messages cross, be it too few of them, too late, or unheard."""
+        return self in (State.OK, State.UNHEARD, State.SLOW, State.LATE)
+
+    @classmethod
+    def _missing_(cls, value: object) -> State | None:
+        """Take a state that only a newer version has for a warning: somebody should look."""
+        return cls.SLOW if isinstance(value, str) else None
 
 
 _RANKS = {state: rank for rank, state in enumerate(State)}
-_SEVERITIES = {State.DOWN: 2, State.STALE: 2, State.STOPPED: 2, State.SLOW: 1, State.UNHEARD: 1}
+_SEVERITIES = {
+    State.DOWN: 2, State.STALE: 2, State.STOPPED: 2, State.LATE: 1, State.SLOW: 1, State.UNHEARD: 1,
+}  # fmt: skip
 
 
 class Level(StrEnum):
@@ -315,6 +325,8 @@ class LinkSnapshot:
         rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
         tx_bytes_total: sent, likewise.
         patterns: those of this side's session, in their order.
+        full_out: what it carries from here, if that is less than is asked of it; None: it carries all.
+        full_in: what it carries to here, likewise, as the other side says.
     """
 
     name: str
@@ -343,6 +355,8 @@ class LinkSnapshot:
     rx_bytes_total: int = 0
     tx_bytes_total: int = 0
     patterns: tuple[PatternSnapshot, ...] = ()
+    full_out: Fullness | None = None
+    full_in: Fullness | None = None
 
 
 @dataclass(frozen=True, slots=True)

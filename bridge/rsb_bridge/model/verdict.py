@@ -36,6 +36,8 @@ class Cause(StrEnum):
     """It had publishers, and has none any more."""
     PUBLISHER_SILENT = "publisher_silent"
     """There are publishers, but no messages."""
+    LATE = "late"
+    """Messages take longer than `late_after`."""
     SLOW = "slow"
     LOSSY = "lossy"
     """Messages are lost on the way."""
@@ -89,6 +91,8 @@ class LinkCause(StrEnum):
     UNKNOWN_NAME = "unknown_name"
     NAME_TAKEN = "name_taken"
     """Two machines have its name."""
+    FULL = "full"
+    """It is up, and carries less than is asked of it."""
     SHUT_DOWN = "shut_down"
     """An operator has shut it down on the server, which refuses the client until the link is restarted there."""
 
@@ -128,6 +132,19 @@ class Verdict:
 
 
 FINE = Verdict(State.OK)
+
+
+def state_for_any(state: State) -> State:
+    """Return a state that every version knows, for the other side of a link and for attached consoles.
+
+    Together with the cause, `state_of` finds the state itself again.
+    """
+    return State.SLOW if state is State.LATE else state
+
+
+def state_of(state: str, cause: str) -> State:
+    """Return the state that `state_for_any` stands for, or SLOW if only a newer version knows it."""
+    return State.LATE if (state, cause) == (State.SLOW, Cause.LATE) else State(state)
 
 
 def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:

@@ -223,7 +223,7 @@ class IncomingRoute(TopicRoute):
         self._delivered += count
         if count:
             latency = None if (offset := self.peer.clock_offset) is None else (now - stamp) / 1e9 + offset
-            if latency is not None:
+            if latency is not None and latency <= began - self._flows_since:  # else it was kept from before, on purpose
                 self.latency.add(latency)
             if self.peek_slot.wanted:
                 self._show(payload, flags, now, latency)
@@ -275,6 +275,21 @@ class IncomingRoute(TopicRoute):
 
     def _failed_later(self, error: Exception) -> None:
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+
+    def _look_for_delay(self, now: float) -> None:
+        uncertainty = self.peer.clock_uncertainty
+        if not self.flowing or uncertainty is None or self._held_back:
+            self.lateness.reset()
+        else:
+            recent = self.latency.recent
+            self.lateness.tick(recent, uncertainty, self.late_after, now, recent)
+
+    @property
+    def _held_back(self) -> bool:
+        """Whether the sender has messages wait on purpose, as topics of a higher priority go first."""
+        if self.judged.peer.cause != Cause.THINNED or self.qos is None:
+            return False
+        return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
 
     def tick(self) -> None:
         super().tick()
@@ -340,6 +355,7 @@ class IncomingRoute(TopicRoute):
             subscriber_qos=self._subscriber_qos,
             type=self._hint[0],
             type_hash=self._hint[1],
+            latency=self.latency.recent,
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,

@@ -62,6 +62,8 @@ def facts_of(route: TopicRoute) -> Facts:
         came=route.meter.last is not None and route.meter.last >= route.opened_at,
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
+        late=route.late(),
+        full=route.peer.full_out if route.outgoing else route.peer.full_in,
     )
 
 

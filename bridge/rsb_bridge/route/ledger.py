@@ -140,6 +140,12 @@ class RouteLedger:
         """Messages of the present opening that were published, as the receiver last said."""
         return self._opening.counted.delivered if self._opening.counted else 0
 
+    @property
+    def reported_now(self) -> int:
+        """Messages of the present opening that the receiver has seen, given up, or seen newer ones of."""
+        counted = self._opening.counted
+        return max(counted.newest, counted.whole + counted.expired) if counted else 0
+
     def drop(self, cause: str, count: int) -> None:
         """Count messages dropped here."""
         if count:

@@ -82,6 +82,11 @@ class Outbox:
     def __len__(self) -> int:
         return len(self._queue)
 
+    def waits(self, now: float) -> float:
+        """How long (s) the oldest message has waited at `now` (s); 0: none waits."""
+        oldest = self._queue.oldest
+        return 0.0 if oldest is None else now - oldest
+
     def clear(self) -> int:
         """Remove all messages; returns how many they were."""
         return self._queue.clear()

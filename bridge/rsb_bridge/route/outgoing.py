@@ -14,6 +14,7 @@ from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.judging import facts_of
+from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.publisher_qos import without_history
@@ -42,11 +43,19 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.route.verdict import Facts
 
+_TOLD_LATELY = 2.5
+"""s for which a delay counts that the receiver has reported."""
+_LONGEST_DELAY = 3600.0
+"""s; a longer one is a mistake."""
 _LIMITED = "they are limited to what was sent"
 
 
 class OutgoingRoute(TopicRoute):
-    """Takes a topic's messages here and sends them to the peer."""
+    """Takes a topic's messages here and sends them to the peer.
+
+    Attributes:
+        delay: s that messages take at least, as this side knows without the other one's clock.
+    """
 
     outgoing: ClassVar[bool] = True
     channel: SendingChannel | None
@@ -64,6 +73,9 @@ class OutgoingRoute(TopicRoute):
         self.limit.apply = self._sending.limit
         self._resolver = Resolver(context, proposal)
         self._health = Health()
+        self._unreported = Unreported()
+        self.delay = 0.0
+        self._told_delay: tuple[float, float] | None = None  # what the receiver measured, s, and when it was told, s
 
     # --- setting up
 
@@ -215,6 +227,9 @@ class OutgoingRoute(TopicRoute):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
+        self._unreported = Unreported()
+        self._told_delay = None
+        self.delay = 0.0
         self._sorter.clear()
         self._ledger.opened(route_id, self.peer.instance)
 
@@ -250,6 +265,22 @@ class OutgoingRoute(TopicRoute):
         super().tick()
         if self._intake is not None:
             self._intake.tick()
+
+    def _look_for_delay(self, now: float) -> None:
+        reported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)
+        self.delay = 0.0
+        if not self.flowing:
+            self.lateness.reset()
+            return
+        self.delay = max(self._sending.waits(now), delay_of_sender(reported, self.peer.report_delay))
+        measured = None
+        if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY:
+            measured = self._told_delay[0]
+        least = (measured or 0.0) - (self.peer.clock_uncertainty or 0.0)
+        self.lateness.tick(max(self.delay, least), 0.0, self.late_after, now, measured)
+
+    def _held_up_where(self) -> str:
+        return QUEUE if self._sending.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
 
     def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         """The messages to take now; those that would loop are lost, those whose source is not known yet are held."""
@@ -301,6 +332,8 @@ class OutgoingRoute(TopicRoute):
         if (report.type, report.type_hash) != self._resolver.hint:
             self._resolver.hint = MessageType(report.type, report.type_hash)
             self.advance()
+        if report.latency is not None and abs(report.latency) <= _LONGEST_DELAY:
+            self._told_delay = report.latency, self.context.now()
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:

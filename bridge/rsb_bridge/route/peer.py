@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.route.pause import Revisions
     from rsb_bridge.route.peer_budget import PeerBudget
@@ -58,6 +59,21 @@ class Peer(Protocol):
     @property
     def clock_uncertainty(self) -> float | None:
         """Seconds by which `clock_offset` may be wrong."""
+        ...
+
+    @property
+    def report_delay(self) -> float:
+        """Seconds that what the peer reports takes to get here, about."""
+        ...
+
+    @property
+    def full_out(self) -> Fullness | None:
+        """What the link carries from here, if it carries less than is asked of it, else None."""
+        ...
+
+    @property
+    def full_in(self) -> Fullness | None:
+        """What the link carries to here, likewise, as the peer says."""
         ...
 
     @property

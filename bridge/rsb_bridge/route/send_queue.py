@@ -36,6 +36,11 @@ class SendQueue:
     def __len__(self) -> int:
         return len(self._queue)
 
+    @property
+    def oldest(self) -> float | None:
+        """s, since when the oldest message waits, or None if none does."""
+        return self._queue[0][2] if self._queue else None
+
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
         """Append messages of one publisher, at `now` (s)."""
         self._queue.extend([(message, publisher, now) for message in messages])

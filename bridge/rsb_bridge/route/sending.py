@@ -116,6 +116,10 @@ class Sending:
         self._route.yielding.busy(False, self._context.now())
         return self._outbox.clear()
 
+    def waits(self, now: float) -> float:
+        """How long (s) messages wait here for their channel at `now` (s); those held back on purpose do not count."""
+        return 0.0 if self._route.yielding.holds else self._outbox.waits(now)
+
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
         if self._route.peek_slot.wanted:

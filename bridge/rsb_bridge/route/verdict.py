@@ -10,13 +10,16 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.gates import gated, no_path, rank, throttled
+from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.yielding import verdict_of, why
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.route.lateness import Late
     from rsb_bridge.route.yielding import Yielded
     from rsb_bridge.telemetry.watches import Loss
 
@@ -66,6 +69,8 @@ class Facts(NamedTuple):
         limit: Hz that an operator allows it; 0: all.
         limited_by: who says so.
         yielded: what it leaves to topics with a higher priority; None: nothing.
+        late: how late its messages are; None: they are not.
+        full: what the link carries, if it carries less than is asked of it; None: it carries all.
     """
 
     sends: bool
@@ -101,6 +106,8 @@ class Facts(NamedTuple):
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
     yielded: Yielded | None = None
+    late: Late | None = None
+    full: Fullness | None = None
 
     @property
     def crowded_out(self) -> str:
@@ -176,6 +183,10 @@ def _waiting(facts: Facts) -> Verdict | None:
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
+
+
+def _late(facts: Facts) -> Verdict | None:
+    return late_verdict(facts.late) if facts.late is not None else None
 
 
 # --- the sending side
@@ -311,6 +322,7 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _lossy,
     _stale,
     _stopped,
+    _late,
     _slow,
     _subscribers,
     _waiting,

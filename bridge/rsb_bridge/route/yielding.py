@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.fullness import rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.throttle import Throttle
@@ -237,21 +238,13 @@ def verdict_of(yielded: Yielded) -> Verdict:
 def why(yielded: Yielded) -> str:
     """Why it yields."""
     share = yielded.share
-    return f"the link carries {_of(share.carried, share.asked)}, and {share.first} goes first"
+    return f"the link carries {rates_text(share.carried, share.asked)}, and {share.first} goes first"
 
 
 def _hertz(yielded: Yielded) -> str:
     """``4 of 30 Hz``."""
     rate, wanted = (f"{each:.0f}" if each >= 9.95 else f"{each:.2g}" for each in (yielded.rate, yielded.wanted))
     return f"{rate} of {wanted} Hz"
-
-
-def _of(part: float, whole: float) -> str:
-    """``1.1 of 3.0 MB/s``."""
-    for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
-        if whole >= unit:
-            return f"{part / unit:.1f} of {whole / unit:.1f} {name}"
-    return f"{part:.0f} of {whole:.0f} B/s"
 
 
 class _Held:

@@ -151,14 +151,22 @@ class RateMeter:
 
 
 class LatencyMeter:
-    """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds."""
+    """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds.
 
-    __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99")
+    Attributes:
+        p50: of the last samples; None: no figure.
+        p99: likewise.
+        jitter: likewise.
+        recent: the median of what came between the last two ticks; None: nothing did.
+    """
+
+    __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99", "recent")
 
     def __init__(self) -> None:
         self._samples: deque[float] = deque(maxlen=_LATENCIES)
         self._transit: float | None = None
-        self._fresh = False
+        self._fresh = 0  # samples since the last tick
+        self.recent: float | None = None
         self.p50: float | None = None
         self.p99: float | None = None
         self.jitter: float | None = None
@@ -171,14 +179,14 @@ class LatencyMeter:
         if not _EARLIEST < transit < _LATEST:
             self._samples.clear()
             self._transit = self.p50 = self.p99 = self.jitter = None
-            self._fresh = False
+            self._fresh = 0
             return
         if self._transit is not None:
             jitter = self.jitter or 0.0
             self.jitter = jitter + (abs(transit - self._transit) - jitter) / 16
         self._transit = transit
         self._samples.append(transit)
-        self._fresh = True
+        self._fresh += 1
 
     def told(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
         """Take the figures of the other side, as far as they can be right."""
@@ -188,9 +196,12 @@ class LatencyMeter:
 
     def tick(self) -> None:
         """Work out the percentiles over the last samples."""
-        if self._fresh:
-            self._fresh = False
-            ordered = sorted(self._samples)
+        fresh, self._fresh, self.recent = self._fresh, 0, None
+        if fresh:
+            samples = [*self._samples]
+            newest = sorted(samples[-fresh:])
+            self.recent = newest[len(newest) // 2]
+            ordered = sorted(samples)
             self.p50 = ordered[len(ordered) // 2]
             self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
 

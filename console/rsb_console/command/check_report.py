@@ -139,6 +139,8 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         yield f"expected {topic.expected_rate:g} Hz"
     if topic.stale_after is not None:
         yield f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale"
+    if topic.late_after is not None:
+        yield f"late after {topic.late_after:g} s" if topic.late_after else "never late"
     if topic.paused:
         yield "paused"
     if topic.arm:
