@@ -121,7 +121,7 @@ class Contention:
             for each in asking
             if each.traffic.bytes_per_second > 0.0
         ]
-        self._fullness.look(wanted, crossed, full=full, peer=peer)
+        self._fullness.look(wanted, arrived, full=full, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.codes import EventCode
@@ -19,6 +20,8 @@ _BEGINS, _ENDS = 3, 6
 """Looks, a second apart, that have to agree before a link counts as full, or as not full any more."""
 _MORE = 1.15
 """Times what arrives: more than that has to be asked for."""
+_FAR_LESS = 0.6
+"""Times what is asked for."""
 _SMOOTH = 0.4
 """The part that the newest look has in the figures."""
 _NAMED = 3
@@ -56,22 +59,29 @@ class LinkFullness:
         self._log = log
         self._other = 0
         self._carried = self._asked = 0.0
+        self._arrived: deque[float] = deque(
+            maxlen=_BEGINS
+        )  # a stall is over before this many looks count as too little
         self._told = FullRecord()
         self._record = FullRecord()
 
-    def look(self, topics: Collection[Asked], carried: float, *, full: bool, peer: str) -> None:
+    def look(self, topics: Collection[Asked], arrived: float, *, full: bool, peer: str) -> None:
         """Look once a second.
 
         Args:
             topics: that have something to send.
-            carried: bytes/s that arrive.
+            arrived: bytes, since the last look a second ago.
             full: more waits to be sent all the time, or is late.
             peer: the other side's name.
         """
         asked = sum(each.bytes_per_second for each in topics)
+        self._arrived.append(arrived)
+        carried = sum(self._arrived) / len(self._arrived)
         self._carried += _SMOOTH * (carried - self._carried)
         self._asked += _SMOOTH * (asked - self._asked)
-        over = full and carried > 0.0 and asked > _MORE * carried
+        # After a stall, one look brings less than is asked for, and the next ones all of it.
+        too_little = asked > _MORE * arrived or carried < _FAR_LESS * asked
+        over = full and carried > 0.0 and asked > _MORE * carried and too_little
         was = self.out is not None
         self._other = self._other + 1 if over != was else 0
         if self._other >= (_ENDS if was else _BEGINS):
@@ -80,6 +90,7 @@ class LinkFullness:
             if was:
                 self._carried, self._asked = carried, asked
             else:
+                self.out = None
                 self._log(Level.INFO, EventCode.LINK_ROOM, f"the link to {peer} carries all that is asked of it again")
         if not was:
             self.out, self._record = None, FullRecord()
@@ -117,6 +128,7 @@ class LinkFullness:
         self.out = self.into = None
         self._other = 0
         self._carried = self._asked = 0.0
+        self._arrived.clear()
         self._told = self._record = FullRecord()
 
     def warning(self, peer: str) -> str:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 _LOOKS = 2
 """Looks, a second apart, that have to agree before a topic becomes late, or is not late any more."""
+_CLEARLY = 2.0
+"""Times the bound: beyond that, one look is enough."""
 _OVER = 0.8
 """Times the bound: below that, a late topic is in time again."""
 _REMEMBERED = 5.0
@@ -101,7 +103,7 @@ class LateWatch:
         if not self._other:
             self._first = now
         self._other += 1
-        if self._other >= _LOOKS:
+        if self._other >= _LOOKS or (over and delay - uncertainty > _CLEARLY * bound):
             self._other = 0
             self.since = None if late else self._first
             self.seconds = 0.0 if late else delay
@@ -118,6 +120,7 @@ class Unreported:
 
     def __init__(self) -> None:
         self._marks: deque[tuple[float, int]] = deque()
+        self._looked: tuple[float, int] | None = None
 
     def age(self, sent: int, accounted: int, now: float) -> float:
         """Take the counts of an opening once a second.
@@ -128,15 +131,17 @@ class Unreported:
             now: s.
 
         Returns:
-            At least how many s ago it was sent; 0: there is none.
+            About how many s ago it was sent; 0: there is none.
         """
-        marks = self._marks
+        marks, (at, before) = self._marks, self._looked or (now, 0)
+        self._looked = now, sent
         if marks and marks[-1][1] > sent:
             marks.clear()  # counted anew
         while marks and marks[0][1] <= accounted:
             marks.popleft()
         if sent > accounted and (not marks or marks[-1][1] < sent) and len(marks) < _MOST_MARKS:
-            marks.append((now, sent))
+            new = max(1, sent - before)
+            marks.append((now - (now - at) * (new - 1) / new, sent))  # about when the first of the new ones was sent
         return now - marks[0][0] if marks else 0.0
 
 

@@ -176,8 +176,13 @@ class RouteLedger:
         """What has not arrived in the present opening is not to be published any more."""
         self._opening.lost_as = "disarmed"
 
-    def reported(self, report: ReceivedReport, now: float) -> bool:
-        """Take what the receiver counted in the present opening, at `now` (s).
+    def reported(self, report: ReceivedReport, now: float, delay: float = 0.0) -> bool:
+        """Take what the receiver counted in the present opening.
+
+        Args:
+            report: of the receiver.
+            now: s.
+            delay: s that a message and the report on it take; what is under way for so long is not lost.
 
         Returns:
             Whether its figures could be right; those that could not are limited to what was sent.
@@ -185,7 +190,7 @@ class RouteLedger:
         opening = self._opening
         opening.counted = _within(report, opening.sent)
         opening.marks.append((now, opening.sent))
-        while now - opening.marks[0][0] >= _OVERDUE_AFTER:
+        while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:
             opening.overdue = opening.marks.popleft()[1]
         return opening.counted.plausible
 

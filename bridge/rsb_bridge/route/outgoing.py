@@ -47,6 +47,8 @@ _TOLD_LATELY = 2.5
 """s for which a delay counts that the receiver has reported."""
 _LONGEST_DELAY = 3600.0
 """s; a longer one is a mistake."""
+_LONGEST_UNDER_WAY = 60.0
+"""s; what is under way for longer is lost."""
 _LIMITED = "they are limited to what was sent"
 
 
@@ -267,17 +269,26 @@ class OutgoingRoute(TopicRoute):
             self._intake.tick()
 
     def _look_for_delay(self, now: float) -> None:
-        reported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)
+        unreported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)
         self.delay = 0.0
         if not self.flowing:
             self.lateness.reset()
             return
-        self.delay = max(self._sending.waits(now), delay_of_sender(reported, self.peer.report_delay))
         measured = None
         if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY:
             measured = self._told_delay[0]
         least = (measured or 0.0) - (self.peer.clock_uncertainty or 0.0)
-        self.lateness.tick(max(self.delay, least), 0.0, self.late_after, now, measured)
+        if self.transport.reliable:  # else what is not reported may be lost
+            least = max(least, delay_of_sender(unreported, self.peer.report_delay))
+        self.delay = max(0.0, least, self._sending.waits(now))
+        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured)
+
+    @property
+    def _under_way(self) -> float:
+        """S that a message and the report on it take, as far as is known."""
+        back = self.peer.report_delay
+        there = 0.0 if self._told_delay is None else self._told_delay[0]
+        return min(max(0.0, there, back) + back, _LONGEST_UNDER_WAY)
 
     def _held_up_where(self) -> str:
         return QUEUE if self._sending.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
@@ -325,7 +336,7 @@ class OutgoingRoute(TopicRoute):
         """The peer said what arrived in the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
-        if not self._ledger.reported(report, self.context.now()):
+        if not self._ledger.reported(report, self.context.now(), self._under_way):
             self.notices.doubt(self.peer.instance, _LIMITED)
         if self._ledger.received_now:
             self.losses.arrived()
