@@ -35,6 +35,8 @@ _BUSY = 0.5
 """s for which a channel has not been idle."""
 _HELD_UP = 0.2
 """s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
+_POOR, _MUCH = 0.35, 50e3
+"""The share of datagrams that arrive, and bytes/s of a topic."""
 _DELAYED = 1.0
 """s that messages have been under way at least."""
 _MORE = 1.1
@@ -55,6 +57,12 @@ class _Asking(NamedTuple):
 
     route: OutgoingRoute
     traffic: Traffic
+
+
+def _mostly_lost(asking: _Asking) -> bool:
+    """Whether so many datagrams of a busy topic are lost that the link rather is full than poor."""
+    share = asking.route.arrived_share
+    return share is not None and share < _POOR and asking.traffic.bytes_per_second >= _MUCH
 
 
 class _Counts(NamedTuple):
@@ -114,14 +122,14 @@ class Contention:
         asked = sum(each.traffic.bytes_per_second for each in asking)
         # Where all that is asked for arrives, pings are held up by somebody else's traffic.
         held_up = self._held_up(keepalive) and (self._divided is not None or asked > _MORE * self._crossed)
-        full = full or held_up or self._delayed(asking, asked)
+        full = full or held_up or self._delayed(asking, asked) or any(map(_mostly_lost, asking))
         crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
         wanted = [
             Asked(each.route.topic, each.route.remote_topic, each.traffic.bytes_per_second)
             for each in asking
             if each.traffic.bytes_per_second > 0.0
         ]
-        self._fullness.look(wanted, arrived, full=full, peer=peer)
+        self._fullness.look(wanted, max(arrived, self._datagrams(asking)), full=full, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
@@ -161,6 +169,11 @@ class Contention:
     def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
         """Whether messages wait somewhere on the way, as in a tunnel that takes them faster than it carries them."""
         return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
+
+    def _datagrams(self, asking: Collection[_Asking]) -> float:
+        """Bytes/s that arrive where messages go by datagrams: parts of a message arrive though it does not."""
+        shares = [(each.traffic.bytes_per_second, each.route.arrived_share) for each in asking]
+        return sum(size * share for size, share in shares if share is not None)
 
     def _calls(self) -> float:
         """Bytes/s of calls, which go ahead of all topics."""

@@ -43,7 +43,7 @@ def standing_of(route: Route) -> Standing:
         paused=route.paused,
         paused_by=route.pausing.who,
         disarmed="" if route.arming.passes(now) else SAID[route.arming.overdue(now) or route.arming.why],
-        no_path=route.trouble(),
+        no_path=_trouble(route),
         waits_for="" if route.flowing else _first_missing(route),
         limit=route.limit.rate,
         limited_by=route.limit.why,
@@ -65,6 +65,12 @@ def facts_of(route: TopicRoute) -> Facts:
         late=route.late(),
         full=route.peer.full_out if route.outgoing else route.peer.full_in,
     )
+
+
+def _trouble(route: Route) -> str:
+    """Why what carries it does not get through; a stream that waits on a full link is no such trouble."""
+    full = route.peer.full_out if route.outgoing else route.peer.full_in
+    return "" if full is not None and route.transport.reliable else route.trouble()
 
 
 def _first_missing(route: Route) -> str:

@@ -393,7 +393,7 @@ class OutgoingRoute(TopicRoute):
         unresolved = self._resolver.unresolved
         facts = facts_of(self)._replace(
             similar=self._resolver.similar,
-            breaking=self.losses.repeated,
+            breaking="" if self.peer.full_out is not None else self.losses.repeated,
             subscribe_failed=self._failure,
             unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
             left_out=self.notices.warning,
@@ -401,6 +401,11 @@ class OutgoingRoute(TopicRoute):
             datagrams=self._datagrams(),
         )
         return self._health.added_to(facts)
+
+    @property
+    def arrived_share(self) -> float | None:
+        """The share of its datagrams that arrives, or None if it goes by none, or that is not known yet."""
+        return self.channel.arrived_share if isinstance(self.channel, DatagramSender) else None
 
     def _datagrams(self) -> int:
         """How many datagrams one of its messages takes; 0: it goes by none."""

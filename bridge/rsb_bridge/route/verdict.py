@@ -278,6 +278,9 @@ def _lossy(facts: Facts) -> Verdict | None:
             "messages; if none arrives, lower the MTU on both sides"
         )
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way; {remedy}"))
+    if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
+        why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
+        cause = Cause.QUEUE_FULL
     if loss.lost >= loss.of:
         text = f"none of the last {loss.of:,} messages arrived"
         return Verdict(State.DOWN, cause, f"{text}, for {LASTING}: {why}", loss.since)
