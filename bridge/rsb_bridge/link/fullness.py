@@ -16,8 +16,10 @@ from rsb_bridge.wire.records import FullRecord
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-_BEGINS, _ENDS = 3, 6
+_BEGINS, _ENDS = 4, 6
 """Looks, a second apart, that have to agree before a link counts as full, or as not full any more."""
+_WINDOW = 3
+"""Looks that what arrives is taken over: fewer than `_BEGINS`, so that a stall is not taken for a full link."""
 _MORE = 1.15
 """Times what arrives: more than that has to be asked for."""
 _FAR_LESS = 0.6
@@ -60,7 +62,7 @@ class LinkFullness:
         self._other = 0
         self._carried = self._asked = 0.0
         self._arrived: deque[float] = deque(
-            maxlen=_BEGINS
+            maxlen=_WINDOW
         )  # a stall is over before this many looks count as too little
         self._told = FullRecord()
         self._record = FullRecord()

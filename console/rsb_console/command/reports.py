@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.model.calls import CallsSnapshot
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind
     from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot
 
@@ -187,6 +188,9 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
             "cause": link.cause,
             "reason": link.reason or link.warning,
             "since": round(link.since, 3),
+            "full": {
+                way: _full(each) for way, each in (("out", link.full_out), ("in", link.full_in)) if each is not None
+            },
             "peer": link.peer,
             "rtt": link.rtt,
             "fingerprint": link.fingerprint,
@@ -195,6 +199,11 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
         }
         for link in snapshot.links
     }
+
+
+def _full(full: Fullness) -> dict[str, object]:
+    """How full a link is one way."""
+    return {"carried": round(full.carried), "asked": round(full.asked), "topics": full.topics}
 
 
 def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
