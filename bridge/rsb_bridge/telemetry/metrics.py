@@ -90,8 +90,6 @@ FAMILIES = tuple(
         },
         (*_LINK, "direction"): {
             "link_full": "1 while the link carries less than is asked of it, out or in.",
-            "link_carried_bytes_per_second": "That arrive, while it is full.",
-            "link_asked_bytes_per_second": "That its topics want, while it is full.",
         },
         (*_LINK, "state"): {"link_state": "Always 1; the state of the link."},
         (*_ROUTE, "state"): {"route_state": "Always 1; the state of the route."},
@@ -279,8 +277,6 @@ def _of_link(labels: tuple[str, ...], link: LinkSnapshot, families: _Families) -
     families.add("link_warning", labels, bool(link.warning))
     for direction, full in (("out", link.full_out), ("in", link.full_in)):
         families.add("link_full", (*labels, direction), full is not None)
-        families.add("link_carried_bytes_per_second", (*labels, direction), full and full.carried)
-        families.add("link_asked_bytes_per_second", (*labels, direction), full and full.asked)
     families.add("link_failed_attempts", labels, link.attempts)
     families.add("link_round_trip_seconds", labels, link.rtt)
     families.add("link_clock_offset_seconds", labels, link.clock_offset)
