@@ -17,6 +17,8 @@ _EARLIEST, _LATEST = -1.0, 3600.0
 _LARGEST_FIGURE = 1e9  # s
 """s: plausible transit times, with the error of comparing clocks; on a slow radio link messages wait for minutes."""
 _PINGS = 16
+_DRIFT_RATE = 1e-4
+"""s a second by which two clocks drift apart, at 100 ppm."""
 _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
 
@@ -211,14 +213,17 @@ class ClockOffset:
 
     Attributes:
         rtt: s, of the last exchange; None: no exchange yet.
-        offset: s, of the exchange with the shortest round trip among the last; None: no exchange yet.
-        uncertainty: s: half that round trip, which bounds the error whatever the asymmetry of the path.
+        offset: s, of the exchange that says most: of the last ones and the best one before, the one with the least
+            uncertainty; None: no exchange yet.
+        uncertainty: s: half its round trip, which bounds the error whatever the asymmetry of the path, and how far the
+            clocks may have drifted apart since. So what is held up on the way for long is not taken for an offset.
     """
 
-    __slots__ = ("_samples", "offset", "rtt", "uncertainty")
+    __slots__ = ("_best", "_samples", "offset", "rtt", "uncertainty")
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, float]] = deque(maxlen=_PINGS)
+        self._samples: deque[tuple[float, float, int]] = deque(maxlen=_PINGS)  # round trip, offset, when it came back
+        self._best: tuple[float, float, int] | None = None
         self.rtt: float | None = None
         self.offset: float | None = None
         self.uncertainty: float | None = None
@@ -229,9 +234,17 @@ class ClockOffset:
         offset = ((received - sent) + (answered - back)) / 2e9
         if self._stepped(offset, self.rtt / 2):
             self._samples.clear()
-        self._samples.append((self.rtt, offset))
-        shortest, self.offset = min(self._samples)
-        self.uncertainty = shortest / 2
+            self._best = None
+        self._samples.append((self.rtt, offset, back))
+        shortest = min(self._samples)
+        self.uncertainty = shortest[0] / 2
+        if self._best is not None and self._best not in self._samples:
+            rtt, _, at = self._best
+            older = rtt / 2 + _DRIFT_RATE * abs(back - at) / 1e9
+            if older < self.uncertainty:
+                self.uncertainty, shortest = older, self._best
+        self._best = shortest
+        self.offset = shortest[1]
 
     def _stepped(self, offset: float, uncertainty: float) -> bool:
         """Whether one of the clocks was set: two exchanges contradict each other, each within its bounds."""
