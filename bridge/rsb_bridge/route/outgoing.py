@@ -275,7 +275,7 @@ class OutgoingRoute(TopicRoute):
             self.lateness.reset()
             return
         measured = None
-        if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY:
+        if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY and not self.yielding.holds:
             measured = self._told_delay[0]
         least = (measured or 0.0) - (self.peer.clock_uncertainty or 0.0)
         if self.transport.reliable:  # else what is not reported may be lost
