@@ -43,7 +43,8 @@ def test_a_stall_is_not_full(part: float) -> None:
     bed = Bed()
     bed.look(ALL, ALL, ALL)
     assert not any(
-        bed.look(each) for each in (ALL, part * ALL, 0.0, 0.0, 0.0, (1 - part) * ALL, 4 * ALL, ALL, ALL, ALL)
+        bed.look(each)
+        for each in (ALL, part * ALL, 0.0, 0.0, 0.0, 0.5 * ALL, 0.6 * ALL, 0.7 * ALL, 0.8 * ALL, 4 * ALL, ALL)
     )
 
 

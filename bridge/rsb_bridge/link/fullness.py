@@ -24,6 +24,8 @@ _MORE = 1.15
 """Times what arrives: more than that has to be asked for."""
 _FAR_LESS = 0.6
 """Times what is asked for."""
+_AFTER_STALL = 6
+"""Looks after a stall in which what arrives says nothing of what the link carries."""
 _SMOOTH = 0.4
 """The part that the newest look has in the figures."""
 _NAMED = 3
@@ -60,10 +62,10 @@ class LinkFullness:
         self.into: Fullness | None = None
         self._log = log
         self._other = 0
+        self._stalled = 0  # looks for which the last stall explains what arrives
+        self._flowed = False
         self._carried = self._asked = 0.0
-        self._arrived: deque[float] = deque(
-            maxlen=_WINDOW
-        )  # a stall is over before this many looks count as too little
+        self._arrived: deque[float] = deque(maxlen=_WINDOW)
         self._told = FullRecord()
         self._record = FullRecord()
 
@@ -83,7 +85,12 @@ class LinkFullness:
         self._asked += _SMOOTH * (asked - self._asked)
         # After a stall, one look brings less than is asked for, and the next ones all of it.
         too_little = asked > _MORE * arrived or carried < _FAR_LESS * asked
-        over = full and carried > 0.0 and asked > _MORE * carried and too_little
+        self._stalled = max(0, self._stalled - 1)
+        if carried or not asked:
+            self._flowed = bool(carried)
+        elif self._flowed:
+            self._stalled = _AFTER_STALL
+        over = full and carried > 0.0 and not self._stalled and asked > _MORE * carried and too_little
         was = self.out is not None
         self._other = self._other + 1 if over != was else 0
         if self._other >= (_ENDS if was else _BEGINS):
@@ -128,7 +135,7 @@ class LinkFullness:
     def disconnected(self) -> None:
         """Forget everything: the next connection may go another way."""
         self.out = self.into = None
-        self._other = 0
+        self._other = self._stalled = 0
         self._carried = self._asked = 0.0
         self._arrived.clear()
         self._told = self._record = FullRecord()
