@@ -20,10 +20,12 @@ from rsb_bridge.model.verdict import Cause, LinkCause
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from rclpy.publisher import Publisher
     from tests.support.bridge import Bridge
-    from tests.support.domain import Domain, Publisher
+    from tests.support.domain import Domain
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.model.session import Protocol
 
 
 class Talking:
@@ -68,7 +70,7 @@ def holding(bridge: Bridge) -> Iterator[HoldingRelay]:
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp"])
 def test_messages_that_are_held_on_the_way_are_late_on_both_sides(
-    protocol: str, bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
+    protocol: Protocol, bridge: Bridge, holding: HoldingRelay, robot: Domain, pc: Domain
 ) -> None:
     out, _ = robot.publisher("/scan"), pc.listener("/scan")
     server = bridge.server()

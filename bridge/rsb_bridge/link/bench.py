@@ -343,6 +343,11 @@ class LinkBench:
 
     # --- both
 
+    @property
+    def measures(self) -> bool:
+        """Whether a measurement fills the link on purpose now."""
+        return bool(self._routes())
+
     def _routes(self) -> list[Route]:
         return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]
 

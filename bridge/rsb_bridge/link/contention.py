@@ -102,7 +102,15 @@ class Contention:
         self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
         self._told = -1
 
-    def tick(self, keepalive: Keepalive, features: Collection[str], connection: int, peer: str = "") -> None:
+    def tick(
+        self,
+        keepalive: Keepalive,
+        features: Collection[str],
+        connection: int,
+        peer: str = "",
+        *,
+        measures: bool = False,
+    ) -> None:
         """Look once a second, while linked.
 
         Args:
@@ -110,6 +118,7 @@ class Contention:
             features: of the other side.
             connection: counts up from one to the next.
             peer: the other side's name.
+            measures: somebody fills the link on purpose, to measure it.
         """
         self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
@@ -129,7 +138,7 @@ class Contention:
             for each in asking
             if each.traffic.bytes_per_second > 0.0
         ]
-        self._fullness.look(wanted, max(arrived, self._datagrams(asking)), full=full, peer=peer)
+        self._fullness.look(wanted, max(arrived, self._datagrams(asking)), full=full and not measures, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received

@@ -375,7 +375,8 @@ class Link(ABC):
         self.patterns.tick()
         if self.control is None:
             return
-        self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name)
+        measures = self.bench.measures
+        self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name, measures=measures)
         self.send(self.keepalive.tick())
         self.channels.udp.tick()
         for report in reports(self.routes.values(), self.fullness.news()):
