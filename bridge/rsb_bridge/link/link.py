@@ -89,6 +89,7 @@ class Link(ABC):
         self.keys: SessionKeys | None = None
         self.peer: Hello | Welcome | None = None
         self.encrypted = encrypted
+        self._is_silent = False
         self.status = LinkStatus(context.wall())
         self.connections = 0
         self.linked_at = 0.0
@@ -230,11 +231,12 @@ class Link(ABC):
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """The peer is connected and authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
+        self._is_silent = False
         self.channels.connected(keys, self.role)
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)
-        self.keepalive.watch(partial(control.abort, "the peer is silent"))
+        self.keepalive.watch(partial(self._silent, control))
         self.status.up(self.context.wall())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = (
@@ -245,11 +247,18 @@ class Link(ABC):
         self.table.connected()
         self.patterns.connected()
 
+    def _silent(self, control: ControlChannel) -> None:
+        """End a connection over which nothing comes any more."""
+        self._is_silent = True
+        text = f"the peer is silent: nothing came for {self.keepalive.quiet:.0f} s"
+        control.abort(f"{text}: check that it is on, its cable or Wi-Fi, and firewalls")
+
     def lost(self, reason: str, code: EventCode) -> None:
         """The control connection is over."""
         self.keepalive.stop()
         self.control = self.keys = None
-        self.status.down(_CAUSES.get(code, LinkCause.CLOSED), reason)
+        cause = _CAUSES.get(code, LinkCause.CLOSED)
+        self.status.down(LinkCause.SILENT if self._is_silent and cause is LinkCause.LOST else cause, reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
         asked = (self.patterns, self.topic_lists, self.type_questions)
