@@ -21,6 +21,10 @@ class EngineError(Exception):
     """The engine cannot do what was asked; the message tells the operator why, and what to do."""
 
 
+class InvalidRequestError(EngineError):
+    """The request itself is wrong, as with a misspelt field: the same words are refused whenever they are sent."""
+
+
 class ArmingApi(Protocol):
     """What a console may do about topics that have to be armed. Every method may be called from any thread.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.arming import BridgeArming
 from rsb_bridge.benchmarking import carry_out
 from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
@@ -30,6 +30,7 @@ from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fields import FieldError
 from rsb_bridge.model.operators import operator
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
@@ -94,6 +96,10 @@ class Bridge:
     def links(self) -> list[Link]:
         """All links, up or down: a client's one, or a server's many."""
         return self._role.links()
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        """Return the clients that a server refuses, and that no link shows."""
+        return self._role.refused()
 
     @property
     def session(self) -> Session:
@@ -378,6 +384,8 @@ class Bridge:
         """Run a command: its errors become an `EngineError`, and the snapshot shows its effect."""
         try:
             yield
+        except FieldError as error:
+            raise InvalidRequestError(str(error)) from None
         except (LinkError, ListenError, RosError, ValueError) as error:
             raise EngineError(str(error)) from None
         finally:

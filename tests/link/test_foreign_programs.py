@@ -6,7 +6,7 @@ import contextlib
 import http.server
 import socket
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from tests.support.bridge import link, linked, now
@@ -17,7 +17,7 @@ from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.foreign import recognise
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from tests.support.bridge import Bridge
     from tests.support.relay import Relay
@@ -75,7 +75,9 @@ def test_first_bytes(data: bytes, protocol: str) -> None:
     assert recognise(data) == protocol
 
 
-@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"SSH-2.0-x\r\n", b"\x15\x03\x03\x00\x02\x02\x46"])
+@pytest.mark.parametrize(
+    "answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"SSH-2.0-x\r\n", b"\x15\x03\x03\x00\x02\x02\x46"]
+)
 def test_another_program_at_the_servers_port(answer: bytes, bridge: Bridge) -> None:
     with answering(bridge.port, answer):
         client = bridge.client()

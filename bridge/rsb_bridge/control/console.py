@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
 from rsb_bridge.control.performing import perform
@@ -225,7 +225,7 @@ class Console:
                 )
             reply: ToConsole = _reply(request.id, answer)
         except EngineError as error:
-            reply = protocol.Failed(request.id, str(error))
+            reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
         if isinstance(request.command, CHANGING) and self._sender.sent is not None and self._buffered == 0:

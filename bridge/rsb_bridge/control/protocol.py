@@ -18,7 +18,7 @@ from rsb_bridge.model.history import HistoryReport  # noqa: TC001
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Session  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
+from rsb_bridge.model.snapshot import Event, LinkSnapshot, RefusedClient, RouteSnapshot, TopicInfo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -177,6 +177,7 @@ class State(_Message, frozen=True, tag="state"):
         last_event: likewise.
         session: as in `rsb_bridge.api.EngineApi`; None: as before.
         waits_for_operator: as in `rsb_bridge.api.EngineApi`.
+        refused: as in `rsb_bridge.model.snapshot.Snapshot`.
     """
 
     routes: tuple[msgspec.Raw, ...] = ()
@@ -190,6 +191,7 @@ class State(_Message, frozen=True, tag="state"):
     last_event: int = 0
     session: Session | None = None
     waits_for_operator: bool = False
+    refused: tuple[RefusedClient, ...] = ()
 
 
 class Events(_Message, frozen=True, tag="events"):
@@ -248,10 +250,12 @@ class Failed(_Message, frozen=True, tag="failed"):
     Attributes:
         id: of the request.
         reason: in words.
+        invalid: whether the request itself is wrong, as in `rsb_bridge.api.InvalidRequestError`.
     """
 
     id: int
     reason: str
+    invalid: bool = False
 
 
 class Goodbye(_Message, frozen=True, tag="goodbye"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING, TypeVar
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
@@ -56,7 +56,8 @@ class Requests:
         if answered is None:
             raise ProtocolError("an answer without a request")
         if isinstance(message, Failed):
-            answered.set_exception(EngineError(message.reason))
+            kind = InvalidRequestError if message.invalid else EngineError
+            answered.set_exception(kind(message.reason))
         else:
             answered.set_result(message.reloaded or message.history or message.bench or message.value)
 

@@ -88,7 +88,7 @@ class ConnectAttempt(StreamHandler):
         stream.write(self._connection.data_to_send())
         for index, event in enumerate(events):
             match event:
-                case (Established() | Accepted()) if self._probing:
+                case Established() | Accepted() if self._probing:
                     stream.abort("it answered too late")
                     return
                 case Established() | Accepted():

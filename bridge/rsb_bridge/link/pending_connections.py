@@ -96,8 +96,8 @@ class Admission(Protocol):
         """A client was refused that has proven its key: another one has its name, or its link is shut down."""
         ...
 
-    def remedy_for_unknown(self) -> str:
-        """What an operator does about a client whose name the session file does not have."""
+    def remedy_for_unknown(self, name: str) -> str:
+        """Say what an operator does about a client whose name the session file does not have."""
         ...
 
 
@@ -217,9 +217,8 @@ class _PendingConnection(StreamHandler):
         stream.close(message)
 
     def _identify(self, name: str) -> Credential:
-        credential = self._admission.credential(name)
         self.name = name
-        return credential
+        return self._admission.credential(name)
 
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
@@ -308,7 +307,7 @@ class _PendingConnection(StreamHandler):
         if code is RefusalCode.WRONG_KEY:
             return f"{message}: copy one side's key file to the other"
         if code is RefusalCode.UNKNOWN_NAME:
-            return f"{message}: {self._admission.remedy_for_unknown()}"
+            return f"{message}: {self._admission.remedy_for_unknown(self.name)}"
         return message
 
     def _leave(self) -> None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.server_link import ServerLink
     from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.snapshot import RefusedClient
 
 _RESTART_WITHIN = 5.0
 _LOOK_EVERY = 0.05
@@ -73,6 +74,10 @@ class BridgeRole(Protocol):
 
     def links(self) -> list[Link]:
         """All links, up or down."""
+        ...
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        """Return the clients that are refused, and that no link shows."""
         ...
 
     def tick(self) -> None:
@@ -152,6 +157,9 @@ class ClientRole:
 
     def links(self) -> list[Link]:
         return [self._link]
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        return ()
 
     def tick(self) -> None:
         """There is nothing to do besides the link's own tick."""
@@ -238,6 +246,9 @@ class ServerRole:
 
     def links(self) -> list[Link]:
         return list(self._server.links.values())
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        return self._server.refused_clients.shown()
 
     def tick(self) -> None:
         self._server.tick()

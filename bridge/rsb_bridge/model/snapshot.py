@@ -346,6 +346,27 @@ class LinkSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class RefusedClient:
+    """A client that a server refuses at present, and that none of its links shows.
+
+    Attributes:
+        name: the client's name as it says, or empty if it said none.
+        host: its address.
+        cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
+        reason: the same in words, with the remedy.
+        since: s since the epoch, when it was first refused.
+        attempts: its attempts so far.
+    """
+
+    name: str
+    host: str
+    cause: str
+    reason: str
+    since: float
+    attempts: int
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """The whole engine at one moment.
 
@@ -359,6 +380,7 @@ class Snapshot:
         links: on a server, one for each known client.
         routes: of all links.
         last_event: number of the newest event.
+        refused: clients that a server refuses at present.
     """
 
     time: float
@@ -370,6 +392,7 @@ class Snapshot:
     links: tuple[LinkSnapshot, ...] = ()
     routes: tuple[RouteSnapshot, ...] = ()
     last_event: int = 0
+    refused: tuple[RefusedClient, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE, _REFRESHES = 128, 4
@@ -55,6 +55,10 @@ class ShownBridge(Protocol):
 
     def links(self) -> Sequence[ShownLink]:
         """All of them, up or down."""
+        ...
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        """Return the clients that a server refuses, and that no link shows."""
         ...
 
 
@@ -139,6 +143,7 @@ class SnapshotPublisher:
             links=tuple(self._links.values()),
             routes=tuple(self._routes[route] for route in _routes_of(bridge) if route in self._routes),
             last_event=self._events.last,
+            refused=bridge.refused(),
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import signal
 import sys
 import tempfile
 import threading
@@ -19,7 +20,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.bench.ends import BenchError
 from rsb_console.bench.fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals
-from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, print_error, print_line
+from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
 from rsb_console.fleet.fleet import Fleet
 from rsb_console.fleet.memory import Memory
 from rsb_console.fleet.servers import ServerFleet
@@ -128,7 +129,7 @@ def _headless(running: Simulated, signals: Signals, seconds: float | None) -> in
     with seen(running) as shown:
         trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
         _print_summary(_heard(shown))
-    return OK
+    return HUNG_UP if signals.caught == signal.SIGHUP.name else OK
 
 
 def _troubled(names: Sequence[str]) -> tuple[str, str]:

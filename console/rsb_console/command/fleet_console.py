@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rsb_console.command.console import run_app
-from rsb_console.command.shell import FAILURE, OK, print_error
+from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
 from rsb_console.fleet_app import FleetApp, RobotApp
 from rsb_console.terminal.driver import prefers_ascii
 from rsb_console.terminal.shutdown import ShutdownReason, crash_path
@@ -29,7 +29,7 @@ def run_fleet(fleet: Fleet, *, readonly: bool, ascii_only: bool, theme: str | No
         mouse: take the mouse from the terminal.
 
     Returns:
-        The exit code: 0, or 1 after a crash.
+        The exit code: 0, 1 after a crash, or 129 if the terminal has gone.
     """
     view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
     while True:
@@ -57,4 +57,4 @@ def _code(app: TerminalApp[Any]) -> int:
     if app.shutdown_reason is ShutdownReason.CRASH:
         print_error(f"the console has crashed; please report {crash_path()}")
         return FAILURE
-    return OK
+    return HUNG_UP if app.shutdown_reason is ShutdownReason.HANGUP else OK

@@ -7,6 +7,10 @@ import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.command.adding import add, edit
@@ -24,13 +28,14 @@ from rsb_console.command.reports import (
     pattern_text,
     patterns_of,
     rate_text,
+    refused_text,
     route_of,
     status_of,
     text_event,
     topics_of_link_that_is_down,
     why_down,
 )
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line
+from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_error, print_line
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
     attached,
@@ -48,7 +53,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.snapshot import Snapshot, TopicInfo
 
 _LOOK_EVERY = 0.1
@@ -64,29 +69,77 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def _status(arguments: Namespace) -> int:
+    several = _all_bridges(arguments)
+    if several:
+        return _status_of_all(several, arguments)
     with attached(arguments, read_only=True) as engine:
-        now, bridge = engine.snapshot(), engine.bridge
-        faults, waits = wrong(now), waiting(now)
-        if arguments.json:
-            about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
-            print_line(
-                json_line({"ok": not faults, "wrong": faults, "waiting": waits, **about, "address": now.address,
-                           "domain_id": now.domain_id, "running": now.running, "time": now.time, **status_of(now)})
-            )  # fmt: skip
+        faults, lines, figures = _status_of(engine)
+    if arguments.json:
+        print_line(json_line(figures))
+    for line in () if arguments.json else lines:
+        print_line(line)
+    return FAILURE if faults else OK
+
+
+def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
+    """Return all bridges of this machine if there are several and the arguments name none; else nothing."""
+    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "fleet", None) is not None:
+        return []
+    if getattr(arguments, "attach", None) is not None:
+        return []
+    found = running_bridges()
+    return found if len(found) > 1 else []
+
+
+def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
+    """Print how each bridge is. Returns the worst of their exit codes."""
+    codes: list[int] = []
+    figures: list[dict[str, object]] = []
+    for bridge in bridges:
+        try:
+            if bridge.info is None:
+                raise ControlError(bridge.problem)
+            engine = RemoteEngine(bridge.path, read_only=True)
+            try:
+                engine.start()
+                faults, lines, of_bridge = _status_of(engine)
+            finally:
+                engine.stop()
+        except (ControlError, EngineError, TimeoutError) as error:
+            codes.append(NOT_RUNNING)
+            lines = [f"{bridge.name}: pid {bridge.pid}, {bridge.path}", f"  {str(error) or 'it does not answer'}"]
+            of_bridge = {"ok": False, "name": bridge.name, "pid": bridge.pid, "error": str(error)}
         else:
-            print_line(f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}")
-            print_line(f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""))
-            print_line(f"  {_in_short(now, faults, waits)}")
-            for link in now.links:
-                where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
-                print_line(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}")
-                if waits_for_link := topics_of_link_that_is_down(now, link):
-                    print_line(f"    {waits_for_link}")
-            for route in faults_first(of_links_that_are_up(now)):
-                print_line(f"  {rate_text(route)}{made_by(route)}")
-            for pattern in patterns_of(now):
-                print_line(f"  {pattern_text(pattern)}")
-        return FAILURE if faults else OK
+            codes.append(FAILURE if faults else OK)
+        figures.append(of_bridge)
+        for line in () if arguments.json else lines:
+            print_line(line)
+    if arguments.json:
+        print_line(json_line({"ok": not any(codes), "bridges": figures}))
+    return max(codes)
+
+
+def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
+    """Return what is wrong with a bridge, how it is in lines, and the same as data."""
+    now, bridge = engine.snapshot(), engine.bridge
+    faults, waits = wrong(now), waiting(now)
+    about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
+    figures = {"ok": not faults, "wrong": faults, "waiting": waits, **about, "address": now.address,
+               "domain_id": now.domain_id, "running": now.running, "time": now.time, **status_of(now)}  # fmt: skip
+    lines = [
+        f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
+        f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""),
+        f"  {_in_short(now, faults, waits)}",
+    ]
+    for link in now.links:
+        where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
+        lines.append(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}")
+        if waits_for_link := topics_of_link_that_is_down(now, link):
+            lines.append(f"    {waits_for_link}")
+    lines += [f"  {refused_text(client)}" for client in now.refused]
+    lines += [f"  {rate_text(route)}{made_by(route)}" for route in faults_first(of_links_that_are_up(now))]
+    lines += [f"  {pattern_text(pattern)}" for pattern in patterns_of(now)]
+    return faults, lines, figures
 
 
 def _in_short(now: Snapshot, faults: list[str], waits: list[str]) -> str:

@@ -229,14 +229,17 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
             its_name = parser.add_argument("name", metavar="NAME", help="the client's")
             if name != "add":
                 complete(its_name, "links")
-        which = "the server's file; default: that of the bridge that runs here"
+        which = "the server's file, or its bridge's name; default: the server that runs here"
         complete(parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=which), "yaml_files")
         complete(parser.add_argument("--bridge", metavar="BRIDGE", help="where several bridges run"), "bridge_names")
         parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket")
         parser.add_argument("--json", action="store_true", help="for programs")
         if hands_out:
             parser.add_argument(
-                "--address", default="", metavar="ADDRESS", help="the server's, as the client reaches it"
+                "--address",
+                default="",
+                metavar="ADDRESS",
+                help="the server's, as the client reaches it; :PORT if it differs",
             )
             output = "for the client's session file; default: standard output"
             parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=output)

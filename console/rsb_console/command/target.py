@@ -6,7 +6,7 @@ import contextlib
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.yaml_text import SessionError
@@ -67,6 +67,8 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
         return failed(arguments, str(error), USAGE)
     except (NoBridgeError, ControlError) as error:
         return failed(arguments, str(error), NOT_RUNNING)
+    except InvalidRequestError as error:
+        return failed(arguments, str(error), USAGE)
     except EngineError as error:
         return failed(arguments, str(error), FAILURE)
     except TimeoutError:

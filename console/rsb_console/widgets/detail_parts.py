@@ -59,6 +59,13 @@ def _until(arming: ArmingSnapshot) -> str:
     return f"until no key is pressed on that console for {arming.deadman:g} s"
 
 
+def carrier_of(route: RouteSnapshot) -> str:
+    """Return the transport, with its port or channel where it has one: a Zenoh network has none."""
+    if not route.port:
+        return route.transport.upper()
+    return f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+
+
 def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
     """The type, where it goes, what carries it, its name there, and the pattern that it matches.
 
@@ -68,7 +75,7 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
         width: of the pane, cells.
     """
     yield ((f" {_type(route)}", "strong" if route.type_name else "dim"),)
-    carrier = f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+    carrier = carrier_of(route)
     towards: Line = ((f" {way}", ""), (f"  {carrier}", "dim"))
     yield from (towards,) if width_of(towards) <= width else (towards[:1], ((f"   {carrier}", "dim"),))
     if route.remote_topic and route.remote_topic != route.topic:

@@ -147,7 +147,7 @@ def faults_of(snapshot: Snapshot) -> list[Fault]:
     if not snapshot.running:
         return []
     alike: dict[tuple[str, str, str, bool], list[Fault]] = {}
-    found = (*_link_faults(snapshot), *_topic_faults(snapshot))
+    found = (*_link_faults(snapshot), *_refused_clients(snapshot), *_topic_faults(snapshot))
     for fault in sorted(found, key=lambda fault: fault.look == State.WAITING.value):
         key = fault.sign, fault.robot, fault.cause.replace(fault.name, _OWN_NAME), fault.of_link
         alike.setdefault(key, []).append(fault)
@@ -163,6 +163,12 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
             yield Fault("!", State.SLOW.value, "", link.name, cause, of_link=True)
         elif link.state is not State.OK and not (single and link.state is State.WAITING):
             yield Fault(STATE_SIGN[link.state], link.state.value, "", link.name, cause, of_link=True)
+
+
+def _refused_clients(snapshot: Snapshot) -> Iterator[Fault]:
+    for client in snapshot.refused:
+        name = f"{client.name or 'a client'} at {client.host}"
+        yield Fault("!", State.SLOW.value, "", name, client.reason, of_link=True)
 
 
 def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
@@ -190,7 +196,7 @@ def link_fault(link: LinkSnapshot, *, server: bool) -> str:
     since = formats.time_of_day(link.since)[:5]
     if link.state is State.OK:
         return link.warning
-    if not server or link.cause not in (LinkCause.LOST, LinkCause.CLOSED, LinkCause.NOT_YET):
+    if not server or link.cause not in (LinkCause.LOST, LinkCause.SILENT, LinkCause.CLOSED, LinkCause.NOT_YET):
         return link.reason
     seen = f"last seen at {link.peer}: {link.reason}" if link.peer else "not seen yet"
     return f"missing since {since}, {seen}"

@@ -83,7 +83,7 @@ class TopicsTable(SelectableList):
                 "topic": f"{route.topic} {route.pattern}" if route.pattern else route.topic,
                 "robot": route.link,
                 "state": STATE_WORD[route.state],
-                "via": f"{via(route)} {route.port}",
+                "via": f"{via(route)} {route.port or ''}",
                 "type": route.type_name,
                 "why": route.reason if route.calls is None else f"{route.reason} {route.calls.last_failure}",
             },
