@@ -128,6 +128,8 @@ def test_what_crosses_a_link_is_counted_at_one_end() -> None:
     async def steps(bed: Bed) -> None:
         (first, *_) = text(bed.app).splitlines()
         assert "from 300 kB/s │ to 4.0 kB/s" in first
+        assert " 1 robot " in first
+        assert " 1 server " in first
 
     control = robot("control", role="server", bytes_from_robot=4_000.0, bytes_to_robot=300_000.0)
     Bed(robot("robot1", role="client"), control).run(steps, WIDE)

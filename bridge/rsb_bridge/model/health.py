@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot
 
 _NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.OK})
+
+
+def state_counts(things: Iterable[RouteSnapshot | LinkSnapshot]) -> dict[State, int]:
+    """Count how many routes or links are in each state, the worst first: a console, a fleet and `status` all show this.
+
+    States that none of them has are left out.
+    """
+    counts = Counter(thing.state for thing in things)
+    return {state: counts[state] for state in State if counts[state]}
 
 
 def link_is_wrong(link: LinkSnapshot) -> bool:

@@ -127,8 +127,13 @@ def _print(arguments: Namespace) -> int:
     if not robots and arguments.fleet is not None:
         raise NoBridgeError(f"no engine has announced itself in the fleet {fleet.sources[0].name!r}")
     wrong = [robot for robot in robots if robot.summary.state.is_wrong]
-    states = [robot.summary.state for robot in robots]
-    summary = {"robots": len(robots), "states": {state: states.count(state) for state in RobotState}}
+    states = [robot.summary.state for robot in robots if not robot.is_server]
+    servers = len(robots) - len(states)
+    summary = {
+        "robots": len(states),
+        "servers": servers,
+        "states": {state: states.count(state) for state in RobotState},
+    }
     print_line(json_line({"ok": not wrong, "time": time.time(), "summary": summary, "robots": [*map(_report, robots)]}))
     return FAILURE if wrong else OK
 

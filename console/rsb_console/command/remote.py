@@ -11,6 +11,7 @@ from rsb_bridge.api import EngineError
 from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.control.client import RemoteEngine
 from rsb_bridge.control.folders import ControlError
+from rsb_bridge.model.health import state_counts
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.command.adding import add, edit
@@ -147,6 +148,8 @@ def _in_short(now: Snapshot, faults: list[str], waits: list[str]) -> str:
     if not now.running:
         return "STOPPED"
     parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]
+    if unheard := state_counts(now.routes).get(State.UNHEARD):
+        parts.append(f"{unheard} unheard")
     if waits:
         parts.append(f"{len(waits)} {'waits' if len(waits) == 1 else 'wait'}")
     return ", ".join(parts)

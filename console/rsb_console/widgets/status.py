@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model import health
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats, kinds
 from rsb_console.look.glyphs import ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
@@ -118,11 +119,11 @@ def state_counts(
         states: those that are counted, in this order.
         words: name each state.
     """
-    counts = Counter(thing.state for thing in things)
+    counts = health.state_counts(things)
     return tuple(
         (f"  {STATE_SIGN[s]} {counts[s]} {STATE_WORD[s].lower()}" if words else f" {STATE_SIGN[s]}{counts[s]}", s.value)
         for s in states
-        if counts[s]
+        if s in counts
     )
 
 
