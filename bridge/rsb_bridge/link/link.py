@@ -258,7 +258,11 @@ class Link(ABC):
         self.keepalive.stop()
         self.control = self.keys = None
         cause = _CAUSES.get(code, LinkCause.CLOSED)
-        self.status.down(LinkCause.SILENT if self._is_silent and cause is LinkCause.LOST else cause, reason)
+        if cause is LinkCause.LOST and self.transport.problem:
+            cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
+        elif cause is LinkCause.LOST and self._is_silent:
+            cause = LinkCause.SILENT
+        self.status.down(cause, reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
         asked = (self.patterns, self.topic_lists, self.type_questions)

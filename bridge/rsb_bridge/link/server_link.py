@@ -133,8 +133,18 @@ class ServerLink(Link):
         """A second client was refused, which has proven its key."""
         self.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
+    def _look_at_network(self) -> None:
+        """Say that the router is lost for as long as it is, whatever else was said before."""
+        problem, cause = self.transport.problem, self.status.cause
+        if problem and cause is not LinkCause.SHUT_DOWN:
+            self.status.down(LinkCause.ROUTER_LOST, problem)
+        elif not problem and cause is LinkCause.ROUTER_LOST:
+            self.status.down(LinkCause.LOST, "the Zenoh router is back, and the client has not come yet")
+
     def tick(self) -> None:
         super().tick()
+        if not self.linked:
+            self._look_at_network()
         if self.status.retry_at is not None and self.context.now() > self.status.retry_at + ASKED_EVERY:
             self.status.retry_at = None  # it does not ask any more
         news = self.duplicates.news(self.context.now())

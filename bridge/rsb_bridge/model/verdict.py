@@ -87,6 +87,8 @@ class LinkCause(StrEnum):
     UNREACHABLE = "unreachable"
     TIMED_OUT = "timed_out"
     """Not one packet comes back from the server's address."""
+    ROUTER_LOST = "router_lost"
+    """The Zenoh router is lost, without which neither side reaches the other."""
     NO_ANSWER = "no_answer"
     """The server's port accepts the connection, and nothing answers."""
     NOT_A_BRIDGE = "not_a_bridge"
