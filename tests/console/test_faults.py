@@ -7,7 +7,7 @@ from tests.console.driving import drive, engine_of, gone, put, scripted_app, sho
 from tests.console.scripted import LINK, NOW, ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
-from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
 from rsb_bridge.route.verdict import no_publisher
 from rsb_console.widgets.faults import MoreKeys, fault_lines, faults_of
 
@@ -110,4 +110,15 @@ def test_faults_only_gives_them_more_room() -> None:
         await pilot.press("f")
         await until(pilot, lambda: app.main.faults.size.height == 0, "no line for no fault")
 
+    drive(app, steps, (80, 24))
+
+
+def test_a_client_that_is_refused_is_on_the_first_screen() -> None:
+    refused = RefusedClient("robot9", "10.0.0.9", "unknown_name", "unknown: add it", NOW - 5.0, 3)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        put(app, refused=(refused,))
+        await shown(pilot, "robot9 at 10.0.0.9: unknown: add it")
+
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, ROUTES[:1]))
     drive(app, steps, (80, 24))

@@ -28,6 +28,7 @@ exit codes, of every command:
   2    wrong usage: bad arguments, a name that does not exist, a session file with mistakes
   3    not here: no such bridge runs, or a key file is missing (check)
   4    the session runs on this machine already
+  129  the terminal has gone
   130  interrupted (Ctrl-C)
   143  terminated"""
 

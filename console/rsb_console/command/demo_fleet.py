@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import signal
 import sys
 import tempfile
 import threading
@@ -129,7 +128,7 @@ def _headless(running: Simulated, signals: Signals, seconds: float | None) -> in
     with seen(running) as shown:
         trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
         _print_summary(_heard(shown))
-    return HUNG_UP if signals.caught == signal.SIGHUP.name else OK
+    return HUNG_UP if signals.hung_up else OK
 
 
 def _troubled(names: Sequence[str]) -> tuple[str, str]:

@@ -159,7 +159,7 @@ def bridge_until_told(
     engine.stop(_STOPS_WITHIN)
     log(engine.events(seen))
     writer.close(_WRITTEN_WITHIN)
-    return FAILURE if failed else HUNG_UP if signals.caught == signal.SIGHUP.name else OK
+    return FAILURE if failed else HUNG_UP if signals.hung_up else OK
 
 
 def _has_terminal() -> bool:
@@ -241,6 +241,11 @@ class Signals:
         for number, handler in self._before.items():
             ends = number == signal.SIGINT and self.caught  # the process ends: one more would change its exit code
             signal.signal(number, signal.SIG_IGN if ends else handler)
+
+    @property
+    def hung_up(self) -> bool:
+        """Whether the end of the terminal is what ends the bridge."""
+        return self.caught == signal.SIGHUP.name
 
     def _ignores_hangup(self) -> bool:
         return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored
