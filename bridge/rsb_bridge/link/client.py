@@ -162,7 +162,8 @@ class ClientLink(Link):
             if attempt.outcome.done():  # it came as the time ran out
                 return attempt.outcome.result()
             if attempt.connects and isinstance(error, TimeoutError):
-                return await attempt.silence()
+                is_new = self.peer is None and self.status.cause is not LinkCause.NO_ANSWER
+                return await attempt.silence(probe=is_new)
             return _not_connected(transport.format_address((host, port)), error)
         finally:
             attempt.end()

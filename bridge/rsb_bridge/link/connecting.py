@@ -26,12 +26,12 @@ LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None
 
 
 class Failure(NamedTuple):
-    """Why the server did not accept a stream.
+    """The reason why the server did not accept a stream.
 
     Attributes:
         reason: for an operator.
         cause: the same as a code.
-        code: of the server's refusal, or None if there is none.
+        code: of the server's refusal, or None if it did not refuse.
     """
 
     reason: str
@@ -113,14 +113,15 @@ class ConnectAttempt(StreamHandler):
             text = f"{text}: is it an rsb-console server, or a tunnel that leads nowhere?"
         self._finish(Failure(text))
 
-    async def silence(self) -> Failure:
-        """Find out what it is that accepts the stream and does not answer.
+    async def silence(self, *, probe: bool) -> Failure:
+        """Give up a stream that is accepted and not answered.
 
-        Many programs wait for the end of a line before they say what they are. So an empty line is sent, which no
-        handshake has: the stream is of no use any more.
+        Args:
+            probe: send an empty line first: many programs answer only to a whole line. A bridge that hangs takes it for
+                a broken handshake, so do this only where no bridge has ever answered.
         """
         self._probing = True
-        if self._stream is not None and not self._stream.over:
+        if probe and self._stream is not None and not self._stream.over:
             self._stream.write(_EMPTY_LINE)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_PROBED_FOR):

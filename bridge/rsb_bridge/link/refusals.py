@@ -86,7 +86,7 @@ class Refusals:
     def log(self, stream: Stream, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
         """Log that a client was rejected, as `log_of` does.
 
-        It takes nothing of the quota of the link of that name: whoever calls itself so need not be that client.
+        The quota of the link of that name stays as it is: anybody can use the name.
         """
         self.log_of(stream.host, f"a client at {stream.peer}", code, message, name, cause)
 

@@ -70,12 +70,12 @@ class RefusedClients:
         self._entries[host, name] = _Entry(shown, self._clocks.now())
 
     def forget(self, name: str) -> None:
-        """Drop the entries of a name: its client is linked, or is known now."""
+        """Drop the entries of a name when its client is linked or added."""
         for key in [key for key in self._entries if key[1] == name]:
             del self._entries[key]
 
     def tick(self) -> None:
-        """Forget those that try no more; called once a second."""
+        """Forget clients without a recent attempt; called once a second."""
         oldest = self._clocks.now() - FORGOTTEN_AFTER
         for key in [key for key, entry in self._entries.items() if entry.tried_at < oldest]:
             del self._entries[key]

@@ -45,7 +45,7 @@ class Server:
     Attributes:
         entries: of the clients that are let in, by their names.
         links: likewise; a client that the session lists has one before it ever came.
-        refused_clients: those that are refused, and that no link shows.
+        refused_clients: refused clients that no link shows.
     """
 
     def __init__(

@@ -134,7 +134,7 @@ class ServerLink(Link):
         self.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
     def _look_at_network(self) -> None:
-        """Say that the router is lost for as long as it is, whatever else was said before."""
+        """Show that the router is lost for as long as it is lost."""
         problem, cause = self.transport.problem, self.status.cause
         if problem and cause is not LinkCause.SHUT_DOWN:
             self.status.down(LinkCause.ROUTER_LOST, problem)

@@ -83,7 +83,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The peer broke the format, or a seal is invalid. Send what is left to send, then close the stream.
+    """The peer broke the format, or a seal is invalid. Send the remaining bytes, then close the stream.
 
     Attributes:
         reason: for an operator.

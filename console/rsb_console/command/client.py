@@ -228,7 +228,7 @@ _NOT_RUNNING = "no server of this file runs here; it counts from the next start"
 
 
 def _session_path(arguments: Namespace) -> Path:
-    """Return the session file: the one that is named, that of the bridge that is, or that of the server here.
+    """Return the session file by its path, by the name of its bridge, or of the only server that runs here.
 
     Raises:
         UsageError: it cannot be told which.
@@ -247,7 +247,7 @@ def _session_path(arguments: Namespace) -> Path:
 
 
 def _file_of(name: str) -> Path | None:
-    """Return the session file of the bridge of that name that runs here, or None if there is none."""
+    """Return the session file of the bridge of that name that runs here, or None if no such bridge runs."""
     named = (each for each in running_bridges() if each.name == name and each.info is not None and each.info.file)
     bridge = next(named, None)
     return Path(bridge.info.file) if bridge is not None and bridge.info is not None and bridge.info.file else None

@@ -51,7 +51,7 @@ def text_status(snapshot: Snapshot) -> str:
 
 
 class StatusLines:
-    """Status lines in a row, for people: a cause is told when it begins or changes, and then once a minute."""
+    """Status lines in a row, for people: they give a cause when it begins or changes, and then once a minute."""
 
     def __init__(self) -> None:
         self._told: dict[_Told, tuple[str, float]] = {}
@@ -92,7 +92,7 @@ class StatusLines:
             for number, (key, how, text, brief) in enumerate(group):
                 before, at = told.get(key, ("", 0.0))
                 is_known = before == how and 0 <= now - at < _TOLD_AGAIN_AFTER
-                if number < _SHOWN_IN_STATUS or is_known:  # else nobody has been told yet
+                if number < _SHOWN_IN_STATUS or is_known:  # else it had no room in the line
                     self._told[key] = (how, at if is_known else now)
                 texts.append(brief if is_known else text)
             parts += _some([text for text in texts if text])
@@ -235,7 +235,7 @@ def status_of(snapshot: Snapshot) -> dict[str, object]:
 
 
 def refused_text(client: RefusedClient) -> str:
-    """Say which client is refused, and what to do."""
+    """Format a refused client, with the remedy."""
     return f"refused {client.name or 'a client'} at {client.host} since {clock(client.since)}: {client.reason}"
 
 

@@ -103,7 +103,7 @@ class Network:
 
     @property
     def problem(self) -> str:
-        """Which router is lost and what to do, or an empty string."""
+        """The name of the router that is lost, with the remedy, or an empty string."""
         return f"{self.place}: {ROUTER_LOST}: {_ROUTER_REMEDY}" if self._cut_off else ""
 
     async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
@@ -232,7 +232,7 @@ class Network:
             return
         if any(each.zid != gone for each in session.info.transports()):  # the one that is gone may still be listed
             return
-        self._cut_off = not self.settings.listen  # others may come to whoever listens
+        self._cut_off = not self.settings.listen  # to a side that listens others may still come
         with self._lock:
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
