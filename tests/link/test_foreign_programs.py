@@ -67,6 +67,8 @@ def answering(port: int, answer: bytes) -> Iterator[None]:
         (b"\x16\x03\x01\x02\x00\x01", "TLS"),
         (b"\x15\x03\x03\x00\x02\x02\x46", "TLS"),
         (b"RTPS\x02\x03", "RTPS"),
+        (bytes.fromhex("02000302"), "Zenoh"),  # a router, to whom an rsb-console spoke
+        (bytes.fromhex("2000c109f22e9552"), "Zenoh"),  # a client
         (b"\x00\x00\x10\x01", ""),
         (b"\xff\xff\xff\xff", ""),
     ],

@@ -155,4 +155,6 @@ def _not_a_bridge(address: str, protocol: str) -> str:
         protocol: the name of its protocol, or an empty string.
     """
     what = f"{address} answers as {protocol}, not as rsb-console" if protocol else f"{address} is not an rsb-console"
+    if protocol == "Zenoh":
+        return f"{what}: for a link over Zenoh set server_ip: zenoh"
     return f"{what}: correct server_ip or server_port"

@@ -17,6 +17,9 @@ _BEGINNINGS: tuple[tuple[str, tuple[bytes, ...]], ...] = (
     ("FTP or SMTP", (b"220 ", b"220-", b"EHLO", b"HELO")),
     ("VNC", (b"RFB ",)),
 )
+_ZENOH = "Zenoh"
+_ZENOH_CLOSE = bytes.fromhex("020003")
+"""Two bytes of length, and the message by which a router refuses a program that does not speak Zenoh."""
 _ZENOH_INIT = 0x01
 _ZENOH_VERSIONS = (0x08, 0x09)
 
@@ -31,7 +34,6 @@ def recognise(data: Buffer) -> str:
     for name, beginnings in _BEGINNINGS:
         if any(start.startswith(each) or each.startswith(start) for each in beginnings):
             return name
-    # Zenoh over TCP: two bytes of length, then INIT and the version
-    if len(start) >= 4 and start[2] & 0x1F == _ZENOH_INIT and start[3] in _ZENOH_VERSIONS:
-        return "Zenoh"
-    return ""
+    # A Zenoh client begins with two bytes of length, INIT and the version.
+    is_init = len(start) >= 4 and start[2] & 0x1F == _ZENOH_INIT and start[3] in _ZENOH_VERSIONS
+    return _ZENOH if is_init or start.startswith(_ZENOH_CLOSE) else ""
