@@ -200,7 +200,7 @@ def test_a_dropped_line_ends_it_and_the_peer_is_told(pair: Pair, tmp_path: Path)
 
 def test_a_dropped_line_ends_a_headless_bridge(pair: Pair) -> None:
     with console(pair, "--no-ui") as terminal:
-        terminal.wait_for("engine")
+        terminal.wait_for("status")
         terminal.hang_up()
         assert terminal.exit_code() == 129
 

@@ -131,6 +131,7 @@ def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: 
     eventually(lambda: {each.name: each.cause for each in now(server).refused} == causes)
     eventually(lambda: all(each.attempts > 1 for each in now(server).refused))
     assert {each.host for each in now(server).refused} == {"127.0.0.1"}
+    assert set(causes.values()) <= {event.cause for event in server.events()}
     unknown.stop()
     wrong_key.stop()
     eventually(lambda: not now(server).refused)

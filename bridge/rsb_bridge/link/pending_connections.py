@@ -6,6 +6,7 @@ from enum import IntEnum, auto
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.link.refusals import Refusals, network
+from rsb_bridge.link.refused import CAUSES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.model.verdict import LinkCause
@@ -239,7 +240,8 @@ class _PendingConnection(StreamHandler):
                 case Refused(code, message, None):
                     message = self._for_operator(code, message)
                     self.name = self._admission.refused(self.name, stream, code, message)
-                    self._refuse(stream, _CODES.get(code, EventCode.LINK_REJECTED), message, answer)
+                    cause = CAUSES.get(code, LinkCause.REFUSED)
+                    self._refuse(stream, _CODES.get(code, EventCode.LINK_REJECTED), message, answer, cause)
                     return
                 case Refused(code, message, Hello() as peer):
                     self._leave()
