@@ -150,6 +150,8 @@ def _in_short(now: Snapshot, faults: list[str], waits: list[str]) -> str:
     parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]
     if unheard := state_counts(now.routes).get(State.UNHEARD):
         parts.append(f"{unheard} unheard")
+    if refused := len(now.refused):
+        parts.append(f"{refused} {plural(refused, 'client')} refused")
     if waits:
         parts.append(f"{len(waits)} {'waits' if len(waits) == 1 else 'wait'}")
     return ", ".join(parts)
