@@ -210,3 +210,10 @@ def test_the_qos_of_both_ends_and_of_the_bridge() -> None:
     nobody = said(route("/scan", publisher_qos=None, subscriber_qos=None))
     assert "publishers" not in nobody
     assert "subscribers" not in nobody
+
+
+def test_no_port_where_there_is_none() -> None:
+    """A Zenoh network has no ports."""
+    over_zenoh = replace(route("/scan"), transport="zenoh", port=0)
+    assert "port" not in said(over_zenoh)
+    assert "port 49153" in said(replace(over_zenoh, transport="tcp", port=49153))
