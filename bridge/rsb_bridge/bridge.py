@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -68,6 +69,7 @@ class Bridge:
         context: the session, and what every part shares.
         keys: of each client.
         snapshots: kept up to date for user interfaces.
+        folder: gives the folder of the session file.
 
     Attributes:
         graph_watch: to be told of changes of the ROS graph.
@@ -75,7 +77,9 @@ class Bridge:
         contents: shows what routes carry, and calls it by hand.
     """
 
-    def __init__(self, context: Context, keys: Keys, snapshots: SnapshotPublisher) -> None:
+    def __init__(
+        self, context: Context, keys: Keys, snapshots: SnapshotPublisher, folder: Callable[[], Path] = Path
+    ) -> None:
         self.context = context
         self._snapshots = snapshots
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
@@ -88,7 +92,7 @@ class Bridge:
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._instruments = Instruments(context, snapshots.look)
+        self._instruments = Instruments(context, snapshots.look, folder)
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
@@ -169,6 +173,7 @@ class Bridge:
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
+        self._instruments.join()
 
     def _bridges_changed(self) -> None:
         for link in self.links():

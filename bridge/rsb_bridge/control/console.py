@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Protocol
 
+import msgspec
+
 from rsb_bridge.api import EngineError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
@@ -47,6 +49,11 @@ class Connection(Protocol):
     @property
     def only_looks(self) -> str:
         """Why it may change nothing, in words, whatever the console asks for; empty: it may."""
+        ...
+
+    @property
+    def of_this_machine(self) -> bool:
+        """Whether the console runs on the bridge's machine, as the bridge's user or root."""
         ...
 
     @property
@@ -294,9 +301,12 @@ class Console:
     async def _send_state(self) -> None:
         async with self._sending:
             engine, encoded = self._engine, self._served.encoded
-            snapshot = engine.snapshot()
+            snapshot, session = engine.snapshot(), engine.session
+            if session.on_fault is not None and not self._connection.of_this_machine:
+                # The command line may hold more than an operator elsewhere should read, and is of no use there.
+                session = msgspec.structs.replace(session, on_fault=None)
             for state in self._sender.differences(
-                snapshot, engine.session, waits_for_operator=engine.waits_for_operator, encoded=encoded
+                snapshot, session, waits_for_operator=engine.waits_for_operator, encoded=encoded
             ):
                 self.send(state)
                 if state.more:

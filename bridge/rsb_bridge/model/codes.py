@@ -29,6 +29,8 @@ class EventCode(StrEnum):
     """Nothing is published on the diagnostics topic; the text says why."""
     ENGINE_METRICS = "engine.metrics"
     """Metrics are served, or are not; the text says where, or why."""
+    ENGINE_ON_FAULT = "engine.on_fault"
+    """The session's `on_fault` command cannot be run, failed or took too long; at debug level, its output."""
     ENGINE_FLEET = "engine.fleet"
     """The engine cannot announce itself to its fleet, or can again; the text says why."""
     ENGINE_ROS_FAILED = "engine.ros_failed"

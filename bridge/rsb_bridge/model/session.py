@@ -248,6 +248,8 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
             None: nowhere.
         metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; None: nowhere.
+        on_fault: a command that is run when a fault begins, changes or is over: a list of words, or a text that
+            `rsb_bridge.config.fault_command` splits into words as a shell would; or None for no command.
         topics: a client's topics.
         clients: those that a server lets in; empty: one, with the session's own name and key.
         ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.
@@ -279,6 +281,7 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
     shutdown_topic: str | None = "/shutdown"
     diagnostics_topic: str | None = "/diagnostics"
     metrics: str | None = None
+    on_fault: str | tuple[str, ...] | None = None
     topics: tuple[Topic, ...] = ()
     clients: tuple[Client, ...] = ()
     allow: tuple[str | Grant, ...] = ()
