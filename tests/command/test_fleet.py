@@ -186,6 +186,8 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFi
         ("--group", "attic", "--", "status"),
         ("robot1", "--", "echo", "/scan"),
         ("robot1", "--", "echo", "/scan", "--once"),
+        ("robot1", "--", "hz", "/scan"),
+        ("robot1", "--", "bw", "/scan"),
         ("robot1", "--", "events", "--follow"),
         ("robot1", "--", "wait", "--for", "linked"),
         ("robot1", "--", "status", "--bridge", "other"),

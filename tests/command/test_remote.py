@@ -309,7 +309,7 @@ def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Ma
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machine, name: str) -> None:
     needed = {"wait": ("--for", "stopped"), "add": ("/scan", "transmit")}
-    about_topic = ("edit", "remove", "pause", "resume", "arm", "disarm", "echo")
+    about_topic = ("edit", "remove", "pause", "resume", "arm", "disarm", "echo", "hz", "bw", "info")
     arguments = ("/scan",) if name in about_topic else needed.get(name, ())
     refused = ran(name, *arguments, "--bridge", "robot7", "--json")
     assert refused.code == 3

@@ -208,6 +208,8 @@ class RouteSnapshot:
         lanes: of what is not a topic, the names that a call may be made to by hand: ``set_parameters``; a service has
             one, ``""``.
         pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
+        messages_total: messages or calls that `rate` and `bytes_total` count: on the sending side those given to the
+            link, on the receiving side those published.
     """
 
     key: str
@@ -249,6 +251,7 @@ class RouteSnapshot:
     goals: tuple[GoalSnapshot, ...] = ()
     lanes: tuple[str, ...] = ()
     pattern: str = ""
+    messages_total: int = 0
 
     @property
     def max_rate(self) -> float | None:

@@ -12,7 +12,9 @@ from rsb_bridge.model.text import plural
 from rsb_console.command.adding import add, edit
 from rsb_console.command.arming import arm, disarm
 from rsb_console.command.echo import echo
+from rsb_console.command.figures import BW, HZ, print_figures
 from rsb_console.command.health import waiting, wrong
+from rsb_console.command.info import print_info
 from rsb_console.command.reports import (
     clock,
     faults_first,
@@ -160,6 +162,14 @@ def _echo(arguments: Namespace) -> int:
     return failed(arguments, f"no more messages of {arguments.topic} within {arguments.timeout:g} s{why}", FAILURE)
 
 
+def _hz(arguments: Namespace) -> int:
+    return print_figures(HZ, arguments)
+
+
+def _bw(arguments: Namespace) -> int:
+    return print_figures(BW, arguments)
+
+
 # --- changing
 
 
@@ -237,5 +247,8 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "events": _events,
     "wait": wait,
     "echo": _echo,
+    "hz": _hz,
+    "bw": _bw,
+    "info": print_info,
     "stop": _stop,
 }

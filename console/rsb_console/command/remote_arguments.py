@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from rsb_console.command.values import above_0, count, timeout
+from rsb_console.command.values import above_0, count, timeout, window_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,6 +71,23 @@ Messages are decoded where one of the sides knows the type.
 exit codes:
   0  the messages are printed
   1  they have not come within the time
+{NO_BRIDGE}"""
+_EXIT_FIGURES = f"""\
+The figures are the bridge's own, {{where}}.
+
+exit codes:
+  0  the figures are printed
+  1  no message came while they were taken
+{NO_BRIDGE}
+  130  interrupted by Ctrl-C"""
+_EXIT_HZ = _EXIT_FIGURES.format(
+    where="counted where it sends the messages over the link,\nor publishes those that came over it"
+)
+_EXIT_BW = _EXIT_FIGURES.format(where="of payload before compression, as for hz")
+_EXIT_INFO = f"""\
+exit codes:
+  0  it is printed, whatever its state
+  1  the bridge did not answer
 {NO_BRIDGE}"""
 _ADD = f"""\
 for example:
@@ -162,6 +179,12 @@ def add_remote_commands(
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
+    _add_looking(remote, complete)
+    remote("stop", "end a running bridge, and wait until it has ended")
+
+
+def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:
+    """Add the commands that print what happens, for as long as somebody wants to see it."""
     events = remote("events", "print what a running bridge has reported")
     events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
     report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
@@ -172,7 +195,12 @@ def add_remote_commands(
     _wait_arguments(wait, complete)
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
-    remote("stop", "end a running bridge, and wait until it has ended")
+    for name, summary, more in (
+        ("hz", "print a topic's rate, once a second", _EXIT_HZ),
+        ("bw", "print a topic's bytes a second and the size of its messages", _EXIT_BW),
+    ):
+        _figures_arguments(remote(name, summary, more, about_topic=True), complete)
+    route_arguments(remote("info", "print all about one topic or service", _EXIT_INFO, about_topic=True), complete)
 
 
 def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
@@ -191,6 +219,14 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
+
+
+def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
+    route_arguments(parser, complete, kinds=("topic",))
+    parser.add_argument("--count", type=count, metavar="N", help="stop after N times; default: until interrupted")
+    parser.add_argument("--for", dest="lasts", type=above_0, metavar="N", help="stop after N s; default: never")
+    window = "take the figures over the last N s, at most 120 (%(default)s)"
+    parser.add_argument("--window", type=window_seconds, default=10, metavar="N", help=window)
 
 
 _OVER = "a fleet file: the bridge is one of that fleet, reached over Zenoh"

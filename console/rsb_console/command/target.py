@@ -216,6 +216,11 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
     raise UsageError(f"{arguments.topic} is not bridged{suggestion(arguments.topic, known)}")
 
 
+def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
+    """Name the side that a route leads to: a client's link has the client's own name."""
+    return "the server" if engine.bridge.role == "client" else route.link
+
+
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:
     """The route that the arguments mean, or the pattern.
 

@@ -10,6 +10,7 @@ from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import LinkSnapshot
 
 
@@ -124,3 +125,21 @@ def counted(count: int, what: str) -> str:
 def time_of_day(epoch: float) -> str:
     """Format a time (s since the epoch) as local time of day: ``02:31:07``."""
     return time.strftime("%H:%M:%S", time.localtime(epoch))
+
+
+def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
+    """Format a QoS as pieces of a list: ``reliable,`` ``volatile,`` ``last 10``.
+
+    Args:
+        qos: to format. A depth of 0 means that the bridge chooses it: from the topic's rate, or on a latched topic from
+            what its publishers keep.
+        depth_known: False leaves out history and depth.
+    """
+    parts = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
+    if depth_known:
+        parts.append("all" if qos.history == "keep_all" else f"last {qos.depth}" if qos.depth else "auto depth")
+    if qos.deadline:
+        parts.append(f"deadline {span(qos.deadline)}")
+    if qos.lifespan:
+        parts.append(f"lifespan {span(qos.lifespan)}")
+    return [f"{each}," for each in parts[:-1]] + parts[-1:]
