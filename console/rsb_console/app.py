@@ -15,6 +15,7 @@ from textual import work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.actions.registry import Group
+from rsb_console.operations.bell import Bell
 from rsb_console.operations.bridge import BridgeOperations
 from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.sessions import SessionOperations
@@ -93,6 +94,7 @@ class ConsoleApp(TerminalApp[None]):
         self.note = "no session"
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.deadman = Deadman()
+        self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
         console: Console = self
         bridge = BridgeOperations(console, lambda: self.main.selected)
         self.sessions = SessionOperations(console, bridge.reload)
@@ -278,6 +280,7 @@ class ConsoleApp(TerminalApp[None]):
             self._last_event = events[-1].number
         snapshot = self.snapshot()
         self.deadman.keep(self.engine, snapshot)
+        self.fault_bell.look(self.engine, snapshot)
         self.main.show(snapshot, events)
 
     def change_refresh_rate(self, step: int) -> None:
@@ -291,6 +294,11 @@ class ConsoleApp(TerminalApp[None]):
 
     def request_quit(self) -> None:
         self.action_quit()
+
+    def action_bell_on_fault(self) -> None:
+        """Ring the bell from now on when a fault begins, or ring it no more."""
+        self.fault_bell.is_on = not self.fault_bell.is_on
+        self.notify("the bell rings when a fault begins" if self.fault_bell.is_on else "the bell is off", timeout=3)
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks

@@ -91,6 +91,15 @@ class FaultWatch:
         """How many faults were reported and are not over."""
         return sum(each.reported is not None for each in self._watched.values())
 
+    def assume(self, snapshot: Snapshot, now: float) -> None:
+        """Take the faults that a snapshot shows as reported, at `now` (s)."""
+        down = _names_of_down(snapshot)
+        links = [link for link in snapshot.links if link_is_wrong(link)]
+        routes = [route for route in snapshot.routes if route.link not in down and route_is_wrong(route)]
+        for subject in (*links, *routes):
+            kind = _kind(subject)
+            self._watched[_key(subject)] = _Watched(subject, now, ("", ""), kind, kind)
+
     def look(self, snapshot: Snapshot, now: float) -> list[FaultChange]:
         """Compare with the snapshots before, at `now` (s, on a clock that nobody sets); the changes to report."""
         found = [*self._changes(snapshot, now)]
@@ -99,7 +108,7 @@ class FaultWatch:
         return found
 
     def _changes(self, snapshot: Snapshot, now: float) -> Iterator[FaultChange]:
-        down = {link.name for link in snapshot.links if link.state is not State.OK}
+        down = _names_of_down(snapshot)
         seen: set[_Key] = set()
         for link in snapshot.links:
             seen.add(_key(link))
@@ -151,6 +160,10 @@ class FaultWatch:
             del self._watched[_key(route)]
         else:
             watched.next = watched.reported
+
+
+def _names_of_down(snapshot: Snapshot) -> set[str]:
+    return {link.name for link in snapshot.links if link.state is not State.OK}
 
 
 def _key(subject: LinkSnapshot | RouteSnapshot) -> _Key:

@@ -117,6 +117,8 @@ ACTIONS: tuple[Action, ...] = (
     Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
     Action("mouse", "m", "mouse", "Give the mouse to the terminal, or take it back", Group.CONSOLE),
+    Action("bell_on_fault", "B", "bell", "Ring the terminal's bell when a fault begins, or do not",
+           Group.CONSOLE, also="sound, alarm, beep, notify"),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
     Action("quit", "q", "quit", "Quit; the bridge stops, unless it runs in another process",
@@ -151,7 +153,8 @@ FLEET_ACTIONS: tuple[Action, ...] = (
     Action("dismiss", "d", "dismiss", "Forget the robots that have gone", Group.FLEET, in_footer=True),
     *(replace(_CONSOLE_ACTIONS[name], help=text) for name, text in _ON_FLEET.items()),
     *(action for action in ACTIONS
-      if action.group is Group.MOVE or (action.group is Group.CONSOLE and action.id not in _ON_FLEET)),
+      if action.group is Group.MOVE
+      or (action.group is Group.CONSOLE and action.id not in (*_ON_FLEET, "bell_on_fault"))),
 )  # fmt: skip
 
 BY_ID = {action.id: action for action in (*FLEET_ACTIONS, *ACTIONS)}

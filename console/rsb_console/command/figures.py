@@ -226,7 +226,7 @@ def _hz_lines(figures: Figures) -> Iterator[str]:
         yield f"\t{'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
     if figures.seconds >= _LEDGER_FROM:
         taken, arrived = figures.offered / figures.seconds, figures.delivered / figures.seconds
-        yield f"\ttaken from ROS by the sending bridge: {taken:.1f} Hz, published by the receiving one: {arrived:.1f} Hz"
+        yield f"\ttaken from ROS by the sending bridge: {taken:.1f} Hz, published by the other: {arrived:.1f} Hz"
     yield from _state(route)
 
 
