@@ -1,4 +1,4 @@
-"""What shows an engine to others than its consoles: ROS's instruments, Prometheus, and the command for faults."""
+"""Shows an engine to ROS's instruments and to Prometheus, and reports its faults to the session's command."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ class Preferences:
     """The themes and keys to use.
 
     Args:
-        config: the user's folder: ``themes/``, ``keys.yaml`` and ``console.yaml``, which need not exist.
-        theme: the name that was asked for; None: what suits the terminal.
+        config: the user's folder, perhaps with ``themes/``, ``keys.yaml`` and ``console.yaml``.
+        theme: the name of a theme, or None for one that suits the terminal.
 
     Attributes:
         themes: by name.

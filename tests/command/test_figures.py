@@ -196,8 +196,7 @@ def test_a_window_forgets_what_is_older() -> None:
 
 
 def test_info_of_a_topic(ran: Any, engine: Running) -> None:
-    ends = {"publishers": ("/lidar",), "subscribers": ("/nav",)}
-    slow = replace(SCAN, state=State.SLOW, cause="slow", reason="3 Hz", **ends)
+    slow = replace(SCAN, state=State.SLOW, cause="slow", reason="3 Hz", publishers=("/lidar",), subscribers=("/nav",))
     engine.now = replace(engine.now, routes=(slow,))
     done = ran("info", "/scan")
     assert done.code == 0, "it tells, whatever the state"

@@ -96,7 +96,8 @@ class FaultWatch:
         down = _names_of_down(snapshot)
         links = [link for link in snapshot.links if link_is_wrong(link)]
         routes = [route for route in snapshot.routes if route.link not in down and route_is_wrong(route)]
-        for subject in (*links, *routes):
+        wrong: tuple[LinkSnapshot | RouteSnapshot, ...] = (*links, *routes)
+        for subject in wrong:
             kind = _kind(subject)
             self._watched[_key(subject)] = _Watched(subject, now, ("", ""), kind, kind)
 

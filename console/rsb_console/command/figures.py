@@ -44,7 +44,7 @@ class Figures:
         messages: that this bridge sent over the link, or published.
         size: bytes of their payload.
         offered: messages that the sending bridge took from ROS, as far as this side knows.
-        delivered: messages that the receiving bridge published, likewise.
+        delivered: messages that the receiving bridge published, as far as this side knows.
         each_second: messages in each of the last seconds of the window, oldest first.
     """
 
@@ -188,7 +188,7 @@ def _where(route: RouteSnapshot, other: str) -> str:
 
 
 def _about(figures: Figures) -> dict[str, object]:
-    """Which topic it is, where it is counted, and how it is."""
+    """Name the topic, its state, and the place where it is counted."""
     route = figures.route
     return {
         "topic": route.topic,
@@ -252,7 +252,7 @@ def _hz_values(figures: Figures) -> dict[str, object]:
 
 
 def _mean_size(route: RouteSnapshot) -> float | None:
-    """Bytes of a message, over all since the route was made, or None if there was none."""
+    """Return the mean size (bytes) since the route was made, or None before the first message."""
     return route.bytes_total / route.messages_total if route.messages_total else None
 
 

@@ -81,12 +81,12 @@ exit codes:
 {NO_BRIDGE}
   130  interrupted by Ctrl-C"""
 _EXIT_HZ = _EXIT_FIGURES.format(
-    where="counted where it sends the messages over the link,\nor publishes those that came over it"
+    where="counted where it sends messages over the link, or\npublishes the messages of the other side"
 )
 _EXIT_BW = _EXIT_FIGURES.format(where="of payload before compression, as for hz")
 _EXIT_INFO = f"""\
 exit codes:
-  0  it is printed, whatever its state
+  0  it is printed, even if it has a fault
   1  the bridge did not answer
 {NO_BRIDGE}"""
 _ADD = f"""\
