@@ -167,7 +167,7 @@ class _Runner:
 
     def _run(self) -> None:
         while not self._ends:
-            self._wait(None)
+            self._wait(EVERY if self._waiting else None)
             if not self._ends and self._seen is not None and self._waiting and self._limit.take(self._clock.steady()):
                 self._report(self._seen)
 
