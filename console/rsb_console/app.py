@@ -63,6 +63,7 @@ class ConsoleApp(TerminalApp[None]):
         attach_to: the control socket of a bridge to begin with, instead of a session, or what attaches to one, and may
             take some seconds; None: none.
         temporary: the session's file is deleted when the session ends.
+        resources: closed when that session ends, or None.
     """
 
     main_screen: type[MainScreen] = MainScreen
@@ -80,6 +81,7 @@ class ConsoleApp(TerminalApp[None]):
         serve: Serve | None = None,
         attach_to: Path | Attach | None = None,
         temporary: bool = False,
+        resources: ExitStack | None = None,
     ) -> None:
         super().__init__(
             readonly=readonly, ascii_only=ascii_only, theme=theme, config=config, dialogs={Group.OPERATE, Group.SESSION}
@@ -104,6 +106,8 @@ class ConsoleApp(TerminalApp[None]):
         self._serve = serve
         self._server: ControlServer | None = None
         self._resources = ExitStack()
+        """Closed when the present session ends."""
+        self._first_resources = resources
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
         self._last_event = 0
@@ -120,7 +124,7 @@ class ConsoleApp(TerminalApp[None]):
         if self._attach_to is not None:
             self._attach_to_bridge(self._attach_to)
         elif self._session is not None:
-            self._run_session(self._session, self.path, None, temporary=self.temporary)
+            self._run_session(self._session, self.path, self._first_resources, temporary=self.temporary)
         else:
             self.main.run_worker(self.sessions.welcome(), group=Group.SESSION, exclusive=True)
 

@@ -15,6 +15,7 @@ from rsb_console.terminal.driver import prefers_ascii, terminal_to_itself
 from rsb_console.terminal.shutdown import ShutdownReason, crash_path, output_path, shut_down_on_signals
 
 if TYPE_CHECKING:
+    from contextlib import ExitStack
     from pathlib import Path
 
     from rsb_bridge.api import EngineApi
@@ -39,6 +40,7 @@ def run_console(
     session: Session | None = None,
     mouse: bool = True,
     temporary: bool = False,
+    resources: ExitStack | None = None,
 ) -> int:
     """Open the console, and return when both it and the engine have ended.
 
@@ -52,7 +54,8 @@ def run_console(
         attach_to: the control socket of a bridge to attach to, or what attaches to one; None: none.
         session: runs if there is no `path`.
         mouse: take the mouse from the terminal.
-        temporary: the session file is deleted when the console ends, as the demo's is.
+        temporary: the session file is deleted when the session ends, as the demo's is.
+        resources: closed when that session ends, or None.
 
     Returns:
         The exit code: 0, or 1 after a crash of the app.
@@ -69,6 +72,7 @@ def run_console(
         serve=partial(_serve, control),
         attach_to=attach_to,
         temporary=temporary,
+        resources=resources,
     )
     run_app(app, mouse=mouse)
     return _finish(app, on_hangup)
