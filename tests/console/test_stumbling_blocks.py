@@ -147,6 +147,17 @@ COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": 
         ("topic:scan$", True),
         ("state:", True),
         ("mystate:ok", False),
+        ("scan !odom", True),
+        ("scan !robot1", False),
+        ("!odom", True),
+        ("!scan", False),
+        ("scan robot1 laser", True),
+        ("scan robot2", False),
+        ("state:down !type:laser", False),
+        ("state:down !state:ok !/odom", True),
+        ("^/robot1 !scan$", False),
+        ("! scan !", True),
+        ("!", True),
     ],
 )
 def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found: bool) -> None:
