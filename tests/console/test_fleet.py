@@ -469,5 +469,6 @@ def test_in_a_terminal(machine: Machine, tmp_path: Path, monkeypatch: pytest.Mon
         tmux("send-keys", "q")
         tmux.wait_for("2 ● ok")
         assert [command[:1] for command in engine.commands] == [("pause",)]
-        tmux("send-keys", "q")
+        tmux("send-keys", "q", "Enter")  # the focus is on No
+        tmux("send-keys", "q", "y")
         tmux.wait_for("2 ● ok", there=False)

@@ -41,6 +41,7 @@ _AWAY, _THERE = 10.0, 20.0
 """s for which the robot that comes and goes is away, and there."""
 _LOOK_EVERY = 0.2
 _FAULTY = "/scan"
+_AFTER_QUIT = "All simulated robots end."
 
 
 def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
@@ -111,7 +112,7 @@ def _on_screen(running: Simulated, signals: Signals) -> int:
             return INTERRUPTED
         troubling = aside.submit(trouble, running, over.is_set)
         try:
-            code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True)
+            code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True, after_quit=_AFTER_QUIT)
         finally:
             over.set()
         troubling.result()
