@@ -142,6 +142,16 @@ class EngineApi(Protocol):
         """Stop or resume carrying a topic's messages, on both sides."""
         ...
 
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
+        """Acknowledge a fault until its state or its cause changes, or take that back.
+
+        Args:
+            key: of a route or a pattern. A route that is down with its link has the link's fault.
+            acknowledged: False takes it back.
+            link: the name of a link, instead of a key.
+        """
+        ...
+
     def retry(self, link: str = "") -> Future[None]:
         """Connect now instead of later, and open refused topics again."""
         ...

@@ -31,12 +31,13 @@ from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.operators import operator
-from rsb_bridge.model.snapshot import Level, TopicInfo
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.telemetry.acknowledgements import find_faulty
 from rsb_bridge.topic_commands import TopicCommands
 from rsb_bridge.transport.transport import ListenError
 
@@ -227,6 +228,24 @@ class Bridge:
         """Stop or resume carrying a topic's messages, or those of all that a pattern matches."""
         with self._command():
             self._topic_commands.pause(key, paused=paused)
+
+    async def acknowledge(self, key: str, *, acknowledged: bool, link: str) -> None:
+        """Have a known fault count no more until it changes, or count again."""
+        with self._command():
+            self._snapshots.refresh_now(self._role)
+            faulty = find_faulty(self._snapshots.latest, key, link)
+            known = self._snapshots.acknowledged
+            if acknowledged:
+                known.add(faulty, operator())
+            else:
+                known.remove(faulty)
+            code = EventCode.OPERATOR_ACKNOWLEDGED if acknowledged else EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE
+            what = f"{faulty.state.upper()} acknowledged" if acknowledged else "acknowledgement taken back"
+            if isinstance(faulty, LinkSnapshot):
+                self._did(code, what, link=faulty.name)
+            else:
+                name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
+                self._did(code, what, topic=name, link=faulty.link)
 
     async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Let one more client in, on a server."""

@@ -237,6 +237,9 @@ class Engine(EngineApi):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._change(lambda bridge: bridge.pause(key, paused=paused))
 
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
+        return self._command(lambda bridge: bridge.acknowledge(key, acknowledged=acknowledged, link=link))
+
     def add_client(self, client: Client) -> Future[None]:
         return self._change(lambda bridge: self._with_key(bridge.add_client, client))
 

@@ -21,7 +21,7 @@ from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
+from rsb_bridge.model.snapshot import Acknowledgement, Ledger, RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.remote import COMMANDS
 
@@ -145,6 +145,44 @@ def test_waiting_is_no_fault(ran: Any, engine: ScriptedEngine, what: Any, code: 
     assert len(told["wrong"]) == code
     assert len(told["waiting"]) == int("waits" in short)
     assert not what.reason or what.reason in str(told["wrong"] + told["waiting"])
+
+
+KNOWN = Acknowledgement("anna on pts/3", 1_700_000_000.0)
+STALE = replace(SCAN, state=State.STALE, cause="publisher_silent")
+
+
+def test_what_is_acknowledged_is_told_apart_and_is_not_wrong(ran: Any, engine: ScriptedEngine) -> None:
+    other = replace(STALE, key="/map", topic="/map")
+    engine.now = replace(engine.now, routes=(replace(STALE, acknowledged=KNOWN), other))
+    status = ran("status", "--json")
+    assert status.code == 1
+    assert (len(status.json["wrong"]), len(status.json["acknowledged"])) == (1, 1)
+    assert status.json["routes"][0]["acknowledged"] == {"by": KNOWN.by, "at": KNOWN.at}
+    assert status.json["routes"][1]["acknowledged"] is None
+    lines = ran("status").out.splitlines()
+    at = {name: next(n for n, line in enumerate(lines) if name in line) for name in ("/map", "/scan")}
+    assert at["/map"] < at["/scan"]
+    assert KNOWN.by in lines[at["/scan"]]
+    engine.now = replace(engine.now, routes=(replace(STALE, acknowledged=KNOWN),))
+    assert ran("status").code == 0
+    down = replace(LINK, state=State.DOWN, cause="unreachable", reason="no answer", acknowledged=KNOWN)
+    its = replace(SCAN, state=State.DOWN, cause="link_down", acknowledged=KNOWN)
+    engine.now = replace(engine.now, links=(down,), routes=(its,))
+    status = ran("status", "--json")
+    assert (status.code, status.json["wrong"], len(status.json["acknowledged"])) == (0, [], 1)
+    assert status.json["links"]["robot1"]["acknowledged"] == {"by": KNOWN.by, "at": KNOWN.at}
+
+
+def test_ack_takes_a_topic_or_a_link(ran: Any, engine: ScriptedEngine) -> None:
+    for arguments in (("/scan",), ("/scan", "--undo"), ("robot1",), ("robot1", "--undo")):
+        assert ran("ack", *arguments).code == 0
+    assert engine.commands == [
+        ("acknowledge", SCAN.key, True),
+        ("acknowledge", SCAN.key, False),
+        ("acknowledge", "robot1", True),
+        ("acknowledge", "robot1", False),
+    ]
+    assert ran("ack", "/nothing").code == 2
 
 
 def test_topics_lists_what_is_bridged_or_could_be(ran: Any, engine: ScriptedEngine) -> None:
@@ -309,7 +347,7 @@ def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Ma
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machine, name: str) -> None:
     needed = {"wait": ("--for", "stopped"), "add": ("/scan", "transmit")}
-    about_topic = ("edit", "remove", "pause", "resume", "arm", "disarm", "echo")
+    about_topic = ("edit", "remove", "pause", "resume", "ack", "arm", "disarm", "echo")
     arguments = ("/scan",) if name in about_topic else needed.get(name, ())
     refused = ran(name, *arguments, "--bridge", "robot7", "--json")
     assert refused.code == 3

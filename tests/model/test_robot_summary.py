@@ -26,7 +26,15 @@ from rsb_bridge.model.robot_summary import (
     of_engine,
 )
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import (
+    Acknowledgement,
+    Ledger,
+    LinkSnapshot,
+    PatternSnapshot,
+    RouteSnapshot,
+    Snapshot,
+    State,
+)
 from rsb_bridge.model.verdict import Cause, LinkCause
 
 SERVER = Session(
@@ -247,3 +255,18 @@ def test_a_pattern_of_which_not_all_is_bridged_is_a_warning(state: State, robot_
     assert ("/camera/**" in summary.why) is (robot_state is RobotState.WARN)
     worse = on_server(a("/scan", State.STOPPED), link=replace(UP, patterns=(pattern,)))
     assert worse.state is RobotState.FAULT
+
+
+def test_what_is_acknowledged_is_counted_apart_and_is_no_longer_the_robots_state() -> None:
+    known = Acknowledgement("anna", NOW - 1.0)
+    stale = a("/scan", State.STALE, cause=Cause.SILENT, reason="it is broken")
+    summary = on_server(replace(stale, acknowledged=known), a("/map"))
+    assert (summary.state, summary.acknowledged, summary.since) == (RobotState.ACKNOWLEDGED, 1, NOW - 5.0)
+    assert not summary.state.is_wrong
+    assert "it is broken" in summary.why
+    both = on_server(replace(stale, acknowledged=known), a("/map", State.SLOW, cause=Cause.SLOW))
+    assert (both.state, both.acknowledged) == (RobotState.WARN, 1)
+    away = a("/map", State.DOWN, cause=Cause.LINK_DOWN, acknowledged=known)
+    gone = on_server(away, link=replace(DOWN, name="robot1", acknowledged=known))
+    assert (gone.state, gone.acknowledged, gone.since) == (RobotState.ACKNOWLEDGED, 1, DOWN.since)
+    assert decode(encode(gone)).acknowledged == 1

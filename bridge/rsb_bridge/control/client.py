@@ -168,6 +168,9 @@ class RemoteEngine(EngineApi):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._request(commands.Pause(key, paused), requests.as_nothing)
 
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
+        return self._request(commands.Acknowledge(key, acknowledged, link), requests.as_nothing)
+
     @property
     def arming(self) -> RemoteArming:
         return RemoteArming(lambda command: self._request(command, requests.as_nothing))

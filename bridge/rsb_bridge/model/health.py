@@ -30,6 +30,21 @@ def route_is_wrong(route: RouteSnapshot) -> bool:
     return route.state not in _NOTHING_WRONG and not route_waits(route)
 
 
+def route_needs_attention(route: RouteSnapshot) -> bool:
+    """Whether a route has a fault that no operator has acknowledged."""
+    return route.acknowledged is None and route_is_wrong(route)
+
+
+def link_needs_attention(link: LinkSnapshot) -> bool:
+    """Whether a link has a fault that no operator has acknowledged."""
+    return link.acknowledged is None and link_is_wrong(link)
+
+
+def pattern_needs_attention(pattern: PatternSnapshot) -> bool:
+    """Whether a pattern has a fault that no operator has acknowledged."""
+    return pattern.acknowledged is None and pattern_is_wrong(pattern)
+
+
 def route_waits(route: RouteSnapshot) -> bool:
     """Whether it waits for its first message, for however long; unless its entry says how long is too long."""
     if route.state is State.STALE:

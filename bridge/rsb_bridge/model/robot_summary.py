@@ -12,13 +12,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.model.health import link_is_wrong, pattern_is_wrong, route_is_wrong
+from rsb_bridge.model.health import (
+    link_is_wrong,
+    link_needs_attention,
+    pattern_is_wrong,
+    pattern_needs_attention,
+    route_is_wrong,
+    route_needs_attention,
+)
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural, sanitize_text
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot
@@ -46,6 +54,8 @@ class RobotState(StrEnum):
     """A topic or a service carries nothing, though it should; or of an engine itself, a link is down."""
     WARN = "warn"
     """Too little crosses, or not to everybody; or a link has a warning."""
+    ACKNOWLEDGED = "acknowledged"
+    """Something is wrong, and an operator has acknowledged all of it."""
     WAITING = "waiting"
     """It has not been there yet."""
     OK = "ok"
@@ -110,6 +120,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         links: all links.
         flowing: topics, services and the like that carry something.
         routes: all of them.
+        acknowledged: faults that an operator has acknowledged.
         messages_from_robot: Hz, of all topics that it sends.
         messages_to_robot: Hz, likewise.
         bytes_from_robot: a second, on the wire of its links.
@@ -131,6 +142,7 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     links: int = 0
     flowing: int = 0
     routes: int = 0
+    acknowledged: int = 0
     messages_from_robot: float = 0.0
     messages_to_robot: float = 0.0
     bytes_from_robot: float = 0.0
@@ -287,6 +299,7 @@ def _summary(
         links=len(links),
         flowing=sum(route.state.flows and route.link in up for route in routes),
         routes=len(routes),
+        acknowledged=_acknowledged(links, routes),
         messages_from_robot=sent,
         messages_to_robot=received,
         bytes_from_robot=tx,
@@ -308,22 +321,44 @@ def _state(
     """The state, why, and since when."""
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
         return RobotState.MISSING, "the bridge is stopped", snapshot.time
-    if down := [link for link in links if link.state is State.DOWN]:
+    if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
-    wrong = [route for route in routes if route_is_wrong(route)]
+    wrong = [route for route in routes if route_needs_attention(route)]
     if stopped := [route for route in wrong if not route.state.flows]:
         return RobotState.FAULT, *_worst(stopped, len(wrong), called)
-    if warned := [link for link in links if link_is_wrong(link)]:
+    if warned := [link for link in links if link_needs_attention(link)]:
         return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
-    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]:
+    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_needs_attention(pattern)]:
         pattern, link = partial[0]
         return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
+    if known := list(_known_faults(links, routes, called)):
+        why, since = known[0]
+        return RobotState.ACKNOWLEDGED, _and_more(why, len(known)), since
     if links and all(link.state is State.WAITING for link in links):
         return RobotState.WAITING, links[0].reason, links[0].since
     return RobotState.OK, "", max((link.since for link in links if link.state is State.OK), default=snapshot.time)
+
+
+def _known_faults(
+    links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot], called: Callable[[RouteSnapshot], str]
+) -> Iterator[tuple[str, float]]:
+    """The faults that an operator has acknowledged, each with the moment since when; links, then the worst routes."""
+    for link in links:
+        if link.acknowledged is not None and link_is_wrong(link):
+            yield link.reason or link.warning, link.since
+        for pattern in link.patterns:
+            if pattern.acknowledged is not None and pattern_is_wrong(pattern):
+                yield f"{pattern.spec.topic}: {pattern.reason}", link.since
+    for route in sorted(routes, key=lambda route: (route.state.rank, called(route))):
+        if route.acknowledged is not None and route.cause != Cause.LINK_DOWN and route_is_wrong(route):
+            yield f"{called(route)} {route.state.upper()}: {route.reason}", route.since
+
+
+def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]) -> int:
+    return sum(1 for _ in _known_faults(links, routes, lambda route: route.topic))
 
 
 def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:
@@ -386,6 +421,7 @@ def decode(data: bytes) -> RobotSummary:
         links=int(_within(summary.links, _COUNT)),
         flowing=int(_within(summary.flowing, _COUNT)),
         routes=int(_within(summary.routes, _COUNT)),
+        acknowledged=int(_within(summary.acknowledged, _COUNT)),
         messages_from_robot=_within(summary.messages_from_robot),
         messages_to_robot=_within(summary.messages_to_robot),
         bytes_from_robot=_within(summary.bytes_from_robot),

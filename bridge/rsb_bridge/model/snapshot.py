@@ -164,6 +164,19 @@ class ArmingSnapshot:
 
 
 @dataclass(frozen=True, slots=True)
+class Acknowledgement:
+    """An operator knows of a fault: it counts no more until its state or its cause changes.
+
+    Attributes:
+        by: the operator, in words.
+        at: s since the epoch.
+    """
+
+    by: str
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
 class RouteSnapshot:
     """One topic in one direction over one link, or one service, action or node's parameters (`spec.kind`).
 
@@ -208,6 +221,7 @@ class RouteSnapshot:
         lanes: of what is not a topic, the names that a call may be made to by hand: ``set_parameters``; a service has
             one, ``""``.
         pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
+        acknowledged: who knows of its fault, or None. That of a link covers the routes that its loss has stopped.
     """
 
     key: str
@@ -249,6 +263,7 @@ class RouteSnapshot:
     goals: tuple[GoalSnapshot, ...] = ()
     lanes: tuple[str, ...] = ()
     pattern: str = ""
+    acknowledged: Acknowledgement | None = None
 
     @property
     def max_rate(self) -> float | None:
@@ -271,6 +286,7 @@ class PatternSnapshot:
         routes: that it has made.
         gone: of them, those whose topic nobody publishes now.
         beyond: how many names match and are not bridged, because there are too many.
+        acknowledged: who knows of its fault, or None.
     """
 
     key: str
@@ -283,6 +299,7 @@ class PatternSnapshot:
     routes: int = 0
     gone: int = 0
     beyond: int = 0
+    acknowledged: Acknowledgement | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,6 +332,7 @@ class LinkSnapshot:
         rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
         tx_bytes_total: sent, likewise.
         patterns: those of this side's session, in their order.
+        acknowledged: who knows of its fault, or None.
     """
 
     name: str
@@ -343,6 +361,7 @@ class LinkSnapshot:
     rx_bytes_total: int = 0
     tx_bytes_total: int = 0
     patterns: tuple[PatternSnapshot, ...] = ()
+    acknowledged: Acknowledgement | None = None
 
 
 @dataclass(frozen=True, slots=True)

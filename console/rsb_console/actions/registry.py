@@ -71,6 +71,8 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
     Action("pause", "p", "pause", "Pause or resume the topic or the service",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
+    Action("acknowledge", "i", "acknowledge", "Acknowledge the fault until it changes, or undo that",
+           Group.OPERATE, changes=True, needs_topic=True, also="known, silence, mute, ack, ignore"),
     Action("arm", "A", "arm", "Arm what has to be armed, or disarm it",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="deadman, safety, enable"),
     Action("call", "C", "call", "Call the service or action by hand; of a node: set a parameter",
@@ -79,7 +81,7 @@ ACTIONS: tuple[Action, ...] = (
            Group.VIEW, needs_topic=True, in_footer=True),
     Action("message", "v", "message", "View a topic's latest message", Group.VIEW, needs_topic=True),
     Action("back", "escape", "back", "Close what is open, or drop the filter", Group.VIEW),
-    Action("filter", "slash", "filter", "Filter: text, or state: kind: robot: type: via: why:; ! inverts",
+    Action("filter", "slash", "filter", "Filter: terms, !terms; state: kind: robot: type: via: why:",
            Group.VIEW, in_footer=True),
     Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
     Action("previous_match", "N", "previous", "Previous match; without a filter, previous fault", Group.VIEW),
@@ -126,7 +128,7 @@ ACTIONS: tuple[Action, ...] = (
 _CONSOLE_ACTIONS = {action.id: action for action in ACTIONS}
 _ON_FLEET = {
     "back": "Drop the filter, the marks",
-    "filter": "Filter: text, or state: robot: group: why:; ! inverts",
+    "filter": "Filter: terms, !terms; state: robot: group: why:",
     "next_match": "Next match; without a filter, next fault",
     "previous_match": "Previous match; without a filter, previous fault",
     "faults": "Show only robots with something wrong",

@@ -64,8 +64,8 @@ exit codes:
      it cannot be done on one
 {_NO_SERVER}"""
 ALLOWED = (
-    "status", "topics", "add", "edit", "remove", "pause", "resume", "disarm", "retry", "events", "echo", "wait", "call",
-    "param",
+    "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "wait",
+    "call", "param",
 )  # fmt: skip
 """Commands that `exec` runs."""
 

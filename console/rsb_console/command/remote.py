@@ -12,12 +12,13 @@ from rsb_bridge.model.text import plural
 from rsb_console.command.adding import add, edit
 from rsb_console.command.arming import arm, disarm
 from rsb_console.command.echo import echo
-from rsb_console.command.health import waiting, wrong
+from rsb_console.command.health import acknowledged, waiting, wrong
 from rsb_console.command.reports import (
     clock,
     faults_first,
     json_event,
     json_line,
+    known_by,
     links_of,
     made_by,
     of_links_that_are_up,
@@ -66,34 +67,37 @@ def run(name: str, arguments: Namespace) -> int:
 def _status(arguments: Namespace) -> int:
     with attached(arguments, read_only=True) as engine:
         now, bridge = engine.snapshot(), engine.bridge
-        faults, waits = wrong(now), waiting(now)
+        faults, known, waits = wrong(now), acknowledged(now), waiting(now)
         if arguments.json:
             about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
             print_line(
-                json_line({"ok": not faults, "wrong": faults, "waiting": waits, **about, "address": now.address,
+                json_line({"ok": not faults, "wrong": faults, "acknowledged": known,
+                           "waiting": waits, **about, "address": now.address,
                            "domain_id": now.domain_id, "running": now.running, "time": now.time, **status_of(now)})
             )  # fmt: skip
         else:
             print_line(f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}")
             print_line(f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""))
-            print_line(f"  {_in_short(now, faults, waits)}")
+            print_line(f"  {_in_short(now, faults, known, waits)}")
             for link in now.links:
                 where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
-                print_line(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}")
+                print_line(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}{known_by(link)}")
                 if waits_for_link := topics_of_link_that_is_down(now, link):
                     print_line(f"    {waits_for_link}")
             for route in faults_first(of_links_that_are_up(now)):
-                print_line(f"  {rate_text(route)}{made_by(route)}")
+                print_line(f"  {rate_text(route)}{made_by(route)}{known_by(route)}")
             for pattern in patterns_of(now):
-                print_line(f"  {pattern_text(pattern)}")
+                print_line(f"  {pattern_text(pattern)}{known_by(pattern)}")
         return FAILURE if faults else OK
 
 
-def _in_short(now: Snapshot, faults: list[str], waits: list[str]) -> str:
-    """What the exit code says, and how much waits."""
+def _in_short(now: Snapshot, faults: list[str], known: list[str], waits: list[str]) -> str:
+    """Say how much is wrong, acknowledged, and waiting."""
     if not now.running:
         return "STOPPED"
     parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]
+    if known:
+        parts.append(f"{len(known)} acknowledged")
     if waits:
         parts.append(f"{len(waits)} {'waits' if len(waits) == 1 else 'wait'}")
     return ", ".join(parts)
@@ -179,6 +183,15 @@ def _resume(arguments: Namespace) -> int:
     return _pause(arguments, paused=False)
 
 
+def _ack(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        if arguments.topic in {link.name for link in engine.snapshot().links}:
+            result(engine.acknowledge("", not arguments.undo, link=arguments.topic))
+        else:
+            result(engine.acknowledge(chosen(engine, arguments).key, not arguments.undo))
+        return done(arguments)
+
+
 def _retry(arguments: Namespace) -> int:
     with attached(arguments) as engine:
         check_link(engine, arguments.link)
@@ -229,6 +242,7 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "remove": _remove,
     "pause": _pause,
     "resume": _resume,
+    "ack": _ack,
     "arm": arm,
     "disarm": disarm,
     "retry": _retry,

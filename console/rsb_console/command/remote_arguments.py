@@ -45,11 +45,20 @@ exit codes:
 {NO_BRIDGE}"""
 _EXIT_STATUS = f"""\
 A topic or a link that waits for its first message or connection is not wrong, nor
-is a topic that is paused or not armed, or to which nobody subscribes.
+is a topic that is paused or not armed, or to which nobody subscribes, nor a fault
+that is acknowledged (`ack`).
 
 exit codes:
   0  nothing is wrong
   1  something is wrong: it is named
+{NO_BRIDGE}"""
+_EXIT_ACK = f"""\
+An acknowledged fault stays listed, but `status` does not count it as wrong, until
+its state or its cause changes.
+
+exit codes:
+  0  done
+  1  the bridge refused, or did not answer: there is no fault, say
 {NO_BRIDGE}"""
 _EXIT_RELOAD = f"""\
 exit codes:
@@ -153,6 +162,7 @@ def add_remote_commands(
         ("resume", "carry what is paused again"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
+    _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
     arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
     route_arguments(arm, complete)
     route_arguments(remote("disarm", "disarm a topic or service, whoever armed it", about_topic=True), complete)
@@ -173,6 +183,11 @@ def add_remote_commands(
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
     remote("stop", "end a running bridge, and wait until it has ended")
+
+
+def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
+    route_arguments(ack, complete, metavar="TOPIC|LINK")
+    ack.add_argument("--undo", action="store_true", help="have it count again")
 
 
 def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:

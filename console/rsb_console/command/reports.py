@@ -111,7 +111,17 @@ def _of_kinds(routes: Sequence[RouteSnapshot]) -> str:
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
     """The line has room for some topics only, and faults must be among them."""
-    return sorted(routes, key=lambda route: route.state.rank)
+    return sorted(routes, key=lambda route: (_comes_late(route), route.state.rank))
+
+
+def _comes_late(route: RouteSnapshot) -> bool:
+    """Whether a route comes after all faults: it has none, or an acknowledged one."""
+    return route.acknowledged is not None or route.state.severity == 0
+
+
+def known_by(of: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+    """Say who has acknowledged a fault, or nothing."""
+    return "" if of.acknowledged is None else f" [acknowledged by {of.acknowledged.by}, {clock(of.acknowledged.at)}]"
 
 
 def rate_text(route: RouteSnapshot) -> str:
@@ -191,6 +201,7 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
             "rtt": link.rtt,
             "fingerprint": link.fingerprint,
             "next_fingerprint": link.next_fingerprint,
+            "acknowledged": None if link.acknowledged is None else asdict(link.acknowledged),
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
         }
         for link in snapshot.links
@@ -209,6 +220,7 @@ def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
         "routes": pattern.routes,
         "gone": pattern.gone,
         "beyond": pattern.beyond,
+        "acknowledged": None if pattern.acknowledged is None else asdict(pattern.acknowledged),
     }
 
 
@@ -252,6 +264,7 @@ def route_of(route: RouteSnapshot) -> dict[str, object]:
         "subscribers": route.subscribers,
         "max_rate": route.max_rate,
         "arming": None if route.arming is None else asdict(route.arming),
+        "acknowledged": None if route.acknowledged is None else asdict(route.acknowledged),
         "missing": [stage.name for stage in route.stages if not stage.done],
         "rate": round(route.rate, 3),
         "bytes_per_second": round(route.bytes_per_second),

@@ -57,6 +57,12 @@ class BridgeOperations:
         if engine is not None and route is not None:
             await self._console.command(engine.pause(route.key, route.state is not State.PAUSED))
 
+    async def acknowledge(self) -> None:
+        """Acknowledge the fault of the topic under the cursor, or have it count again."""
+        engine, route = self._console.engine, self._selected()
+        if engine is not None and route is not None:
+            await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
+
     async def arm(self) -> None:
         """Arm the topic under the cursor, after a question; disarm it at once, whoever armed it."""
         from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short

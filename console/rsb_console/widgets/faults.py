@@ -158,6 +158,8 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
     """A single link that waits is told of in the header."""
     single = len(snapshot.links) == 1
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
+        if link.acknowledged is not None:
+            continue
         cause = link_fault(link, server=snapshot.role == "server")
         if link.state is State.OK and link.warning:
             yield Fault("!", State.SLOW.value, "", link.name, cause, of_link=True)
@@ -175,7 +177,9 @@ def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
 
 def _needs_words(route: RouteSnapshot) -> bool:
     """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
-    if route.state in {State.OK, State.PAUSED, State.DISARMED} or route.cause == Cause.LINK_DOWN:
+    if route.acknowledged is not None or route.cause == Cause.LINK_DOWN:
+        return False
+    if route.state in {State.OK, State.PAUSED, State.DISARMED}:
         return False
     return route.state is not State.WAITING or route.cause in _SHOWN_WHILE_WAITING
 
