@@ -30,7 +30,7 @@ from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.operators import operator
+from rsb_bridge.model.operators import is_undo, operator
 from rsb_bridge.model.snapshot import Level, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
@@ -320,7 +320,7 @@ class Bridge:
                 )
             else:
                 done.append(step.text)
-                self.context.events.add(Level.INFO, code, f"{why}{step.text}", who=operator())
+                self.context.events.add(Level.INFO, code, f"{why}{step.text}{_undo_mark()}", who=operator())
 
         await in_slices(steps, take)
         return done, failed
@@ -352,7 +352,7 @@ class Bridge:
     ) -> None:
         """Record what an operator has done; of a topic, by its name on this side."""
         who = operator()
-        text = f"{f'{topic}: ' if topic else ''}{what} by {who}"
+        text = f"{f'{topic}: ' if topic else ''}{what} by {who}{_undo_mark()}"
         self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
 
     def _followers(self) -> Iterator[Follower]:
@@ -383,3 +383,8 @@ class Bridge:
         finally:
             if not self._stopping.is_set():  # the last snapshot, which says so, stays
                 self._snapshots.refresh_now(self._role)
+
+
+def _undo_mark() -> str:
+    """The end of the text of an event by which an operator takes back an earlier change."""
+    return " (undo)" if is_undo() else ""

@@ -19,6 +19,7 @@ from rsb_console.operations.bridge import BridgeOperations
 from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.sessions import SessionOperations
 from rsb_console.screens.main import MainScreen
+from rsb_console.session.changes import Changes
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal.shutdown import ShutdownReason
 from rsb_console.terminal_app import TerminalApp
@@ -93,6 +94,7 @@ class ConsoleApp(TerminalApp[None]):
         self.note = "no session"
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.deadman = Deadman()
+        self.changes = Changes()
         console: Console = self
         bridge = BridgeOperations(console, lambda: self.main.selected)
         self.sessions = SessionOperations(console, bridge.reload)
@@ -164,6 +166,7 @@ class ConsoleApp(TerminalApp[None]):
     async def _start(self, session: Session) -> None:
         self.note, self._last_event = "starting", 0
         self.main.reset()
+        self.changes.clear()
         self.attached_to = ""
         engine = self._make_engine(session, self.base)
         engine.use_file(self.path)
@@ -205,6 +208,7 @@ class ConsoleApp(TerminalApp[None]):
             await asyncio.to_thread(self.stop)
             self._resources, self.engine, self.attached_to, self.temporary = ExitStack(), None, "", False
             self.main.reset()
+            self.changes.clear()
             try:
                 known = attached(await asyncio.to_thread(open_it))
             except EngineError as error:

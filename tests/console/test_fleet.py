@@ -178,7 +178,7 @@ def test_filter_and_faults_only() -> None:
 
 def test_groups_fold() -> None:
     async def steps(bed: Bed) -> None:
-        await bed.press("u", "g")
+        await bed.press("B", "g")
         everything = ["[hall]", "robot11", "robot3", "robot1", "[yard]", "robot2", "robot12", "[]", "robot4"]
         assert bed.listed == everything
         await bed.press("enter")
@@ -189,7 +189,7 @@ def test_groups_fold() -> None:
         assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
         await bed.press("space", "enter")
         assert (bed.view.marked, bed.listed) == (set(), everything)
-        await bed.press("u")
+        await bed.press("B")
         assert "[hall]" not in bed.listed
 
     Bed().run(steps)
@@ -206,7 +206,7 @@ def test_of_a_group_that_is_well_it_is_said() -> None:
 
 def test_without_groups_there_are_no_headings() -> None:
     async def steps(bed: Bed) -> None:
-        await bed.press("u")
+        await bed.press("B")
         assert bed.listed == ["robot1", "robot2"]
 
     Bed(robot("robot1"), robot("robot2")).run(steps)
@@ -433,7 +433,7 @@ def test_picture(snap_compare: Callable[..., bool], size: tuple[int, int], theme
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "✗ MISSING")
-        await pilot.press("u", "j", "j", "space")
+        await pilot.press("B", "j", "j", "space")
         await shown(pilot, "1 marked")
 
     assert snap_compare(bed.app, terminal_size=size, run_before=steps)

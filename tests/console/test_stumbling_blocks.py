@@ -168,10 +168,10 @@ async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilo
         links=(replace(LINK, name="a"), replace(LINK, name="b")),
     )
     assert listed(app) == ["/a/2", "/b/2", "/a/1", "/b/1"]
-    await pilot.press("u")
+    await pilot.press("B")
     await until(pilot, lambda: listed(app) == ["/a/2", "/a/1", "/b/2", "/b/1"], "two groups")
     await shown(pilot, "Topics by robot")
-    await pilot.press("u")
+    await pilot.press("B")
     await until(pilot, lambda: listed(app)[:2] == ["/a/2", "/b/2"], "none")
 
 

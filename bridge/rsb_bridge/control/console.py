@@ -15,7 +15,7 @@ from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.consoles import on_console
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.operators import acting
+from rsb_bridge.model.operators import acting, undoing
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.tasks import Tasks
 
@@ -216,7 +216,7 @@ class Console:
 
     async def _answer(self, request: protocol.Request) -> None:
         try:
-            with acting(self._operator), on_console(self):
+            with acting(self._operator), undoing(request.undo), on_console(self):
                 answer = await perform(
                     request.command,
                     self._engine,

@@ -132,10 +132,12 @@ class Request(_Message, frozen=True, tag="request"):
     Attributes:
         id: of the console's choosing.
         command: what to do.
+        undo: whether it takes back an earlier command of this console, which the bridge's log then says.
     """
 
     id: int
     command: Command
+    undo: bool = False
 
 
 class Look(_Message, frozen=True, tag="look"):

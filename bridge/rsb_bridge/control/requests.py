@@ -29,17 +29,20 @@ class Requests:
         self._ids = itertools.count(1)
         self._waiting: dict[int, tuple[Future[object], Callable[[str], None] | None]] = {}
 
-    def new(self, command: Command, answered: Future[object], step: Callable[[str], None] | None) -> Request:
+    def new(
+        self, command: Command, answered: Future[object], step: Callable[[str], None] | None, *, undo: bool = False
+    ) -> Request:
         """The message for a command.
 
         Args:
             command: to be done.
             answered: gets the answer.
             step: is told of each step; None: nobody is.
+            undo: whether it takes back an earlier command.
         """
         number = next(self._ids)
         self._waiting[number] = (answered, step)
-        return Request(number, command)
+        return Request(number, command, undo)
 
     def take(self, message: Reply | Failed | Step) -> None:
         """Hand on what the bridge says of a command.
