@@ -25,8 +25,12 @@ class UndoScreen(ConfirmScreen):
 
     def __init__(self, undo: Undo) -> None:
         super().__init__(undo.title, "\n".join(undo.lines), undo.yes)
-        self.AUTO_FOCUS = "#no" if undo.careful else "#yes"
         self._careful = undo.careful
+
+    def on_mount(self) -> None:
+        """Begin on the button that does it, where that is harmless."""
+        if not self._careful:
+            self.query_one("#yes").focus()
 
     def compose_buttons(self) -> ComposeResult:
         yield Button(self._yes, id="yes", variant="error" if self._careful else "primary", compact=True)

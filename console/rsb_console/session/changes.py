@@ -6,7 +6,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import msgspec
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.session import Topic
     from rsb_bridge.model.snapshot import Event, RouteSnapshot, Snapshot
 
+T = TypeVar("T")
 STEPS = 20
 """Changes that are remembered; the oldest are forgotten first."""
 
@@ -348,7 +349,7 @@ def _warnings(new: Topic, old: Topic) -> Iterator[str]:
         yield "It is resumed, and crosses again at once."
 
 
-async def _command(command: Callable[..., Future[object]], *arguments: object) -> None:
+async def _command(command: Callable[..., Future[T]], *arguments: object) -> None:
     """Give the engine a command that takes back a change."""
     with undoing():
         future = command(*arguments)

@@ -144,7 +144,11 @@ class PickField(Field):
     def _relist(self) -> None:
         literal = self._is_literal(self.value)
         self.list.marks_cursor = self._entered or not literal
-        self.list.show(self._suggestions, self.value.casefold().split(), self._empty(self.value))
+        self.list.show(self._suggestions, self.words(), self._empty(self.value))
+
+    def words(self) -> Sequence[str]:
+        """The words that a suggestion has to contain to be listed, in lower case."""
+        return self.value.casefold().split()
 
     @property
     def is_ready(self) -> bool:
