@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import pytest
+from tests.console.changing import ARMED, SCAN, ChangingEngine
 from tests.console.driving import NARROW, WIDE, choose, drive, engine_as, fill, gone, scripted_app, shown, text, until
 from tests.console.scripted import LINK, NOW, ScriptedEngine, route
+from tests.console.tmux import Tmux
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.operators import is_undo
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, PatternSnapshot, Snapshot, State
 from rsb_console.screens.undo import UndoScreen
@@ -21,71 +25,24 @@ from rsb_console.session.changes import STEPS, Changes, Paused
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from textual.pilot import Pilot
 
     from rsb_console.app import ConsoleApp
-
-SCAN = Topic("/scan", "transmit", max_rate=5.0, priority="high")
-ARMED = Topic("/cmd_vel", "receive", arm=True)
-
-
-class LiveEngine(ScriptedEngine):
-    """Does what it is told, as far as its snapshot shows it; of each command it notes whether it is an undo."""
-
-    specs: tuple[Topic, ...] = (SCAN, ARMED)
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.undone: list[tuple[object, ...]] = []
-        self.show(*(route(spec.topic, spec=spec) for spec in self.specs))
-
-    def show(self, *routes: Any) -> None:
-        self.now = replace(self.now, routes=routes)
-
-    def _done(self, result: Any, *command: object) -> Future[Any]:
-        if is_undo():
-            self.undone.append(command)
-        return super()._done(result, *command)
-
-    def put(self, key: str, spec: Topic) -> None:
-        """Change a route, whoever does."""
-        state = State.PAUSED if spec.paused else State.OK
-        changed = [replace(each, spec=spec, state=state) if each.key == key else each for each in self.now.routes]
-        self.show(*changed)
-
-    def spec(self, key: str) -> Topic:
-        return next(each.spec for each in self.now.routes if each.key == key)
-
-    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
-        self.show(*self.now.routes, route(topic.topic, spec=topic))
-        return super().add_topic(topic, link)
-
-    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
-        self.put(key, topic)
-        return super().edit_topic(key, topic)
-
-    def remove_topic(self, key: str) -> Future[None]:
-        self.show(*(each for each in self.now.routes if each.key != key))
-        return super().remove_topic(key)
-
-    def pause(self, key: str, paused: bool) -> Future[None]:
-        self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))
-        return super().pause(key, paused)
-
 
 Steps = Any
 
 
 def on_scan(steps: Steps, size: tuple[int, int] = WIDE, select: str = "/scan", **options: Any) -> None:
     """Run steps with the cursor on a topic."""
-    app = scripted_app(make_engine=LiveEngine, **options)
+    app = scripted_app(make_engine=ChangingEngine, **options)
 
     async def run(pilot: Pilot[None]) -> None:
         await shown(pilot, "/cmd_vel")
         while app.main.selected is None or app.main.selected.topic != select:
             await pilot.press("j" if app.main.selected is None or app.main.topics.position == 0 else "k")
-        await steps(app, engine_as(app, LiveEngine), pilot)
+        await steps(app, engine_as(app, ChangingEngine), pilot)
 
     drive(app, run, size)
 
@@ -121,7 +78,7 @@ async def refused(app: ConsoleApp, pilot: Pilot[None], *words: str) -> None:
 
 
 def test_nothing_to_undo() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         assert "undo" not in text(app)
         await pilot.press("u")
         await shown(pilot, "nothing to undo")
@@ -132,7 +89,7 @@ def test_nothing_to_undo() -> None:
 
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
 def test_a_removed_topic_comes_back_with_all_its_fields(size: tuple[int, int]) -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await removed(pilot, "/scan")
         screen = await question(app, pilot)
         assert focus(screen) == "no"
@@ -151,7 +108,7 @@ def test_a_removed_topic_comes_back_with_all_its_fields(size: tuple[int, int]) -
 
 
 def test_what_has_to_be_armed_comes_back_disarmed() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await removed(pilot, "/cmd_vel")
         await question(app, pilot)
         await shown(pilot, "not armed")
@@ -164,7 +121,7 @@ def test_what_has_to_be_armed_comes_back_disarmed() -> None:
 
 
 def test_an_edit_is_put_back() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("e")
         await fill(pilot, max_rate="2.5")
         await pilot.press("enter")
@@ -182,7 +139,7 @@ def test_an_edit_is_put_back() -> None:
 
 
 def test_a_safety_demand_is_not_dropped_unnamed() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("e")
         await shown(pilot, "Edit /scan")
         await choose(pilot, "arm", "yes")
@@ -200,7 +157,7 @@ def test_a_safety_demand_is_not_dropped_unnamed() -> None:
 
 
 def test_an_added_topic_is_removed_again_after_a_question() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("a")
         await shown(pilot, "Add a topic")
         await pilot.press(*"/new", "enter")
@@ -218,7 +175,7 @@ def test_an_added_topic_is_removed_again_after_a_question() -> None:
 
 
 def test_steps_back_one_by_one() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("p")
         await pilot.press("p")
         screen = await question(app, pilot)
@@ -239,7 +196,7 @@ def other(number: int, code: EventCode = EventCode.OPERATOR_EDITED, who: str = "
 
 
 def test_what_somebody_else_has_changed_since_is_left_alone() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("p")
         await until(pilot, lambda: engine.spec("/scan").paused, "paused")
         engine.happened += [other(5, EventCode.OPERATOR_PAUSED, "me"), other(6, EventCode.OPERATOR_RESUMED)]
@@ -253,7 +210,7 @@ def test_what_somebody_else_has_changed_since_is_left_alone() -> None:
 
 
 def test_what_somebody_changes_while_the_question_stands_is_left_alone() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("e")
         await fill(pilot, max_rate="2.5")
         await pilot.press("enter")
@@ -270,7 +227,7 @@ def test_what_somebody_changes_while_the_question_stands_is_left_alone() -> None
 
 
 def test_what_is_bridged_again_is_not_added_twice() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await removed(pilot, "/scan")
         engine.show(*engine.now.routes, route("/scan", spec=SCAN))
         await refused(app, pilot, "bridged again")
@@ -280,7 +237,7 @@ def test_what_is_bridged_again_is_not_added_twice() -> None:
 
 
 def test_what_the_bridge_refuses_can_be_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         def refuse(*_: object) -> Future[str]:
             failed: Future[str] = Future()
             failed.set_exception(EngineError("not now"))
@@ -301,7 +258,7 @@ def test_what_the_bridge_refuses_can_be_tried_again(monkeypatch: pytest.MonkeyPa
 
 
 def test_who_may_only_look_undoes_nothing() -> None:
-    async def steps(app: ConsoleApp, _engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, _engine: ChangingEngine, pilot: Pilot[None]) -> None:
         app.changes.add(Paused("robot1", "/scan", 0, key="/scan", paused=False))
         await pilot.press("u")
         await shown(pilot, "read-only")
@@ -311,7 +268,7 @@ def test_who_may_only_look_undoes_nothing() -> None:
 
 
 def test_another_session_forgets_them() -> None:
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         await pilot.press("p")
         await until(pilot, lambda: len(app.changes) == 1, "a change")
         await app.run_session(engine.session, app.path)
@@ -348,7 +305,7 @@ def test_what_a_pattern_has_made_is_its_again() -> None:
     pattern = Topic("/camera/**", "receive", excepts=("/camera/raw",), max_rate=4.0)
     left_out = msgspec.structs.replace(pattern, excepts=("/camera/raw", "/camera/a"))
 
-    async def steps(app: ConsoleApp, engine: LiveEngine, pilot: Pilot[None]) -> None:
+    async def steps(app: ConsoleApp, engine: ChangingEngine, pilot: Pilot[None]) -> None:
         engine.now = _with_patterns(pattern)(engine)
         made = route("/camera/a", pattern="/camera/**", spec=Topic("/camera/a", "receive", max_rate=4.0))
         engine.show(made, *engine.now.routes)
@@ -364,3 +321,28 @@ def test_what_a_pattern_has_made_is_its_again() -> None:
         assert spec == msgspec.structs.replace(pattern, max_rate=3.0)
 
     on_scan(steps)
+
+
+# --- in a terminal
+
+
+def test_in_a_terminal(tmp_path: Path) -> None:
+    if shutil.which("tmux") is None:
+        pytest.skip("needs tmux")
+    command = (
+        f"PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m tests.console.scripted_console --changing"
+    )
+    with Tmux(tmp_path, "sh", "-c", command, size=NARROW) as tmux:
+        tmux.wait_for("/cmd_vel")
+        tmux("send-keys", "d")
+        tmux.wait_for("Remove /")
+        tmux("send-keys", "y")
+        tmux.wait_for("Remove /", there=False)
+        tmux("send-keys", "u")
+        tmux.wait_for("Undo the removal")
+        tmux("send-keys", "y")
+        tmux.wait_for("Undo the removal", there=False)
+        tmux.wait_for("/scan")
+        tmux.wait_for("/cmd_vel")
+        tmux("send-keys", "u")
+        tmux.wait_for("nothing to undo")
