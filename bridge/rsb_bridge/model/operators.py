@@ -44,7 +44,7 @@ def is_undo() -> bool:
 
 @contextlib.contextmanager
 def undoing(undo: bool = True) -> Iterator[None]:
-    """Give commands that take back earlier ones; likewise for what those start."""
+    """Give commands that take back earlier ones."""
     token = _undo.set(undo)
     try:
         yield

@@ -72,7 +72,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("pause", "p", "pause", "Pause or resume the topic or the service",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
     Action("undo", "u", "undo", "Take back the last change of this console, after a question",
-           Group.OPERATE, changes=True, in_footer=True, also="revert, back, restore what was removed"),
+           Group.OPERATE, changes=True, in_footer=True, also="revert, put back, restore a removed topic"),
     Action("arm", "A", "arm", "Arm what has to be armed, or disarm it",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="deadman, safety, enable"),
     Action("call", "C", "call", "Call the service or action by hand; of a node: set a parameter",

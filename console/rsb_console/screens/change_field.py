@@ -13,6 +13,7 @@ from rsb_bridge.model.text import join_first, plural
 from rsb_console.screens.topic_fields import fields_by_kind
 from rsb_console.session.draft import SWITCHES, Ends, values_of
 from rsb_console.session.typed_topic import TypedError, typed_topic
+from rsb_console.widgets.field_input import FieldInput
 from rsb_console.widgets.lines import Line, fit_middle
 from rsb_console.widgets.picker import PickField, Suggestion
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from rsb_console.widgets.form import Spec
 
 _NAME, _COUNT, _RATE, _TYPE = (18, 40), 16, 14, 20
-"""Cells of a topic's columns; the name takes what is left, within bounds."""
+"""Cells of a topic's columns; the name is as wide as the others allow, within bounds."""
 _KEY, _VALUES = 16, 26
 """Cells of a key, and of its present values."""
 _CHECKED = 5
@@ -45,7 +46,7 @@ class Typed(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Typed:
-        """The change that stands in a field."""
+        """Take the text of a field apart."""
         head, _, last = text.rpartition(" ")
         return cls(tuple(head.split()), last)
 
@@ -71,7 +72,7 @@ def change_of(text: str) -> tuple[str, list[str]] | None:
 
 
 class ChangeField(PickField):
-    """A line such as ``/camera max_rate=5``, and beneath it what can stand at its end."""
+    """A line such as ``/camera max_rate=5``, above a list of topics, keys or values to continue it with."""
 
     def __init__(self, spec: Spec) -> None:
         super().__init__(spec, is_literal=self._is_whole)
@@ -84,7 +85,7 @@ class ChangeField(PickField):
         """Offer what the robots have.
 
         Args:
-            bridged: all that is known so far.
+            bridged: all entries so far.
             waiting: whether some have not answered yet.
         """
         self._bridged = {}
@@ -118,18 +119,19 @@ class ChangeField(PickField):
         return text.casefold().split()
 
     def put(self, suggestion: Suggestion) -> None:
-        """Put what was picked at the end of the text."""
+        """Append a picked suggestion to the text."""
         typed = self.typed
         head = " ".join(typed.head) if typed.topic else ""
         value = suggestion.value
         if typed.key:
             value = f"{typed.key}={value}" + ("" if value else " ")  # an empty value is one, too
+        assert isinstance(self.control, FieldInput)
         self.control.value = f"{head} {value}".lstrip()
         self.control.cursor_position = len(self.control.value)
         self.offer()
 
     def mistake(self) -> str:
-        """What is wrong with the values that are typed, or an empty string."""
+        """The first mistake in the typed values, or an empty string."""
         if (change := change_of(self.value)) is None:
             return ""
         topic, keys = change
@@ -198,7 +200,7 @@ class ChangeField(PickField):
             yield Suggestion(f"value {text}", text, partial(_value_line, text, label))
 
     def _about(self, typed: Typed) -> str:
-        """What a value may be, and what it is now."""
+        """The meaning of a key, and its present values."""
         entries = self._entries(typed)
         if not entries:
             return self._no_topic(typed)

@@ -33,8 +33,8 @@ class _ClientChange(Change):
     """A client was added or removed.
 
     Attributes:
-        console: whose session file it stands in.
-        path: of that file.
+        console: the app.
+        path: of the session file.
         listed: the client as the file has, or had, it.
         running: the client as the bridge has, or had, it.
     """
@@ -106,7 +106,9 @@ class ClientRemoved(_ClientChange):
         if self._is_running(name) or _client_in(self.path, name) is not None:
             raise CannotUndoError(f"client {name}: added again since: nothing is taken back")
         if self.key_at is not None and not self.key_at.exists():
-            raise CannotUndoError(f"client {name}: its key file {self.key_at} is gone: add it anew in the links (c)")
+            raise CannotUndoError(
+                f"client {name}: its key file {self.key_at} is gone: add the client again in the links (c)"
+            )
 
         async def act(engine: EngineApi) -> None:
             self._change_file(lambda: clients.add_client(self.path, self.listed))
@@ -117,7 +119,7 @@ class ClientRemoved(_ClientChange):
         key = "" if self.key_at is None else f", with the key in {self.key_at.name}"
         lines = (
             f"adds {name} to the bridge and to {self.path.name} again{key}",
-            "It is let in again, and its topics cross; what has to be armed is not armed by this.",
+            "It may connect again, and its topics cross. Nothing is armed by this.",
         )
         return Undo(f"Undo the removal of the client {name}?", lines, "Add again", True, act)
 

@@ -148,7 +148,7 @@ class RolloutScreen(ModalScreen[None]):
 
     @on(PickField.Picked)
     def _picked(self, event: PickField.Picked) -> None:
-        """Put what was picked into the change; show what a whole change would do."""
+        """Continue the change with a picked suggestion; show the effect of a whole change."""
         event.stop()
         if self.phase is not Phase.TYPING:
             return

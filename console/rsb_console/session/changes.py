@@ -6,7 +6,7 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -18,7 +18,7 @@ from rsb_bridge.model.patterns import Pattern
 from rsb_console.look.patterns import PatternRow, pattern_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterator, Sequence
+    from collections.abc import Callable, Coroutine, Iterator, Sequence
     from concurrent.futures import Future
 
     from rsb_bridge.api import EngineApi
@@ -45,11 +45,11 @@ class CannotUndoError(Exception):
 
 
 class Undo(NamedTuple):
-    """How a change is taken back.
+    """The way to take back a change.
 
     Attributes:
         title: of the question.
-        lines: what will be done, and what that means.
+        lines: the effect of the undo.
         yes: the label of the button that does it.
         careful: whether the question's focus begins on No.
         act: does it; raises an EngineError where the bridge refuses.
@@ -59,7 +59,7 @@ class Undo(NamedTuple):
     lines: tuple[str, ...]
     yes: str
     careful: bool
-    act: Callable[[EngineApi], Awaitable[None]]
+    act: Callable[[EngineApi], Coroutine[Any, Any, None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class Change(ABC):
         """
 
     def _refuse(self, problem: str, events: Sequence[Event]) -> CannotUndoError:
-        """The error that names whoever has changed it last, if that is known."""
+        """The error, with the operator of the last change if an event names one."""
         about = [
             event
             for event in events
@@ -174,7 +174,7 @@ class Edited(Change):
         if self.new.arm and self.old.arm is self.new.arm:
             lines.append(_DISARMED)
         if self.pattern:
-            lines.append(f"It stays an entry of its own beside the pattern {self.pattern}.")
+            lines.append(f"It stays an entry of its own: the pattern {self.pattern} does not manage it again.")
         return Undo(f"Undo the edit of {self.topic}?", tuple(lines), "Undo", bool(warnings), act)
 
 
@@ -186,7 +186,7 @@ class Removed(Change):
         key: of its route.
         spec: the topic as the client sees it.
         pattern: the pattern that had made its route, or empty.
-        patterns: the link's patterns before, by their keys: a removal makes an exception in those that match.
+        patterns: the link's patterns before, by their keys: a removal makes an exception in every matching pattern.
     """
 
     _: KW_ONLY
@@ -308,7 +308,7 @@ def find_entry(now: Snapshot, key: str) -> RouteSnapshot | None:
 
 
 def patterns_of(now: Snapshot, link: str, like: Topic | None = None) -> list[PatternRow]:
-    """A link's patterns; with `like`, those of the same kind and direction."""
+    """The patterns of a link; with `like`, only patterns of its kind and direction."""
     return [
         row
         for row in pattern_rows(now)
@@ -340,7 +340,7 @@ def _claims(pattern: Topic, topic: Topic) -> bool:
 
 
 def _warnings(new: Topic, old: Topic) -> Iterator[str]:
-    """What an undo would let cross that is held back now."""
+    """Name the messages that an undo would let cross, and that are held back now."""
     if new.arm and not old.arm:
         yield "This drops arm: true: it crosses without being armed."
     elif new.arm and (old.deadman_seconds or float("inf")) > (new.deadman_seconds or float("inf")):
