@@ -187,7 +187,7 @@ class ChangeField(PickField):
             if field not in _FIXED and key not in taken:
                 spec = specs.get(field)
                 about = spec.help if spec is not None else ""
-                yield Suggestion(key, f"{key}=", partial(_key_line, key, _now(entries, field), about))
+                yield Suggestion(key, f"{key}=", partial(_key_line, key, _now(entries, field, spec), about))
 
     def _values(self, typed: Typed) -> Iterator[Suggestion]:
         entries = self._entries(typed)
@@ -207,7 +207,7 @@ class ChangeField(PickField):
         if not (field := KEYS[entries[0].route.spec.kind].get(typed.key, "")):
             return f"no key is called {typed.key}"
         spec = self._specs(entries).get(field)
-        return f"{'' if spec is None else spec.help} Now: {_now(entries, field)}.".strip()
+        return f"{'' if spec is None else spec.help} Now: {_now(entries, field, spec)}.".strip()
 
     def _specs(self, entries: Sequence[Bridged]) -> dict[str, Spec]:
         """The fields of the form of a topic, by their names."""
@@ -217,19 +217,21 @@ class ChangeField(PickField):
         return fields_by_kind(first.session, ends, first.route)[kind]
 
 
-def _now(entries: Sequence[Bridged], field: str) -> str:
-    """A field's present values, the most frequent first: ``30 on 2, none on 1``."""
-    values = Counter(_value(each, field) for each in entries)
+def _now(entries: Sequence[Bridged], field: str, spec: Spec | None) -> str:
+    """The present values of a field, the most frequent first: ``30 on 2, none on 1``."""
+    values = Counter(_value(each, field, spec) for each in entries)
     if len(values) == 1:
         return next(iter(values))
     return join_first([f"{value} on {count}" for value, count in values.most_common()], 3)
 
 
-def _value(entry: Bridged, field: str) -> str:
+def _value(entry: Bridged, field: str, spec: Spec | None) -> str:
     text = values_of(entry.route.spec).get(field, "")
     if field in SWITCHES:
         return "yes" if text else "no"
-    return text or "none"
+    if text or spec is None:
+        return text or "none"
+    return dict(spec.options).get("") or ("auto" if spec.blank == "auto" else "none")
 
 
 def _topic_line(topic: str, count: str, rate: str, about: str, width: int) -> Line:
@@ -242,7 +244,7 @@ def _key_line(key: str, now: str, about: str, _width: int) -> Line:
 
 
 def _value_line(value: str, label: str, _width: int) -> Line:
-    return (*_column(value or "none", _KEY, "strong"), (label, "dim"))
+    return (*_column(value, _KEY, "strong"), (label, "dim")) if value else ((label, "strong"),)
 
 
 def _column(text: str, width: int, look: str) -> Line:
