@@ -21,6 +21,10 @@ class EngineError(Exception):
     """The engine cannot do what was asked; the message tells the operator why, and what to do."""
 
 
+class InvalidRequestError(EngineError):
+    """The request itself is wrong, as with a misspelt field: the same words are refused whenever they are sent."""
+
+
 class ArmingApi(Protocol):
     """What a console may do about topics that have to be armed. Every method may be called from any thread.
 
@@ -140,6 +144,16 @@ class EngineApi(Protocol):
 
     def pause(self, key: str, paused: bool) -> Future[None]:
         """Stop or resume carrying a topic's messages, on both sides."""
+        ...
+
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
+        """Acknowledge a fault until its state or its cause changes, or take that back.
+
+        Args:
+            key: of a route or a pattern. A route that is down with its link has the link's fault.
+            acknowledged: False takes it back.
+            link: the name of a link, instead of a key.
+        """
         ...
 
     def retry(self, link: str = "") -> Future[None]:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.arming import BridgeArming
 from rsb_bridge.benchmarking import carry_out
 from rsb_bridge.config.clients import client_named, with_changed_client, with_client, without_client
@@ -30,13 +31,15 @@ from rsb_bridge.link.roles import BridgeRole, ClientRole, Keys, ServerRole
 from rsb_bridge.link.topic_lists import topics_of_peer
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
-from rsb_bridge.model.operators import operator
-from rsb_bridge.model.snapshot import Level, TopicInfo
+from rsb_bridge.model.fields import FieldError
+from rsb_bridge.model.operators import is_undo, operator
+from rsb_bridge.model.snapshot import Level, LinkSnapshot, RouteSnapshot, TopicInfo
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.graph_entries import CALLED, graph_of
 from rsb_bridge.ros.shutdown_topic import watch_shutdown_topic
 from rsb_bridge.route.topic_route import TopicRoute
 from rsb_bridge.tasks import Tasks, in_slices
+from rsb_bridge.telemetry.acknowledgements import find_faulty
 from rsb_bridge.topic_commands import TopicCommands
 from rsb_bridge.transport.transport import ListenError
 
@@ -49,6 +52,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.name_watch import Follower
     from rsb_bridge.model.benchmark import Order, Outcome
     from rsb_bridge.model.session import Client, Session, Topic
+    from rsb_bridge.model.snapshot import RefusedClient
     from rsb_bridge.ros.lasting_subscription import LastingSubscription
     from rsb_bridge.telemetry.snapshots import SnapshotPublisher
 
@@ -68,6 +72,7 @@ class Bridge:
         context: the session, and what every part shares.
         keys: of each client.
         snapshots: kept up to date for user interfaces.
+        folder: gives the folder of the session file.
 
     Attributes:
         graph_watch: to be told of changes of the ROS graph.
@@ -75,7 +80,9 @@ class Bridge:
         contents: shows what routes carry, and calls it by hand.
     """
 
-    def __init__(self, context: Context, keys: Keys, snapshots: SnapshotPublisher) -> None:
+    def __init__(
+        self, context: Context, keys: Keys, snapshots: SnapshotPublisher, folder: Callable[[], Path] = Path
+    ) -> None:
         self.context = context
         self._snapshots = snapshots
         self._role: BridgeRole = (ServerRole if context.session.role == "server" else ClientRole)(context, keys)
@@ -88,12 +95,16 @@ class Bridge:
         self._tasks = Tasks(context.loop, lambda: None)
         self._stopping = asyncio.Event()
         self._shutdown_watch: LastingSubscription | None = None
-        self._instruments = Instruments(context, snapshots.look)
+        self._instruments = Instruments(context, snapshots.look, folder)
         self._errors_logged: dict[str, float] = {}
 
     def links(self) -> list[Link]:
         """All links, up or down: a client's one, or a server's many."""
         return self._role.links()
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        """Return the clients that a server refuses, and that no link shows."""
+        return self._role.refused()
 
     @property
     def session(self) -> Session:
@@ -169,6 +180,7 @@ class Bridge:
         self.context.announcements.stop()
         self.context.events.add(Level.INFO, EventCode.ENGINE_STOPPED, "stopped")
         self._snapshots.refresh_now(self._role, running=False)
+        self._instruments.join()
 
     def _bridges_changed(self) -> None:
         for link in self.links():
@@ -227,6 +239,24 @@ class Bridge:
         """Stop or resume carrying a topic's messages, or those of all that a pattern matches."""
         with self._command():
             self._topic_commands.pause(key, paused=paused)
+
+    async def acknowledge(self, key: str, *, acknowledged: bool, link: str) -> None:
+        """Have a known fault count no more until it changes, or count again."""
+        with self._command():
+            self._snapshots.refresh_now(self._role)
+            faulty = find_faulty(self._snapshots.latest, key, link)
+            known = self._snapshots.acknowledged
+            if acknowledged:
+                known.add(faulty, operator())
+            else:
+                known.remove(faulty)
+            code = EventCode.OPERATOR_ACKNOWLEDGED if acknowledged else EventCode.OPERATOR_ACKNOWLEDGEMENT_UNDONE
+            what = f"{faulty.state.upper()} acknowledged" if acknowledged else "acknowledgement taken back"
+            if isinstance(faulty, LinkSnapshot):
+                self._did(code, what, link=faulty.name)
+            else:
+                name = faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic
+                self._did(code, what, topic=name, link=faulty.link)
 
     async def add_client(self, client: Client, keys: tuple[Key, ...]) -> None:
         """Let one more client in, on a server."""
@@ -320,7 +350,7 @@ class Bridge:
                 )
             else:
                 done.append(step.text)
-                self.context.events.add(Level.INFO, code, f"{why}{step.text}", who=operator())
+                self.context.events.add(Level.INFO, code, f"{why}{step.text}{_undo_mark()}", who=operator())
 
         await in_slices(steps, take)
         return done, failed
@@ -328,7 +358,7 @@ class Bridge:
     def _steps_to(self, session: Session, keys: Keys) -> list[Step]:
         old = self.context.session
         in_place = (
-            (("stale_after", "stale_warnings"), self._set_stale_after),
+            (("stale_after", "stale_warnings", "late_after"), self._set_stale_after),
             (("group",), lambda: None),  # whoever looks reads it in the session
             (("shutdown_topic",), self._change_shutdown_topic),
             *self._instruments.by_key,
@@ -352,7 +382,7 @@ class Bridge:
     ) -> None:
         """Record what an operator has done; of a topic, by its name on this side."""
         who = operator()
-        text = f"{f'{topic}: ' if topic else ''}{what} by {who}"
+        text = f"{f'{topic}: ' if topic else ''}{what} by {who}{_undo_mark()}"
         self.context.events.add(Level.INFO, code, text, link=link, topic=topic, who=who, old=old, new=new)
 
     def _followers(self) -> Iterator[Follower]:
@@ -378,8 +408,15 @@ class Bridge:
         """Run a command: its errors become an `EngineError`, and the snapshot shows its effect."""
         try:
             yield
+        except FieldError as error:
+            raise InvalidRequestError(str(error)) from None
         except (LinkError, ListenError, RosError, ValueError) as error:
             raise EngineError(str(error)) from None
         finally:
             if not self._stopping.is_set():  # the last snapshot, which says so, stays
                 self._snapshots.refresh_now(self._role)
+
+
+def _undo_mark() -> str:
+    """The end of the text of an event by which an operator takes back an earlier change."""
+    return " (undo)" if is_undo() else ""

@@ -237,6 +237,9 @@ class Engine(EngineApi):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._change(lambda bridge: bridge.pause(key, paused=paused))
 
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
+        return self._command(lambda bridge: bridge.acknowledge(key, acknowledged=acknowledged, link=link))
+
     def add_client(self, client: Client) -> Future[None]:
         return self._change(lambda bridge: self._with_key(bridge.add_client, client))
 
@@ -316,7 +319,7 @@ class Engine(EngineApi):
         context = Context(
             self._session, domain, ros, self._events, queue, loop, self._clock, self._random, self._transports
         )
-        bridge = self._bridge = Bridge(context, keys, self._snapshots)
+        bridge = self._bridge = Bridge(context, keys, self._snapshots, self._folder)
         loop.set_exception_handler(bridge.internal_error)
         self._commands.open(loop)
         try:
@@ -340,12 +343,15 @@ class Engine(EngineApi):
         """
         if self._session.role != "server":
             raise EngineError("only a server has clients")
-        base = self._base if self._file is None else self._file.parent
         alone = msgspec.structs.replace(self._session, clients=(client,), operators=())
-        keys, _ = await asyncio.to_thread(load_keys, alone, base)
+        keys, _ = await asyncio.to_thread(load_keys, alone, self._folder())
         self.access.check_link(keys)
         self.access.warn_of(keys, {})
         await command(client, keys[client.name])
+
+    def _folder(self) -> Path:
+        """The folder of the session file."""
+        return self._base if self._file is None else self._file.parent
 
     async def _reload(self, bridge: Bridge, *, dry_run: bool) -> Reloaded:
         who = operator()

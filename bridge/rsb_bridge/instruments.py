@@ -1,14 +1,16 @@
-"""How an engine is seen by the instruments of others: ROS's and Prometheus's."""
+"""Shows an engine to ROS's instruments and to Prometheus, and reports its faults to the session's command."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from rsb_bridge.diagnostics import Diagnostics
+from rsb_bridge.fault_hook import FaultHook
 from rsb_bridge.metrics import Metrics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from rsb_bridge.context import Context
     from rsb_bridge.model.snapshot import Snapshot
@@ -17,16 +19,23 @@ if TYPE_CHECKING:
 class Instruments:
     """All of one engine. They belong to the I/O thread; what does not work ends nothing else.
 
+    Args:
+        context: the session, and what every part shares.
+        look: gives the newest snapshot, on any thread.
+        folder: gives the folder of the session file.
+
     Attributes:
         by_key: what begins anew where these keys of the session have changed.
     """
 
-    def __init__(self, context: Context, look: Callable[[], Snapshot]) -> None:
+    def __init__(self, context: Context, look: Callable[[], Snapshot], folder: Callable[[], Path]) -> None:
         self._diagnostics = Diagnostics(context)
         self._metrics = Metrics(context, look)
+        self._fault_hook = FaultHook(context, folder)
         self.by_key: tuple[tuple[tuple[str], Callable[[], None]], ...] = (
             (("diagnostics_topic",), self._diagnostics.open),
             (("metrics",), self._metrics.open),
+            (("on_fault",), self._fault_hook.open),
         )
 
     def open(self) -> None:
@@ -37,8 +46,14 @@ class Instruments:
     def tick(self, snapshot: Snapshot) -> None:
         """To be called once a second, with the newest snapshot."""
         self._diagnostics.tick(snapshot)
+        self._fault_hook.tick(snapshot)
 
     def close(self) -> None:
         """Show nothing more. May be called twice."""
         self._diagnostics.close()
+        self._fault_hook.close()
         self._metrics.close()
+
+    def join(self) -> None:
+        """Wait until what `close` ends has ended, a second at most."""
+        self._fault_hook.join()

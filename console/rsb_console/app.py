@@ -15,10 +15,12 @@ from textual import work
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import Snapshot, State
 from rsb_console.actions.registry import Group
+from rsb_console.operations.bell import Bell
 from rsb_console.operations.bridge import BridgeOperations
 from rsb_console.operations.deadman import Deadman
 from rsb_console.operations.sessions import SessionOperations
 from rsb_console.screens.main import MainScreen
+from rsb_console.session.changes import Changes
 from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal.shutdown import ShutdownReason
 from rsb_console.terminal_app import TerminalApp
@@ -63,6 +65,7 @@ class ConsoleApp(TerminalApp[None]):
         attach_to: the control socket of a bridge to begin with, instead of a session, or what attaches to one, and may
             take some seconds; None: none.
         temporary: the session's file is deleted when the session ends.
+        resources: closed when that session ends, or None.
     """
 
     main_screen: type[MainScreen] = MainScreen
@@ -80,6 +83,7 @@ class ConsoleApp(TerminalApp[None]):
         serve: Serve | None = None,
         attach_to: Path | Attach | None = None,
         temporary: bool = False,
+        resources: ExitStack | None = None,
     ) -> None:
         super().__init__(
             readonly=readonly, ascii_only=ascii_only, theme=theme, config=config, dialogs={Group.OPERATE, Group.SESSION}
@@ -93,6 +97,8 @@ class ConsoleApp(TerminalApp[None]):
         self.note = "no session"
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else LOCAL_RATE
         self.deadman = Deadman()
+        self.fault_bell = Bell(self.bell, is_on=self.preferences.bell)
+        self.changes = Changes()
         console: Console = self
         bridge = BridgeOperations(console, lambda: self.main.selected)
         self.sessions = SessionOperations(console, bridge.reload)
@@ -104,6 +110,8 @@ class ConsoleApp(TerminalApp[None]):
         self._serve = serve
         self._server: ControlServer | None = None
         self._resources = ExitStack()
+        """Closed when the present session ends."""
+        self._first_resources = resources
         self._changing = asyncio.Lock()
         """Held while an engine starts or stops: two at once would fight for the port."""
         self._last_event = 0
@@ -120,7 +128,7 @@ class ConsoleApp(TerminalApp[None]):
         if self._attach_to is not None:
             self._attach_to_bridge(self._attach_to)
         elif self._session is not None:
-            self._run_session(self._session, self.path, None, temporary=self.temporary)
+            self._run_session(self._session, self.path, self._first_resources, temporary=self.temporary)
         else:
             self.main.run_worker(self.sessions.welcome(), group=Group.SESSION, exclusive=True)
 
@@ -164,6 +172,7 @@ class ConsoleApp(TerminalApp[None]):
     async def _start(self, session: Session) -> None:
         self.note, self._last_event = "starting", 0
         self.main.reset()
+        self.changes.clear()
         self.attached_to = ""
         engine = self._make_engine(session, self.base)
         engine.use_file(self.path)
@@ -205,6 +214,7 @@ class ConsoleApp(TerminalApp[None]):
             await asyncio.to_thread(self.stop)
             self._resources, self.engine, self.attached_to, self.temporary = ExitStack(), None, "", False
             self.main.reset()
+            self.changes.clear()
             try:
                 known = attached(await asyncio.to_thread(open_it))
             except EngineError as error:
@@ -278,6 +288,7 @@ class ConsoleApp(TerminalApp[None]):
             self._last_event = events[-1].number
         snapshot = self.snapshot()
         self.deadman.keep(self.engine, snapshot)
+        self.fault_bell.look(self.engine, snapshot)
         self.main.show(snapshot, events)
 
     def change_refresh_rate(self, step: int) -> None:
@@ -291,6 +302,11 @@ class ConsoleApp(TerminalApp[None]):
 
     def request_quit(self) -> None:
         self.action_quit()
+
+    def action_bell_on_fault(self) -> None:
+        """Ring the bell from now on when a fault begins, or ring it no more."""
+        self.fault_bell.is_on = not self.fault_bell.is_on
+        self.notify("the bell rings when a fault begins" if self.fault_bell.is_on else "the bell is off", timeout=3)
 
     @work(exclusive=True, group=DIALOG)
     async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks

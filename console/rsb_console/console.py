@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
     from rsb_console.actions.registry import Action
     from rsb_console.preferences import Preferences
+    from rsb_console.session.changes import Changes
 
 T = TypeVar("T")
 
@@ -72,6 +73,7 @@ class Console(ConsoleShell, Protocol):
         attached_to: the bridge of another process that is shown; empty: the engine is the console's own.
         note: what the console is doing with the session (``starting``); empty: nothing.
         refresh_rate: Hz.
+        changes: what this console has changed on the engine, and can take back.
     """
 
     engine: EngineApi | None
@@ -83,6 +85,7 @@ class Console(ConsoleShell, Protocol):
     attached_to: str
     note: str
     refresh_rate: float
+    changes: Changes
 
     # --- the session
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
+from textual import work
+
 from rsb_console.actions.registry import FLEET_ACTIONS
 from rsb_console.app import LOCAL_RATE, REFRESH_RATES, SSH_RATE, ConsoleApp
 from rsb_console.screens.fleet import FleetScreen
 from rsb_console.screens.main import MODES, MainScreen
+from rsb_console.terminal.input_queue import DIALOG
 from rsb_console.terminal.shutdown import ShutdownReason
 from rsb_console.terminal_app import TerminalApp
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_console.fleet.fleet import Fleet, Robot
     from rsb_console.widgets.fleet import FleetView
 
+BRIDGES_GO_ON = "All bridges go on; only this console ends."
 _OPENS_ANOTHER = frozenset({"sessions", "new_session", "import_session", "demo", "welcome"})
 
 
@@ -33,6 +37,7 @@ class FleetApp(TerminalApp["Robot"]):
         ascii_only: draw only ASCII.
         theme: its name; None: the one that suits the terminal.
         config: the user's configuration folder; None: the platform's.
+        after_quit: says whether the bridges go on when the operator quits.
     """
 
     actions = FLEET_ACTIONS
@@ -46,8 +51,10 @@ class FleetApp(TerminalApp["Robot"]):
         ascii_only: bool = False,
         theme: str | None = None,
         config: Path | None = None,
+        after_quit: str = BRIDGES_GO_ON,
     ) -> None:
         super().__init__(readonly=readonly, ascii_only=ascii_only, theme=theme, config=config)
+        self._after_quit = after_quit
         self.main = FleetScreen(self, fleet, view, self._open, self._change_rate)
         self.refresh_rate = SSH_RATE if os.environ.get("SSH_CONNECTION") else min(LOCAL_RATE, 2.0)
 
@@ -72,8 +79,12 @@ class FleetApp(TerminalApp["Robot"]):
     def _open(self, robot: Robot) -> None:
         self.exit(robot)
 
-    async def action_quit(self) -> None:
-        self.shut_down(ShutdownReason.QUIT)
+    @work(exclusive=True, group=DIALOG)
+    async def action_quit(self) -> None:  # type: ignore[override]  # a worker, because it asks
+        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+
+        if await self.ask(ConfirmScreen("Quit?", self._after_quit, "Quit")):
+            self.shut_down(ShutdownReason.QUIT)
 
     def stop(self) -> None:
         """The fleet is not this app's to stop."""

@@ -1,8 +1,10 @@
-"""What the user has set: themes and keys of their own; a mistake in them is told, and the shipped ones stand in."""
+"""The user's themes, keys and settings. The console reports a mistake in them, and uses its own instead."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+import yaml
 
 from rsb_console.actions.keymap import KeymapError, load_keymap, split_keys
 from rsb_console.look.themes import default_theme, load_themes, shipped_path
@@ -25,13 +27,14 @@ class Preferences:
     """The themes and keys to use.
 
     Args:
-        config: the user's folder: ``themes/`` and ``keys.yaml``, which need not exist.
-        theme: the name that was asked for; None: what suits the terminal.
+        config: the user's folder, perhaps with ``themes/``, ``keys.yaml`` and ``console.yaml``.
+        theme: the name of a theme, or None for one that suits the terminal.
 
     Attributes:
         themes: by name.
         theme: the name of the one to begin with.
         keymap: action ids to the user's keys.
+        bell: whether the terminal's bell rings when a fault begins, at the start.
         problems: what was wrong, each with a title.
     """
 
@@ -41,6 +44,8 @@ class Preferences:
         self.keymap: dict[str, str] = {}
         self.theme = self._load_themes(config, theme)
         self._load_keys(config)
+        self.bell = False
+        self._load_settings(config / "console.yaml")
 
     def _load_themes(self, config: Path, wanted: str | None) -> str:
         loaded = load_themes(shipped_path(), config / "themes")
@@ -58,6 +63,24 @@ class Preferences:
             self.keymap = load_keymap(config / "keys.yaml")
         except KeymapError as error:
             self.problems.append(("The default keys are used", str(error)))
+
+    def _load_settings(self, path: Path) -> None:
+        try:
+            loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            self.problems.append(("The default settings are used", f"{path}: {error}"))
+            return
+        settings = {} if loaded is None else loaded
+        if (
+            not isinstance(settings, dict)
+            or set(settings) - {"bell"}
+            or not isinstance(settings.get("bell", False), bool)
+        ):
+            self.problems.append(("The default settings are used", f"{path}: give bell: true, or bell: false"))
+            return
+        self.bell = settings.get("bell", False)
 
     def keys(self, action: Action) -> list[str]:
         """The keys that do `action`, by Textual's names."""

@@ -14,7 +14,7 @@ from tests.calls.ledgers import called, counts, nothing_left
 from tests.support.bridge import happened, route
 from tests.support.waiting import eventually
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.contents import CALLS_AT_ONCE
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.fields import FIELDS_LENGTH
@@ -87,6 +87,15 @@ def test_a_call_from_the_providing_side_goes_to_the_node_even_without_a_link(bri
     assert yaml.safe_load(by_hand(server, "/set", "{data: false}").result(60))["message"] == "größer: False"
     assert lamp.was == [True, False]
     assert counts(server, "/set").asked == 0
+
+
+def test_a_misspelt_field_is_the_requests_own_fault(bridge: Bridge, lamp: Lamp) -> None:
+    """It never leaves this side; a program that repeats the call would have the same answer."""
+    _, client = bridge.both(called("/set"))
+    ready(client, "/set")
+    with pytest.raises(InvalidRequestError, match="data"):
+        by_hand(client, "/set", "dta: true").result(60)
+    assert lamp.was == []
 
 
 def test_both_sides_record_who_called_what(bridge: Bridge, lamp: Lamp) -> None:

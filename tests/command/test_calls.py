@@ -11,7 +11,7 @@ import pytest
 from tests.command.test_remote import Ran
 from tests.console.scripted import SESSION, ScriptedEngine, route
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import ArmingSnapshot, Ledger, Stage, State
@@ -237,6 +237,14 @@ def test_a_call_without_an_answer_fails(ran: Any, engine: ScriptedEngine) -> Non
     failed = ran("call", "/dock")
     assert (failed.code, failed.err) == (1, "rsb-console: /dock gave no answer within 30 s\n")
     assert ran("call", "/dock", "--json").json == {"ok": False, "error": "/dock gave no answer within 30 s"}
+
+
+def test_a_request_that_no_node_takes_is_wrong_usage(ran: Any, engine: ScriptedEngine) -> None:
+    """As a misspelt field: the bridge's words cross to the command with their kind."""
+    engine.called.set_exception(InvalidRequestError("there is no field 'spped': did you mean speed?"))
+    refused = ran("call", "/dock", "{spped: 1}")
+    assert refused.code == 2
+    assert "speed" in refused.err
 
 
 class Node:

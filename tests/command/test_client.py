@@ -124,6 +124,40 @@ def test_a_server_of_one_client_keeps_letting_it_in(tmp_path: Path, run: Run) ->
     assert load(path).clients == (Client("robot1"), ROBOT2)
 
 
+@pytest.mark.parametrize(
+    ("address", "host", "port"),
+    [
+        ("10.0.0.9:50000", "10.0.0.9", 50000),
+        ("pc.local:50000", "pc.local", 50000),
+        ("[2001:db8::1]:50000", "2001:db8::1", 50000),
+        ("2001:db8::1", "2001:db8::1", 49152),
+        ("10.0.0.9", "10.0.0.9", 49152),
+    ],
+)
+def test_an_address_may_have_a_port(address: str, host: str, port: int, path: Path, run: Run) -> None:
+    """What is written is what `check` takes."""
+    assert run("add", "robot2", str(path), "-o", "robot2.yaml", "--address", address).code == 0
+    session = load(Path("robot2.yaml"))
+    assert (session.server_ip, session.server_port) == (host, port)
+
+
+@pytest.mark.parametrize("address", ["10.0.0.9:", "10.0.0.9:0", "10.0.0.9:70000", "10.0.0.9:x", "0.0.0.0:50000", "a b"])
+def test_an_address_that_no_client_reaches_changes_nothing(address: str, path: Path, run: Run) -> None:
+    for command in (("add", "robot2"), ("rekey", "robot1"), ("show", "robot1")):
+        key = path.with_name("robot1.key").read_bytes()
+        assert run(*command, str(path), "--address", address).code == 2
+        assert (path.read_text(), path.with_name("robot1.key").read_bytes()) == (TEXT, key)
+
+
+def test_a_bridge_is_named_as_elsewhere(path: Path, run: Run, machine: Machine, tmp_path: Path) -> None:
+    """By its name where the file may stand; and beside a client's bridge, the server's needs none."""
+    machine.serve(ScriptedEngine(SERVER), file=path)
+    machine.serve(ScriptedEngine(), file=tmp_path / "robot1.yaml")
+    for words in (("list", "pc"), ("list",), ("list", "--bridge", "pc"), ("show", "robot1", "pc")):
+        assert run(*words).code == 0, words
+    assert run("list", "nobody").code == 2
+
+
 def test_a_key_is_renewed(path: Path, run: Run) -> None:
     before = read_key(path.with_name("robot1.key"))
     ran = run("rekey", "robot1", str(path), "--json")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 from tests.console.terminal import COMMAND, Terminal
 from tests.console.tmux import Tmux
+from tests.support.locks import alone
 from tests.support.waiting import eventually
 
 from rsb_console.command.arguments import parser_and_commands
@@ -65,7 +67,7 @@ def test_the_screen_opens_leads_to_a_robot_and_back_and_ends_all(tmp_path: Path,
         tmux.wait_for("client robot2", WITHIN)
         tmux("send-keys", "q")
         tmux.wait_for("1 of 3", WITHIN)
-        tmux("send-keys", "q")
+        tmux("send-keys", "q", "y")
         eventually(lambda: not running(started), WITHIN, "the end of all processes")
     assert [*temporary.iterdir()] == []
 
@@ -82,6 +84,54 @@ def test_nothing_of_it_is_left_where_a_signal_ends_it(seen: str, how: signal.Sig
         terminal.exit_code(WITHIN)
     eventually(lambda: not running(started), WITHIN, "the end of all processes")
     assert [*temporary.iterdir()] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "seen", "at_least"),
+    [
+        ((), "LINKED", 3),  # the robot, its bridge, the desk
+        (("--no-ui",), " ok |", 3),
+        (("--fleet", "--robots", "2"), "robot2", 3),  # the router, the control side, the robots
+        (("--fleet", "--robots", "2", "--no-ui"), "Ctrl-C ends them all", 3),
+    ],
+    ids=["console", "headless", "fleet", "headless-fleet"],
+)
+def test_no_process_outlives_a_demo_that_is_killed(options: tuple[str, ...], seen: str, at_least: int) -> None:
+    with alone("demo"), Terminal(str(COMMAND), "demo", *options) as terminal:
+        terminal.wait_for(seen, WITHIN)
+        started = descendants(terminal.pid)
+        assert len(started) >= at_least
+        terminal.kill(signal.SIGKILL)
+        eventually(lambda: not running(started), WITHIN, "the end of all processes")
+
+
+DEAF = """
+import signal, sys, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("deaf", flush=True)
+time.sleep(600)
+"""
+PARENT = """
+import subprocess, sys
+from rsb_console.child import ChildProcess
+child = ChildProcess("deaf", stdout=subprocess.PIPE)
+child.stdout.readline()
+print(child.pid, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_child_that_ignores_its_parents_end_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "deaf.py").write_text(DEAF)
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    with subprocess.Popen(
+        [sys.executable, "-c", PARENT], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environ
+    ) as parent:
+        assert parent.stdout
+        child = int(parent.stdout.readline())
+        assert running({child})
+        parent.kill()
+    eventually(lambda: not running({child}), WITHIN, "the end of the child")
 
 
 def descendants(pid: int) -> set[int]:

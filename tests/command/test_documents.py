@@ -11,11 +11,13 @@ import pytest
 from tests.console.scripted import EVENTS, ScriptedEngine, route
 
 from rsb_bridge.model.calls import CallsSnapshot
+from rsb_bridge.model.verdict import LinkCause
 from rsb_console.command import shell
 from rsb_console.command.arguments import EPILOG
 from rsb_console.command.reports import json_event, json_status, route_of
 
-HEADLESS = (Path(__file__).parents[2] / "docs" / "headless.md").read_text()
+DOCS = Path(__file__).parents[2] / "docs"
+HEADLESS = (DOCS / "headless.md").read_text()
 
 
 def rows(heading: str) -> list[str]:
@@ -59,6 +61,12 @@ def called_section() -> str:
 
 def test_exit_codes_stand_in_one_table_and_in_the_help() -> None:
     codes = [int(code) for cell in rows("Exit codes") for code in cell.split(",")]
-    names = ("OK", "FAILURE", "USAGE", "NOT_RUNNING", "ALREADY_RUNNING", "INTERRUPTED", "TERMINATED")
+    names = ("OK", "FAILURE", "USAGE", "NOT_RUNNING", "ALREADY_RUNNING", "HUNG_UP", "INTERRUPTED", "TERMINATED")
     assert codes == [getattr(shell, name) for name in names]
     assert codes == [int(code) for code in re.findall(r"^  (\d+) ", EPILOG, re.MULTILINE)]
+
+
+def test_every_cause_of_a_link_is_documented() -> None:
+    text = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    section = text.partition("## Why a link is not up\n")[2].partition("\n## ")[0]
+    assert set(re.findall(r"`(\w+)`", section)) == {cause.value for cause in LinkCause if cause}

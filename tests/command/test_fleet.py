@@ -15,6 +15,7 @@ import pytest
 from tests.console.scripted import NOW, ScriptedEngine
 from tests.support.fleet import ServerEngine
 
+from rsb_bridge.model.robot_summary import RobotState
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
@@ -71,7 +72,7 @@ def test_all_is_well(engine: ServerEngine, capsys: pytest.CaptureFixture[str]) -
     assert ran.code == 0
     assert ran.json["ok"] is True
     assert ran.json["summary"]["robots"] == 3
-    assert ran.json["summary"]["states"] == {"missing": 0, "fault": 0, "warn": 0, "waiting": 0, "ok": 3}
+    assert ran.json["summary"]["states"] == {state: 3 * (state is RobotState.OK) for state in RobotState}
     first = ran.json["robots"][0]
     assert (first["name"], first["group"], first["server"], first["gone"]) == ("robot1", "hall", "control", False)
     assert (first["flowing"], first["routes"], first["links_up"], first["links"]) == (2, 2, 1, 1)
@@ -186,6 +187,8 @@ def test_a_status_is_of_one_robot(engine: ServerEngine, capsys: pytest.CaptureFi
         ("--group", "attic", "--", "status"),
         ("robot1", "--", "echo", "/scan"),
         ("robot1", "--", "echo", "/scan", "--once"),
+        ("robot1", "--", "hz", "/scan"),
+        ("robot1", "--", "bw", "/scan"),
         ("robot1", "--", "events", "--follow"),
         ("robot1", "--", "wait", "--for", "linked"),
         ("robot1", "--", "status", "--bridge", "other"),

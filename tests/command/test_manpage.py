@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import shutil
 import subprocess
@@ -13,7 +14,6 @@ import pytest
 from rsb_console.command.arguments import parser_and_commands
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator
     from types import ModuleType
 
@@ -48,6 +48,18 @@ def test_every_command_and_option_is_in_it(manpage: ModuleType) -> None:
     everything = set(said(parser_and_commands()[0], "rsb-console"))
     assert len(everything) > 80
     assert [each for each in everything if each not in text] == []
+
+
+def test_every_command_takes_what_the_page_says() -> None:
+    def leaves(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+        nested = [action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+        yield from (parser,) if not nested else (leaf for each in nested[0].values() for leaf in leaves(each))
+
+    commands = list(leaves(parser_and_commands()[0]))
+    assert len(commands) > 30
+    for command in commands:
+        names = {name for action in command._actions for name in action.option_strings}
+        assert {"--help", "--debug"} <= names, command.prog
 
 
 @pytest.mark.skipif(shutil.which("groff") is None, reason="groff is not installed")

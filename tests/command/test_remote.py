@@ -19,9 +19,10 @@ from tests.support.waiting import eventually
 
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import save
+from rsb_bridge.control.bridges import running_bridges
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.model.session import Session, Topic
-from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
+from rsb_bridge.model.snapshot import Acknowledgement, Ledger, RefusedClient, RouteSnapshot, State
 from rsb_console.command.arguments import parser_and_commands
 from rsb_console.command.remote import COMMANDS
 
@@ -103,6 +104,17 @@ def test_status_says_who_paused(ran: Any, engine: ScriptedEngine) -> None:
     assert "anna on pts/3" in status.out
 
 
+def test_status_names_a_client_that_is_refused(ran: Any, engine: ScriptedEngine) -> None:
+    """Anybody can have it refused, so it makes nothing wrong."""
+    refused = RefusedClient("robot9", "10.0.0.9", "unknown_name", "unknown: add it", 1_700_000_000.0, 3)
+    engine.now = replace(engine.now, refused=(refused,))
+    status = ran("status")
+    assert status.code == 0
+    assert "robot9 at 10.0.0.9" in status.out
+    (of_client,) = ran("status", "--json").json["refused"]
+    assert (of_client["name"], of_client["cause"], of_client["attempts"]) == ("robot9", "unknown_name", 3)
+
+
 def test_status_says_when_a_link_that_is_shut_down_asks_again(ran: Any, engine: ScriptedEngine) -> None:
     down = replace(LINK, state=State.DOWN, cause="shut_down", reason="shut down by anna on pts/3", retry_in=26.3)
     engine.now = replace(engine.now, links=(down,))
@@ -145,6 +157,44 @@ def test_waiting_is_no_fault(ran: Any, engine: ScriptedEngine, what: Any, code: 
     assert len(told["wrong"]) == code
     assert len(told["waiting"]) == int("waits" in short)
     assert not what.reason or what.reason in str(told["wrong"] + told["waiting"])
+
+
+KNOWN = Acknowledgement("anna on pts/3", 1_700_000_000.0)
+STALE = replace(SCAN, state=State.STALE, cause="publisher_silent")
+
+
+def test_what_is_acknowledged_is_told_apart_and_is_not_wrong(ran: Any, engine: ScriptedEngine) -> None:
+    other = replace(STALE, key="/map", topic="/map")
+    engine.now = replace(engine.now, routes=(replace(STALE, acknowledged=KNOWN), other))
+    status = ran("status", "--json")
+    assert status.code == 1
+    assert (len(status.json["wrong"]), len(status.json["acknowledged"])) == (1, 1)
+    assert status.json["routes"][0]["acknowledged"] == {"by": KNOWN.by, "at": KNOWN.at}
+    assert status.json["routes"][1]["acknowledged"] is None
+    lines = ran("status").out.splitlines()
+    at = {name: next(n for n, line in enumerate(lines) if name in line) for name in ("/map", "/scan")}
+    assert at["/map"] < at["/scan"]
+    assert KNOWN.by in lines[at["/scan"]]
+    engine.now = replace(engine.now, routes=(replace(STALE, acknowledged=KNOWN),))
+    assert ran("status").code == 0
+    down = replace(LINK, state=State.DOWN, cause="unreachable", reason="no answer", acknowledged=KNOWN)
+    its = replace(SCAN, state=State.DOWN, cause="link_down", acknowledged=KNOWN)
+    engine.now = replace(engine.now, links=(down,), routes=(its,))
+    status = ran("status", "--json")
+    assert (status.code, status.json["wrong"], len(status.json["acknowledged"])) == (0, [], 1)
+    assert status.json["links"]["robot1"]["acknowledged"] == {"by": KNOWN.by, "at": KNOWN.at}
+
+
+def test_ack_takes_a_topic_or_a_link(ran: Any, engine: ScriptedEngine) -> None:
+    for arguments in (("/scan",), ("/scan", "--undo"), ("robot1",), ("robot1", "--undo")):
+        assert ran("ack", *arguments).code == 0
+    assert engine.commands == [
+        ("acknowledge", SCAN.key, True),
+        ("acknowledge", SCAN.key, False),
+        ("acknowledge", "robot1", True),
+        ("acknowledge", "robot1", False),
+    ]
+    assert ran("ack", "/nothing").code == 2
 
 
 def test_topics_lists_what_is_bridged_or_could_be(ran: Any, engine: ScriptedEngine) -> None:
@@ -309,7 +359,7 @@ def test_on_a_server_of_several_the_client_has_to_be_named(ran: Any, machine: Ma
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_takes_the_bridge_in_the_same_way(ran: Any, machine: Machine, name: str) -> None:
     needed = {"wait": ("--for", "stopped"), "add": ("/scan", "transmit")}
-    about_topic = ("edit", "remove", "pause", "resume", "arm", "disarm", "echo")
+    about_topic = ("edit", "remove", "pause", "resume", "ack", "arm", "disarm", "echo", "hz", "bw", "info")
     arguments = ("/scan",) if name in about_topic else needed.get(name, ())
     refused = ran(name, *arguments, "--bridge", "robot7", "--json")
     assert refused.code == 3
@@ -338,12 +388,37 @@ def test_without_a_bridge_they_say_so(ran: Any, machine: Machine) -> None:
     assert ran("status", "--control", str(machine.folder / "x.sock")).code == 3
 
 
+def test_status_shows_all_bridges_and_exits_with_the_worst_code(
+    ran: Any, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = ScriptedEngine(routes=(SCAN,))
+    second = ScriptedEngine(msgspec.structs.replace(SESSION, name="robot2"), routes=(SCAN,))
+    second.now = replace(second.now, name="robot2")
+    for engine in (first, second):
+        machine.serve(engine)
+    fine = ran("status")
+    assert fine.code == 0
+    assert [line.partition(":")[0] for line in fine.out.splitlines() if not line.startswith(" ")] == [
+        "robot1",
+        "robot2",
+    ]
+    second.now = replace(second.now, links=(replace(LINK, state=State.DOWN, cause="lost"),))
+    faulty = ran("status", "--json")
+    assert faulty.code == 1
+    assert faulty.json["ok"] is False
+    assert [(each["name"], each["ok"]) for each in faulty.json["bridges"]] == [("robot1", True), ("robot2", False)]
+    assert ran("status", "robot1").code == 0
+    frozen = [replace(each, info=None, problem="it does not answer") for each in running_bridges()[:1]]
+    monkeypatch.setattr("rsb_console.command.remote.running_bridges", lambda: [*frozen, *running_bridges()[1:]])
+    assert ran("status").code == 3
+
+
 def test_of_several_bridges_one_has_to_be_named(ran: Any, machine: Machine) -> None:
     machine.serve()
     machine.serve(ScriptedEngine(msgspec.structs.replace(SESSION, name="robot2")))
-    several = ran("status")
+    several = ran("topics")
     assert several.code == 2
-    assert "several bridges run here; say which:\n  robot1: " in several.err
+    assert "robot1: " in several.err
     assert ran("topics", "robot2").code == 0
     assert ran("topics", "--control", str(machine.folder / "robot2.sock")).code == 0
 

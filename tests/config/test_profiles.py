@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rsb_bridge.channel.receipts import Pace
 from rsb_bridge.config.difference import kept
 from rsb_bridge.config.session_file import SessionError, dump, parse
 from rsb_bridge.link.proposals import proposal_of
@@ -83,7 +84,7 @@ def test_queues(reliability: str) -> None:
     proposal = proposal_of(topic, transport, client_name="robot1", use_name=False)
     outbox = Outbox(transport, proposal, RouteLedger(), lambda *_: None)
     qos = Qos(reliability="best_effort" if reliability == "best_effort" else "reliable", depth=0)
-    plain, lte = (outbox.limits(qos, 0, congested=True, profile=each) for each in (PLAIN, PROFILES["lte"]))
+    plain, lte = (outbox.limits(qos, 0, Pace.STOPPED, 0.0, each) for each in (PLAIN, PROFILES["lte"]))
     if reliability == "best_effort":
         assert (plain.depth, lte.depth, lte.size, lte.younger_than) == (10, 3, 256 * 1024, 0.0)
     else:

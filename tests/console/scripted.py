@@ -278,6 +278,9 @@ class ScriptedEngine:
     def pause(self, key: str, paused: bool) -> "Future[None]":
         return self._done(None, "pause", key, paused)
 
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> "Future[None]":
+        return self._done(None, "acknowledge", key or link, acknowledged)
+
     @property
     def arming(self) -> "ScriptedArming":
         return ScriptedArming(self)

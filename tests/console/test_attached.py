@@ -20,7 +20,10 @@ from textual.pilot import Pilot
 from rsb_bridge.config.session_file import save
 from rsb_bridge.control import bridges
 from rsb_bridge.model.session import Topic
+from rsb_console.actions.registry import Group
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.confirm import OfferScreen
+from rsb_console.screens.welcome import WelcomeScreen
 
 CHATTER = f"/console_{os.getpid()}/attached"
 
@@ -105,6 +108,20 @@ def test_a_session_that_runs_already_is_attached_to_instead(machine: Machine, en
 
     drive(app, steps)
     app.stop()
+
+    offered = scripted_app(serve=serve)
+
+    async def answer(pilot: Pilot[None]) -> None:
+        await until(pilot, lambda: isinstance(offered.screen, OfferScreen), "the offer")
+        await pilot.press("n")
+        await until(pilot, lambda: isinstance(offered.screen, WelcomeScreen), "all ways to begin")
+        offered.main.run_worker(offered.sessions.attach_instead(serve()[1]), group=Group.SESSION, exclusive=True)
+        await until(pilot, lambda: isinstance(offered.screen, OfferScreen), "the offer")
+        await pilot.press("enter")  # the focus is on Yes
+        await until(pilot, lambda: offered.attached_to == "robot1", "attached")
+
+    drive(offered, answer)
+    offered.stop()
 
     watching = scripted_app(serve=serve, readonly=True)
 

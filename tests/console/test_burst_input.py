@@ -12,12 +12,13 @@ from tests.console.driving import drive, engine_of, form_of, on_main, scripted_a
 from tests.console.scripted import SESSION
 from tests.console.tmux import Tmux
 from textual.app import App
-from textual.events import Key
+from textual.events import Key, Paste
 from textual.keys import _character_to_key
 from textual.pilot import Pilot
 
 from rsb_bridge.config.session_file import save
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.new_session import NewSessionScreen
 from rsb_console.terminal.driver import KeyParser
 from rsb_console.widgets.field_input import FieldInput
 
@@ -90,6 +91,83 @@ def test_a_sentence_typed_behind_the_key_that_opens_the_form_stands_in_field_aft
         assert {name: control.value for name, control in controls.items()} == dict.fromkeys(places, f">{SENTENCE}<")
 
     drive(app, steps)
+
+
+FIELDS_TYPED = {"name": "cart3", "server_ip": "10.0.0.20", "server_port": "7070", "domain_id": "12"}
+AS_SERVER = {"role": "server", **FIELDS_TYPED, "use_name": "yes", "clients": "a, b"}
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("\tcart3\t10.0.0.20\t7070\t12", FIELDS_TYPED),
+        ("cart3\t10.0.0.20\t7070\t12", FIELDS_TYPED),  # at once, though the form opens at a choice
+        ("\tcart3\r10.0.0.20\t7070\t12", FIELDS_TYPED),  # enter goes to what is still missing
+        ("server\tcart3\t10.0.0.20\t7070\t12\ty\ta, b", AS_SERVER),
+        (" \tcart3\t10.0.0.20\t7070\t12\t \ta, b", AS_SERVER),
+        ("s\tcart3\t10.0.0.20\t7070\t12\tyesx\t\t", {**AS_SERVER, "use_name": "no", "clients": ""}),
+    ],
+)
+@pytest.mark.parametrize("how", ["typed", "pasted"])
+def test_a_new_session_is_filled_in_at_once(typed: str, expected: dict[str, str], how: str) -> None:
+    if how == "pasted" and "\r" in typed:
+        pytest.skip("a paste has no enter")
+    app = scripted_app(session=None, path=None)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "New session")
+        burst(app, "n" if how == "pasted" else f"n{typed}")
+        await until(pilot, lambda: isinstance(app.screen, NewSessionScreen), "the form")
+        if how == "pasted":
+            assert app._driver is not None
+            app._driver.send_message(Paste(typed))
+        form = form_of(app)
+        await until(pilot, lambda: form.values["domain_id"] == "12", "the last of the texts")
+        await until(pilot, lambda: app.input_queue._task is None and not app.input_queue._waiting, "all of it")
+        assert form.values.items() >= expected.items()
+
+    drive(app, steps)
+
+
+def in_tmux(tmux: Tmux, how: str, text: str, folder: Path) -> None:
+    """Type a text at once, or paste it as a terminal does."""
+    if how == "typed":
+        tmux("send-keys", "-l", text)
+    else:
+        (folder / "pasted").write_text(text)
+        tmux("load-buffer", str(folder / "pasted"))
+        tmux("paste-buffer", "-p", "-r")
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize("how", ["typed", "pasted"])
+def test_in_tmux_all_fields_of_each_form_at_once(how: str, tmp_path: Path) -> None:
+    save(SESSION, Path("nav2.yaml"))
+    command = shlex.join([sys.executable, "-m", "tests.console.scripted_console"])
+    path = os.pathsep.join(p for p in sys.path if p)
+    forms = [  # the keys that open each form, a word in it, what is typed, and how its fields look then
+        (("F2",), "Encryption", "\tcart3\t10.0.0.20\t7070", ["Name           cart3 ", "Server         10.0.0.20 "]),
+        (("F2",), "Encryption", "cart3\t10.0.0.20\t7070", ["Name           cart3 ", "Port           7070 "]),
+        (("a",), "Direction", "/x\t\t\tstd_msgs/msg/String\t20", ["Topic          /x ", "std_msgs/msg/String ", "20 "]),
+        (("W",), "Key files are relative", ".copy", ["nav2.yaml.copy "]),
+        (("F3",), "Session file", "a.yaml\tcart3", ["a.yaml ", "cart3"]),
+        (("K", "g"), "Generate a key", "2", ["2"]),
+    ]
+    with Tmux(tmp_path, "env", f"PYTHONPATH={path}", "sh", "-c", f"exec {command}") as tmux:
+        tmux.wait_for("/robot2/scan")
+        for keys, word, text, fields in forms:
+            tmux("send-keys", *keys)
+            if how == "pasted":
+                tmux.wait_for(word)
+            in_tmux(tmux, how, text, tmp_path)
+            tmux.wait_for(word)
+            for words in fields:
+                tmux.wait_for(words)
+            tmux("send-keys", "Escape")
+            tmux.wait_for(word, there=False)
+            if keys == ("K", "g"):
+                tmux("send-keys", "Escape")
 
 
 @on_main()

@@ -208,3 +208,86 @@ def test_clients_are_asked_for_only_of_a_server(folder: Path) -> None:
 
     drive(app, steps)
     assert load(folder / "pc.yaml").clients == ()
+
+
+# -- taken back ------------------------------------------------------------------------------------------------------
+
+
+async def back_on_main(pilot: Pilot[None]) -> None:
+    """Close the links."""
+    await pilot.press("escape")
+    await gone(pilot, "a add a client")
+
+
+def test_a_removed_client_comes_back_with_its_key(path: Path) -> None:
+    robot2 = Client("robot2", "robot2.key", deny=("/raw",))
+    save(replace(SERVER, clients=(*SERVER.clients, robot2)), path)
+    key = write_key(path.with_name("robot2.key"))
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await links(pilot)
+        await pilot.press("d", "y")
+        await shown(pilot, "robot1: removed")
+        engine_of(app).session = load(path)
+        await back_on_main(pilot)
+        await pilot.press("u")
+        await shown(pilot, "Undo the removal of the client robot1?")
+        await pilot.press("enter")  # the focus is on No
+        await gone(pilot, "Undo the removal")
+        assert len(load(path).clients) == 1
+        await pilot.press("u")
+        await shown(pilot, "Undo the removal of the client robot1?")
+        await pilot.press("y")
+        await gone(pilot, "Undo the removal")
+        (robot1,) = SERVER.clients
+        assert engine_of(app).commands == [("remove client", "robot1"), ("add client", robot1)]
+        assert set(load(path).clients) == {robot1, robot2}
+        assert app.changes.last is None
+
+    drive(app, steps)
+    assert read_key(path.with_name("robot2.key")) == key
+
+
+def test_a_removed_client_whose_key_is_gone_is_not_given_a_new_one(path: Path) -> None:
+    save(replace(SERVER, clients=(*SERVER.clients, Client("robot2", "robot2.key"))), path)
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await links(pilot)
+        await pilot.press("d", "y")
+        await shown(pilot, "robot1: removed")
+        engine_of(app).session = load(path)
+        path.with_name("robot1.key").unlink()
+        await back_on_main(pilot)
+        await pilot.press("u")
+        await shown(pilot, "Not undone")
+        assert engine_of(app).commands == [("remove client", "robot1")]
+        assert not path.with_name("robot1.key").exists()
+
+    drive(app, steps)
+
+
+def test_an_added_client_is_removed_again(path: Path) -> None:
+    app = scripted_app(session=load(path), path=path)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await links(pilot)
+        await pilot.press("a")
+        await shown(pilot, "Add a client")
+        await fill(pilot, name="robot2")
+        await pilot.press("enter")
+        await shown(pilot, "robot2 is added")
+        await pilot.press("escape")
+        await gone(pilot, "robot2 is added")
+        engine_of(app).session = load(path)
+        await back_on_main(pilot)
+        await pilot.press("u")
+        await shown(pilot, "remove the client robot2?")
+        await pilot.press("y")
+        await gone(pilot, "remove the client robot2?")
+        assert engine_of(app).commands[1:] == [("remove client", "robot2")]
+        assert load(path).clients == SERVER.clients
+        assert path.with_name("robot2.key").exists()
+
+    drive(app, steps)

@@ -173,6 +173,15 @@ def test_what_is_throttled_on_purpose_is_no_loss() -> None:
     assert "100.0 %" in words
 
 
+def test_what_is_unknown_is_neither_delivered_nor_dropped() -> None:
+    ledger = Ledger(offered=100, delivered=40, unknown=60, missed_while_down=777)
+    words = said(route("/scan", ledger=ledger))
+    assert "100.0 %" in words
+    assert [line.split()[-1] for line in words.splitlines() if line.strip().startswith("dropped")] == ["0"]
+    assert "60" in words
+    assert "777" in words
+
+
 @pytest.mark.parametrize("about", ROUTES, ids=lambda about: about.state.value)
 def test_only_what_flows_has_a_rate(about: RouteSnapshot) -> None:
     assert ("Rate  - Hz" in said(about)) is (about.state not in {State.OK, State.STALE})
@@ -210,3 +219,10 @@ def test_the_qos_of_both_ends_and_of_the_bridge() -> None:
     nobody = said(route("/scan", publisher_qos=None, subscriber_qos=None))
     assert "publishers" not in nobody
     assert "subscribers" not in nobody
+
+
+def test_no_port_where_there_is_none() -> None:
+    """A Zenoh network has no ports."""
+    over_zenoh = replace(route("/scan"), transport="zenoh", port=0)
+    assert "port" not in said(over_zenoh)
+    assert "port 49153" in said(replace(over_zenoh, transport="tcp", port=49153))

@@ -1,15 +1,17 @@
 """The cause of every fault stands on the first screen, wherever the cursor is."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 from tests.console.driving import drive, engine_of, gone, put, scripted_app, shown, text, until
 from tests.console.scripted import LINK, NOW, ROUTES, ScriptedEngine, route
 from textual.pilot import Pilot
 
-from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.verdict import no_publisher
-from rsb_console.widgets.faults import MoreKeys, fault_lines, faults_of
+from rsb_console.widgets.faults import Heights, MoreKeys, fault_lines, faults_of
 
 QOS = "/camera offers best effort, but this topic asks for reliable: its messages are not received; set qos: auto"
 TYPO = route("/w_tpyo", State.WAITING, cause="similar_name", reason=no_publisher("/w_tpyo", 3, "/w_typo"))
@@ -110,4 +112,69 @@ def test_faults_only_gives_them_more_room() -> None:
         await pilot.press("f")
         await until(pilot, lambda: app.main.faults.size.height == 0, "no line for no fault")
 
+    drive(app, steps, (80, 24))
+
+
+def pictures(*verdicts: Verdict, width: int, seconds: int = 90) -> list[list[str]]:
+    """The lines of topics that have these verdicts, four times a second."""
+    heights, found = Heights(), []
+    for number in range(4 * seconds):
+        now = NOW + 20.0 + number / 4
+        routes = [
+            route(f"/{name}", verdict.state, cause=verdict.cause, reason=verdict.said(now))
+            for name, verdict in zip("abcd", verdicts, strict=False)
+        ]
+        snapshot = Snapshot(now, "robot1", "client", "10.0.0.20:49152", 3, True, (LINK,), tuple(routes))
+        faults = faults_of(snapshot)
+        heights.look(faults, width, now)
+        lines = fault_lines(faults, width, 9, MoreKeys("c", "f"), heights)
+        found.append(["".join(piece for piece, _ in line).rstrip() for line in lines])
+    return found
+
+
+def silent(since: float, text: str = "nothing for {lasting}, 10 Hz expected: /driver has died") -> Verdict:
+    return Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, text, NOW + since)
+
+
+@pytest.mark.parametrize("width", range(40, 130, 9))
+def test_lines_do_not_jump_while_their_figures_change(width: int) -> None:
+    """Four topics of one node that died: their last messages came at different moments."""
+    verdicts = [silent(each) for each in (19.1, 19.35, 19.6, 19.85)]
+    assert len({len(each) for each in pictures(*verdicts, width=width, seconds=9)}) == 1
+    drawn = pictures(*verdicts, silent(19.7, "nothing for {lasting}"), width=width)
+    heights = [len(each) for each in drawn]
+    assert sum(one != other for one, other in pairwise(heights)) <= 2, "once for each digit more, at the most"
+
+
+def test_figures_of_several_lines_change_together() -> None:
+    drawn = pictures(*(silent(19.1 + each / 7, f"{each} nothing for {{lasting}}") for each in range(4)), width=120)
+    changed = [number for number, (one, other) in enumerate(pairwise(drawn)) if one != other]
+    assert changed
+    assert all((number + 1) % 4 == 0 for number in changed), "at the full second"
+
+
+def test_a_fault_gives_its_room_back_in_time() -> None:
+    heights, keys = Heights(), MoreKeys("c", "f")
+    long, short = (
+        faults_of(
+            Snapshot(NOW, "robot1", "client", "", 3, True, (LINK,), (route("/a", State.SLOW, reason="word " * words),))
+        )
+        for words in (20, 2)
+    )
+    taken = []
+    for now, faults in ((0.0, long), (1.0, short), (9.0, short), (11.0, short), (12.0, [])):
+        heights.look(faults, 60, now)
+        taken.append(len(fault_lines(faults, 60, 9, keys, heights)))
+    assert taken == [2, 2, 2, 1, 0]
+
+
+def test_a_client_that_is_refused_is_on_the_first_screen() -> None:
+    refused = RefusedClient("robot9", "10.0.0.9", "unknown_name", "unknown: add it", NOW - 5.0, 3)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, "/fine")
+        put(app, refused=(refused,))
+        await shown(pilot, "robot9 at 10.0.0.9: unknown: add it")
+
+    app = scripted_app(make_engine=lambda session, base: ScriptedEngine(session, base, (route("/fine"),)))
     drive(app, steps, (80, 24))

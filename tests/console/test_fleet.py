@@ -128,6 +128,8 @@ def test_what_crosses_a_link_is_counted_at_one_end() -> None:
     async def steps(bed: Bed) -> None:
         (first, *_) = text(bed.app).splitlines()
         assert "from 300 kB/s │ to 4.0 kB/s" in first
+        assert " 1 robot " in first
+        assert " 1 server " in first
 
     control = robot("control", role="server", bytes_from_robot=4_000.0, bytes_to_robot=300_000.0)
     Bed(robot("robot1", role="client"), control).run(steps, WIDE)
@@ -178,7 +180,7 @@ def test_filter_and_faults_only() -> None:
 
 def test_groups_fold() -> None:
     async def steps(bed: Bed) -> None:
-        await bed.press("u", "g")
+        await bed.press("B", "g")
         everything = ["[hall]", "robot11", "robot3", "robot1", "[yard]", "robot2", "robot12", "[]", "robot4"]
         assert bed.listed == everything
         await bed.press("enter")
@@ -189,7 +191,7 @@ def test_groups_fold() -> None:
         assert bed.view.marked == {"control/robot1", "control/robot3", "control/robot11"}
         await bed.press("space", "enter")
         assert (bed.view.marked, bed.listed) == (set(), everything)
-        await bed.press("u")
+        await bed.press("B")
         assert "[hall]" not in bed.listed
 
     Bed().run(steps)
@@ -206,7 +208,7 @@ def test_of_a_group_that_is_well_it_is_said() -> None:
 
 def test_without_groups_there_are_no_headings() -> None:
     async def steps(bed: Bed) -> None:
-        await bed.press("u")
+        await bed.press("B")
         assert bed.listed == ["robot1", "robot2"]
 
     Bed(robot("robot1"), robot("robot2")).run(steps)
@@ -354,7 +356,7 @@ def test_a_change_is_not_made_without_a_yes() -> None:
     bed.run(steps)
 
 
-@pytest.mark.parametrize("change", ["/camera", "max_rate=5", "camera max_rate=5", "/a /b max_rate=5"])
+@pytest.mark.parametrize("change", ["/none ", "max_rate=5", "camera max_rate=5", "/a /b max_rate=5"])
 def test_what_is_no_change(change: str) -> None:
     async def steps(bed: Bed) -> None:
         screen = await planned(bed, change)
@@ -362,6 +364,111 @@ def test_what_is_no_change(change: str) -> None:
         assert screen.phase is Phase.TYPING
 
     with_cameras("robot1", "robot2").run(steps)
+
+
+def with_different_cameras() -> Bed:
+    """Two robots with cameras that differ, of which one has a scan, too."""
+    bed = with_cameras("robot1", "robot2", "robot3")
+    others = Topic("/camera", "transmit"), Topic("/scan", "transmit")
+    bed.source.engines["robot2"] = ScriptedEngine(routes=topics("robot2", *others))
+    return bed
+
+
+async def picking(bed: Bed) -> RolloutScreen:
+    """Mark the first two robots, and wait for what can be picked."""
+    await bed.press("space", "space", "e")
+    await bed.until(lambda: isinstance(bed.app.screen, RolloutScreen), "the dialog")
+    screen = rollout(bed)
+    screen._settle = 0.05
+    await bed.until(lambda: "/scan" in screen._change.list.keys and not screen._change._waiting, "all topics")
+    return screen
+
+
+@pytest.mark.parametrize("size", [WIDE, NARROW], ids=["wide", "narrow"])
+def test_a_change_is_picked(size: tuple[int, int]) -> None:
+    """The topic of those that the robots have, then the key, then the value."""
+
+    async def steps(bed: Bed) -> None:
+        screen = await picking(bed)
+        assert screen._change.list.keys == ["/camera", "/scan"]  # what most have comes first
+        await bed.shown("2 of 2")
+        await bed.shown("1 of 2")
+        await bed.press("enter")
+        assert screen._change.control.value == "/camera "
+        await bed.press(*"max_r")
+        await bed.until(lambda: screen._change.list.keys == ["max_rate"], "the key")
+        await bed.shown("30 on 1")
+        await bed.shown("none on 1")
+        await bed.press("enter")
+        assert screen._change.control.value == "/camera max_rate="
+        await bed.press("5", "enter")
+        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.shown("max_rate 30.0 → 5")
+        assert not screen._change.list.display
+        await bed.press("y")
+        await bed.until(lambda: screen.phase is Phase.ENDED, "the end")
+        assert [len(bed.source.engines[name].commands) for name in ("robot1", "robot2", "robot3")] == [1, 1, 0]
+
+    with_different_cameras().run(steps, size)
+
+
+def test_values_of_a_choice_are_picked_with_the_arrows() -> None:
+    async def steps(bed: Bed) -> None:
+        screen = await picking(bed)
+        await bed.press(*"/camera priority=")
+        await bed.until(lambda: "value high" in screen._change.list.keys, "values")
+        await bed.press("down", "enter")
+        assert screen._change.control.value == "/camera priority=high"
+        await bed.press("enter")
+        await bed.until(lambda: screen.phase is Phase.ASKING, "a question")
+        await bed.press("escape")
+        assert screen._change.list.display
+
+    with_different_cameras().run(steps)
+
+
+def test_a_default_can_be_picked() -> None:
+    async def steps(bed: Bed) -> None:
+        screen = await picking(bed)
+        await bed.press(*"/camera compression=", "enter", "enter")
+        await bed.until(lambda: bool(screen.steps), "a plan")
+        assert [step.problem for step in screen.steps] == ["", ""]
+
+    with_different_cameras().run(steps)
+
+
+def test_a_mistake_is_said_as_it_is_typed() -> None:
+    async def steps(bed: Bed) -> None:
+        screen = await picking(bed)
+        await bed.press(*"/camera max_rate=-1")
+        await bed.until(lambda: screen._change.mistake() != "", "a mistake")
+        await bed.shown("robot1: max_rate")
+        assert screen.phase is Phase.TYPING
+        await bed.press("backspace", "backspace", "5")
+        await bed.until(lambda: screen._change.mistake() == "", "none")
+
+    with_different_cameras().run(steps)
+
+
+def test_a_topic_is_picked_with_the_mouse() -> None:
+    async def steps(bed: Bed) -> None:
+        screen = await picking(bed)
+        await bed.pilot.click(screen._change.list, offset=(3, 1))
+        await bed.pilot.click(screen._change.list, offset=(3, 1))
+        await bed.until(lambda: screen._change.control.value == "/scan ", "the second topic")
+
+    with_different_cameras().run(steps)
+
+
+def test_a_robot_that_does_not_answer_is_named() -> None:
+    bed = with_different_cameras()
+    del bed.source.engines["robot1"]
+
+    async def steps(bed: Bed) -> None:
+        await picking(bed)
+        await bed.shown("no answer from robot1")
+
+    bed.run(steps)
 
 
 def test_a_change_that_makes_it_worse_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -433,7 +540,7 @@ def test_picture(snap_compare: Callable[..., bool], size: tuple[int, int], theme
 
     async def steps(pilot: Pilot[None]) -> None:
         await shown(pilot, "✗ MISSING")
-        await pilot.press("u", "j", "j", "space")
+        await pilot.press("B", "j", "j", "space")
         await shown(pilot, "1 marked")
 
     assert snap_compare(bed.app, terminal_size=size, run_before=steps)
@@ -469,5 +576,6 @@ def test_in_a_terminal(machine: Machine, tmp_path: Path, monkeypatch: pytest.Mon
         tmux("send-keys", "q")
         tmux.wait_for("2 ● ok")
         assert [command[:1] for command in engine.commands] == [("pause",)]
-        tmux("send-keys", "q")
+        tmux("send-keys", "q", "Enter")  # the focus is on No
+        tmux("send-keys", "q", "y")
         tmux.wait_for("2 ● ok", there=False)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from tests.console.scripted import LINK, ScriptedEngine, route
 
-from rsb_bridge.model.snapshot import Ledger, RouteSnapshot, State
-from rsb_console.command.reports import text_status
+from rsb_bridge.model.snapshot import Ledger, RefusedClient, RouteSnapshot, State
+from rsb_console.command.reports import StatusLines, text_status
 
 
 def parts(*routes: RouteSnapshot) -> list[str]:
@@ -50,3 +50,28 @@ def test_what_is_wrong_with_a_link_is_said_once() -> None:
 def test_one_topic_is_one() -> None:
     snapshot = replace(ScriptedEngine().snapshot(), routes=(route("/odom"),))
     assert "| 1 topic: 1 ok |" in text_status(snapshot)
+
+
+def test_a_cause_is_told_when_it_changes_and_once_a_minute() -> None:
+    snapshot = replace(ScriptedEngine().snapshot(), links=(LINK,))
+    lines = StatusLines()
+
+    def tells(seconds: float, cause: str, since: float) -> bool:
+        stale = route("/map", State.STALE, cause=cause, reason=f"CAUSE, for {since:g} s", rate=0.0, ledger=Ledger())
+        line = lines.text(replace(snapshot, time=snapshot.time + seconds, routes=(stale, route("/odom"))))
+        assert "/map STALE" in line
+        assert "/odom 10.0 Hz" in line
+        return "CAUSE" in line
+
+    assert [tells(5.0 * turn, "silent", 5.0 * turn) for turn in range(14)] == [True] + [False] * 11 + [True, False]
+    assert tells(70.0, "no_publisher", 70.0)
+    assert not tells(75.0, "no_publisher", 75.0)
+
+
+def test_a_refused_client_is_told_once() -> None:
+    refused = RefusedClient("robot9", "10.0.0.9", "unknown_name", "CAUSE", 1_700_000_000.0, 3)
+    snapshot = replace(ScriptedEngine().snapshot(), refused=(refused,))
+    lines = StatusLines()
+    assert ["CAUSE" in lines.text(replace(snapshot, time=snapshot.time + 5.0 * turn)) for turn in range(3)] == [
+        True, False, False,
+    ]  # fmt: skip

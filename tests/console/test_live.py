@@ -54,7 +54,7 @@ async def flowing(app: ConsoleApp, pilot: Pilot[None]) -> None:
 
 def test_a_topics_life(tmp_path: Path) -> None:
     """Flows, goes stale with its publisher, flows again, is paused, resumed, removed."""
-    pair = Pair(tmp_path, Topic(CHATTER, "transmit"))
+    pair = Pair(tmp_path, Topic(CHATTER, "transmit", stale_after=1.0))
 
     async def steps(app: ConsoleApp, pilot: Pilot[None]) -> None:
         await shown(pilot, "● LINKED")

@@ -1,5 +1,6 @@
 """The dialogs on a real engine, against a real other side in another process."""
 
+import contextlib
 import os
 import time
 from pathlib import Path
@@ -15,6 +16,8 @@ from rsb_bridge.engine import Engine
 from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Snapshot
 from rsb_console.app import ConsoleApp
+from rsb_console.screens.confirm import ConfirmScreen
+from rsb_console.session.demo import running_demo
 
 pytest.importorskip("rclpy", reason="needs ROS 2")
 CHATTER = f"/dialogs_{os.getpid()}/chatter"
@@ -128,3 +131,26 @@ def test_the_demo_runs_from_the_welcome_and_leaves_nothing() -> None:
     with alone("demo"):  # two of them could choose the same domains
         watch(app, steps)
     assert not folders[0].exists()
+
+
+def test_a_demo_that_takes_over_from_a_demo_ends_its_robot() -> None:
+    """As with `rsb-console demo` and F4: the robots of both would publish the same topics."""
+    with alone("demo"), contextlib.ExitStack() as resources:
+        first = resources.enter_context(running_demo())
+        app = ConsoleApp(first.session, first.path, config=NOWHERE, theme="dark", temporary=True, resources=resources)
+
+        async def steps(pilot: Pilot[None]) -> None:
+            await until(pilot, lambda: flows(app.snapshot(), "/odom"), "the odometry")
+            await pilot.press("f4")
+            await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+            await pilot.press("y")
+            await until(pilot, lambda: app.base != first.path.parent, "another demo")
+            await until(pilot, lambda: first.robot.process.poll() is not None, "the end of the first robot")
+            assert first.desk.process.poll() is not None
+            assert not first.path.exists()
+            await until(pilot, lambda: flows(app.snapshot(), "/odom"), "the odometry of the second robot")
+            assert app.engine is not None
+            assert app.engine.session.domain_id != first.session.domain_id
+
+        watch(app, steps)
+    assert not app.base.exists()

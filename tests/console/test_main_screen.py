@@ -29,6 +29,7 @@ from rsb_bridge.model.session import Topic
 from rsb_bridge.model.snapshot import Event, Level, State
 from rsb_console.app import ConsoleApp
 from rsb_console.look import formats
+from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.session.export import export_topics
 
 
@@ -135,9 +136,23 @@ async def test_quitting_while_linked_asks_with_the_focus_on_no(app: ConsoleApp, 
 
 
 @on_main()
-async def test_quitting_unlinked_does_not_ask(app: ConsoleApp, pilot: Pilot[None]) -> None:
+async def test_quitting_unlinked_asks_as_long_as_the_bridge_runs(app: ConsoleApp, pilot: Pilot[None]) -> None:
     put(app, links=(replace(LINK, state=State.DOWN),))
     await pilot.press("q")
+    await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+    await pilot.press("n")
+    await until(pilot, lambda: app.screen is app.main, "the main screen")
+    engine_of(app).now = replace(engine_of(app).now, running=False)
+    await pilot.press("q")
+    await until(pilot, lambda: app._exit, "the end")
+
+
+@on_main(readonly=True)
+async def test_quitting_while_read_only_asks_too(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("q")
+    await until(pilot, lambda: isinstance(app.screen, ConfirmScreen), "the question")
+    await until(pilot, lambda: app.focused is app.screen.query_one("#no", Button), "the focus on No")
+    await pilot.press("y")
     await until(pilot, lambda: app._exit, "the end")
 
 

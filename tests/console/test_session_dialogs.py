@@ -78,7 +78,7 @@ def test_readonly_begins_with_what_writes_nothing() -> None:
     drive(app, steps)
 
 
-def test_a_recent_session_is_a_digit_away(folder: Path) -> None:
+def test_a_digit_chooses_a_recent_session_and_enter_starts_it(folder: Path) -> None:
     save(SESSION, folder / "nav2.yaml")
     remember(folder / "nav2.yaml")
     app = empty_app()
@@ -88,6 +88,10 @@ def test_a_recent_session_is_a_digit_away(folder: Path) -> None:
         assert isinstance(app.screen, WelcomeScreen)
         assert app.screen.menu.keys[-2:] == [str(folder / "nav2.yaml"), "quit"]
         await pilot.press("1")
+        assert app.screen.menu.cursor_key == str(folder / "nav2.yaml")
+        await pilot.pause(0.1)
+        assert app.engine is None
+        await pilot.press("enter")
         await until(pilot, lambda: app.engine is not None, "an engine")
         assert engine_of(app).session == SESSION
         assert engine_of(app).base == folder

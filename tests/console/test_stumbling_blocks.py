@@ -147,6 +147,17 @@ COLUMNS = {"topic": "/robot1/scan", "robot": "robot1", "state": "DOWN", "type": 
         ("topic:scan$", True),
         ("state:", True),
         ("mystate:ok", False),
+        ("scan !odom", True),
+        ("scan !robot1", False),
+        ("!odom", True),
+        ("!scan", False),
+        ("scan robot1 laser", True),
+        ("scan robot2", False),
+        ("state:down !type:laser", False),
+        ("state:down !state:ok !/odom", True),
+        ("^/robot1 !scan$", False),
+        ("! scan !", True),
+        ("!", True),
     ],
 )
 def test_a_filter_looks_in_the_column_that_it_names_or_in_all(typed: str, found: bool) -> None:
@@ -168,10 +179,10 @@ async def test_the_topics_of_a_robot_stand_together(app: ConsoleApp, pilot: Pilo
         links=(replace(LINK, name="a"), replace(LINK, name="b")),
     )
     assert listed(app) == ["/a/2", "/b/2", "/a/1", "/b/1"]
-    await pilot.press("u")
+    await pilot.press("B")
     await until(pilot, lambda: listed(app) == ["/a/2", "/a/1", "/b/2", "/b/1"], "two groups")
     await shown(pilot, "Topics by robot")
-    await pilot.press("u")
+    await pilot.press("B")
     await until(pilot, lambda: listed(app)[:2] == ["/a/2", "/b/2"], "none")
 
 

@@ -194,8 +194,15 @@ def test_a_dropped_line_ends_it_and_the_peer_is_told(pair: Pair, tmp_path: Path)
     with FarSide(pair, tmp_path / "far") as far, console(pair) as terminal:
         terminal.wait_for("LINKED")
         terminal.hang_up()
-        assert terminal.exit_code() == 0
+        assert terminal.exit_code() == 129
         assert_told(far)
+
+
+def test_a_dropped_line_ends_a_headless_bridge(pair: Pair) -> None:
+    with console(pair, "--no-ui") as terminal:
+        terminal.wait_for("status")
+        terminal.hang_up()
+        assert terminal.exit_code() == 129
 
 
 def test_a_dropped_line_leaves_it_bridging_where_that_is_asked_for(pair: Pair, tmp_path: Path) -> None:

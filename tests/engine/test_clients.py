@@ -14,6 +14,7 @@ from rsb_bridge.config.keys import fingerprint, read_key, write_key
 from rsb_bridge.config.session_file import save
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,7 +35,7 @@ def test_a_client_comes_and_goes_while_another_stays(bridge: Bridge, robot: Doma
     bridge.make_key("robot2")
 
     second = bridge.client(name="robot2", key_file="robot2.key")
-    eventually(lambda: "knows no client of the name 'robot2'" in link(second, "robot2").reason)
+    eventually(lambda: link(second, "robot2").cause == LinkCause.UNKNOWN_NAME)
     server.add_client(ROBOT2).result(60)
     second.retry().result(60)
     eventually(lambda: linked(server, "robot2"))

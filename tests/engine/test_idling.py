@@ -80,6 +80,9 @@ def test_snapshots_are_renewed_four_times_a_second_while_somebody_looks_often(
         def links(self) -> list[Any]:
             return []
 
+        def refused(self) -> tuple[()]:
+            return ()
+
     async def renewals(seconds: float, *, look_every: float) -> int:
         times = set()
         for turn in range(round(seconds / 0.05)):

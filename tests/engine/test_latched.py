@@ -14,7 +14,10 @@ from tests.support.ports import free_port
 from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.sources import node_of
+from rsb_bridge.model.verdict import Cause
+from rsb_console.command.waiting import _carries
 
 if TYPE_CHECKING:
     from rclpy.publisher import Publisher
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from tests.support.relay import Relay
 
     from rsb_bridge.engine import Engine
+    from rsb_bridge.model.snapshot import RouteSnapshot
 
 JOINS_LATE = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -205,6 +209,82 @@ def test_a_link_that_is_cut(bridge: Bridge, relay: Relay, robot: Domain, pc: Dom
     same_on_both_sides(robot, pc, "/path", messages[-3:])
     assert Counter(map(bytes, steady.payloads)).most_common(1)[0][1] == 1
     assert balance(route(client, "/path").ledger) == route(client, "/path").ledger.offered
+
+
+def is_fine(shown: RouteSnapshot) -> bool:
+    """Whether a route is fine for every command: the table, `wait`, and the stages of the detail."""
+    passed = all(each.done for each in shown.stages)
+    return (shown.state, shown.cause, shown.reason) == (State.OK, Cause.NONE, "") and passed and _carries(shown)
+
+
+def test_a_second_bridge_has_what_the_first_one_brought(
+    bridge: Bridge, robot: Domain, pc: Domain, third: Domain
+) -> None:
+    """Either link is opened anew, and nothing new is published."""
+    publish(robot.publisher("/map", qos=latched(1)), "map", range(1))
+    engines: list[Engine] = []
+    for name, here, there in (("robot1", robot, pc), ("robot2", pc, third)):
+        changes: dict[str, Any] = {"name": name, "server_port": free_port()}
+        engines.append(bridge.start(bridge.server_session(domain_id=there.id, **changes)))
+        engines.append(bridge.start(bridge.client_session(Topic("/map", "transmit"), domain_id=here.id, **changes)))
+    steady = third.listener("/map", qos=JOINS_LATE)
+    pc.listener("/map", qos=JOINS_LATE)
+
+    def fine() -> bool:
+        return all(is_fine(route(engine, "/map")) for engine in engines)
+
+    eventually(fine, what="fine at first")
+    for engine in engines:
+        engine.restart().result(60)
+        eventually(fine, 30.0, "fine again")
+    holds(fine, 1.0)
+    assert len(steady.payloads) == 1
+
+
+@pytest.mark.parametrize("how", ["client restarts", "server restarts", "cut", "client's process", "server's process"])
+def test_a_newest_message_that_the_far_side_has_is_fine_after_a_reconnect(
+    how: str, bridge: Bridge, relay: Relay, robot: Domain, pc: Domain
+) -> None:
+    """Its publisher has published nothing new, so nothing crosses in the new opening."""
+    topics = "/tcp", "/udp", "/back"
+    outs = [(pc if topic == "/back" else robot).publisher(topic, qos=latched(1)) for topic in topics]
+    for out in outs:
+        publish(out, "once", range(1))
+    heard = [(robot if topic == "/back" else pc).listener(topic, qos=JOINS_LATE) for topic in topics]
+    server, client = bridge.both(
+        Topic("/tcp", "transmit"), Topic("/udp", "transmit", protocol="udp"), Topic("/back", "receive")
+    )
+
+    def fine() -> bool:
+        found = [route(engine, topic) for engine in (client, server) for topic in topics]
+        return all(map(is_fine, found))
+
+    eventually(fine, what="fine at first")
+    before = {engine: {topic: route(engine, topic).age for topic in topics} for engine in (client, server)}
+    again = [connections(engine) + 1 for engine in (client, server)]
+    match how:
+        case "client restarts":
+            client.restart().result(60)
+        case "server restarts":
+            server.restart().result(60)
+        case "cut":
+            relay.cut()
+        case "client's process":
+            client = restart(bridge, client)
+        case "server's process":
+            server = restart(bridge, server)
+    if "process" not in how:
+        eventually(lambda: [connections(engine) for engine in (client, server)] >= again, what="connected again")
+    eventually(lambda: linked(client) and linked(server), what="linked again")
+    eventually(fine, 20.0, "fine again")
+    holds(fine, 1.0)
+    for engine, ages in before.items():
+        if engine in (client, server):  # whoever was there has heard them before
+            for topic, age in ages.items():
+                crossed_again = "process" in how and (topic == "/back") is (how == "client's process")
+                assert crossed_again or (route(engine, topic).age or 0.0) > (age or 0.0)
+    expected = 2 if how == "server's process" else 1
+    assert [len(each.payloads) for each in heard[:2]] == [expected] * 2
 
 
 def test_a_publisher_that_is_gone_leaves_no_history(

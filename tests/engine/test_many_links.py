@@ -94,6 +94,9 @@ def test_a_snapshot_of_many_links_is_made_a_slice_at_a_time(
         def links(self) -> list[Link]:
             return links
 
+        def refused(self) -> tuple[()]:
+            return ()
+
     shown = publisher(make_context())
     loop.run_until_complete(shown.refresh(Many()))
     assert (len(shown.latest.links), len(shown.latest.routes)) == (LINKS, 4 * LINKS)
@@ -110,6 +113,9 @@ def test_a_link_that_goes_while_a_snapshot_is_made_is_not_in_it_and_one_that_com
     class Changing:
         def links(self) -> list[Link]:
             return [*links]
+
+        def refused(self) -> tuple[()]:
+            return ()
 
     shown = publisher(make_context())
 

@@ -274,7 +274,7 @@ def test_silence_is_warned_of_so_many_times(bridge: Bridge, robot: Domain, pc: D
     there, out = pc.listener("/chat"), robot.publisher("/chat")
     latched = robot.publisher("/map", qos=LATCHED)
     server, client = bridge.both(
-        Topic("/chat", "transmit"), Topic("/map", "transmit"), stale_after=0.5, stale_warnings=2
+        Topic("/chat", "transmit", stale_after=0.5), Topic("/map", "transmit"), stale_after=0.2, stale_warnings=2
     )
     carries([out, latched], server, ["/chat"])
     out.publish(text("now"))

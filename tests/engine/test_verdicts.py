@@ -15,7 +15,7 @@ import pytest
 from tests.support.bridge import carries, happened, now, route, stage
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.relay import message_number
-from tests.support.waiting import eventually
+from tests.support.waiting import eventually, holds
 
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
@@ -260,16 +260,42 @@ def test_a_publisher_that_dies_without_goodbye_is_noticed_before_dds_does(
     listener = pc.listener("/odom")
     talker = subprocess.Popen([sys.executable, "-c", _TALKER, str(robot.id), "/odom"], env=os.environ)
     try:
-        server, client = bridge.both(Topic("/odom", "transmit"))
+        server, client = bridge.both(Topic("/odom", "transmit"), stale_after=4.0)
         eventually(lambda: (route(client, "/odom").expected_rate or 0) > 10, what="learned")
         eventually(lambda: route(client, "/odom").state is State.OK)  # a talker that is starved for a while is slow
     finally:
         talker.send_signal(signal.SIGKILL)
         talker.wait()
     here, there = agree(client, server, "/odom", State.STOPPED, Cause.PUBLISHER_SILENT)
-    words(here.reason, "/mortal has stopped publishing, or died", "Hz expected")
-    words(there.reason, "robot1: ", "/mortal has stopped")
+    words(here.reason, "/mortal")
+    words(there.reason, "robot1: ", "/mortal")
     assert listener.payloads
+    # It stays so until DDS finds that it is gone, and then.
+    for engine in (client, server):
+        eventually(lambda engine=engine: happened(engine, EventCode.ROUTE_STALE), what="the warning of its silence")
+    holds(lambda: {route(engine, "/odom").state for engine in (client, server)} == {State.STOPPED}, 3.0)
+    agree(client, server, "/odom", State.STOPPED, Cause.PUBLISHER_GONE)
+
+
+def test_a_topic_that_is_published_on_now_and_then_is_not_stale(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """Nobody knows when the next message is due, and all that were sent have arrived."""
+    listener, goal = pc.listener("/goal_pose"), robot.publisher("/goal_pose")
+    server, client = bridge.both(Topic("/goal_pose", "transmit"), stale_after=0.5)
+    carries([goal], server, ["/goal_pose"])
+
+    def said() -> set[tuple[State, str]]:
+        found = [route(engine, "/goal_pose") for engine in (client, server)]
+        return {(each.state, each.cause) for each in found}
+
+    for number in range(1, 4):
+        goal.publish(text("a goal"))
+        eventually(lambda number=number: len(listener.payloads) == number)
+        eventually(lambda: said() == {(State.OK, "")})
+        holds(lambda: said() == {(State.OK, "")}, 2.0)
+    robot.node.destroy_publisher(goal)
+    eventually(lambda: said() == {(State.OK, Cause.PUBLISHER_GONE)})
+    holds(lambda: said() == {(State.OK, Cause.PUBLISHER_GONE)}, 2.0)
+    assert [happened(engine, EventCode.ROUTE_STALE) for engine in (client, server)] == [None, None]
 
 
 def test_a_name_that_is_typed_wrong(bridge: Bridge, robot: Domain) -> None:

@@ -23,7 +23,7 @@ from tests.support.bridge import (
     route,
     settled,
 )
-from tests.support.domain import text
+from tests.support.domain import LATCHED, text
 from tests.support.fibonacci import ACTION
 from tests.support.ports import free_port
 from tests.support.waiting import eventually
@@ -103,21 +103,26 @@ def test_large_messages_cross_whole(bridge: Bridge, router: Router, robot: Domai
 
 def test_a_router_that_is_killed_and_comes_back(bridge: Bridge, router: Router, robot: Domain, pc: Domain) -> None:
     there, out = pc.listener("/scan"), robot.publisher("/scan")
-    server, client = bridge.both(Topic("/scan", "transmit"), **over(router))
+    pc.listener("/map", qos=LATCHED), robot.publisher("/map", qos=LATCHED).publish(text("a map"))
+    server, client = bridge.both(Topic("/scan", "transmit"), Topic("/map", "transmit"), **over(router))
     carries([out], server, ["/scan"])
+    eventually(lambda: {route(engine, "/map").state for engine in (server, client)} == {State.OK})
     router.kill()
     eventually(lambda: not linked(server) and not linked(client), what="both notice")
     eventually(lambda: link(client).cause == LinkCause.UNREACHABLE)
     assert router.endpoint in link(client).reason
     assert "nobody listens there" in link(client).reason
     assert link(server).state is State.DOWN
-    assert link(server).cause == LinkCause.LOST
-    assert "router is lost" in link(server).reason
+    assert link(server).cause == LinkCause.ROUTER_LOST
+    assert router.endpoint in link(server).reason
+    assert any(event.cause == LinkCause.ROUTER_LOST for event in server.events())
     router.start()
+    eventually(lambda: link(server).cause != LinkCause.ROUTER_LOST)
     both_linked(server, client)
     carries([out], server, ["/scan"])
     out.publish(text("again"))
     eventually(lambda: text("again") in there.payloads)
+    eventually(lambda: {route(engine, "/map").state for engine in (server, client)} == {State.OK}, what="the map's")
 
 
 def test_a_second_router_takes_over(bridge: Bridge) -> None:

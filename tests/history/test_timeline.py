@@ -12,9 +12,11 @@ from tests.history.world import World, brief
 
 from rsb_bridge.history import subject, subjects, timeline
 from rsb_bridge.history.timeline import Timeline
+from rsb_bridge.model.calls import CallsSnapshot
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.history import KEPT_FOR
-from rsb_bridge.model.snapshot import Event, Level, Snapshot, State
+from rsb_bridge.model.snapshot import Event, Level, Snapshot, Stage, State
+from rsb_bridge.model.verdict import Cause
 
 HOUR = 3600.0
 
@@ -114,6 +116,24 @@ def test_a_short_wait_after_an_outage_belongs_to_it_and_a_long_one_ends_it() -> 
     assert brief(world.outages()) == [("/scan", 130, "down", "refused")]
     track = world.track("/scan")
     assert (track.up, track.out, track.waiting) == (100, 130, 170)
+
+
+@pytest.mark.parametrize("stages", [(), (Stage("offered", done=True),)], ids=["topic", "service"])
+def test_an_outage_ends_when_messages_could_cross_again(stages: tuple[Stage, ...]) -> None:
+    """Nobody has published or called since; that is not the link's fault."""
+    world = World("/goal_pose")
+    world.go(100)
+    world.put("/goal_pose", State.DOWN, "the link is down")
+    world.go(20)
+    calls, cause = (CallsSnapshot(), Cause.NO_CALL) if stages else (None, Cause.PUBLISHER_SILENT)
+    opened = replace(world.routes["/goal_pose"], cause=cause, calls=calls, stages=stages)
+    world.routes["/goal_pose"] = opened
+    world.put("/goal_pose", State.WAITING, "nothing since it was opened again")
+    world.go(100)
+    (outage,) = world.outages()
+    assert outage.seconds == 20
+    track = world.track("/goal_pose")
+    assert (track.up, track.out, track.waiting) == (100, 20, 100)
 
 
 def test_a_topic_that_nobody_hears_is_not_out() -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from rsb_bridge.link.contention import Contention, _Asking
+from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import Qos
@@ -54,7 +55,7 @@ class Link:
     def __init__(self) -> None:
         self.clock = Clock()
         self.first, self.last = Sends(1), Sends(-1)
-        self.contention = Contention(cast("Context", self.clock), list, list)
+        self.contention = Contention(cast("Context", self.clock), list, list, LinkFullness(lambda *_: None))
 
     def second(self, crossed: float, *, full: bool) -> float | None:
         """One passes in which so many bytes crossed; gives what the second topic has, None: all that it likes."""

@@ -14,7 +14,7 @@ from tests.support.bridge import carries, happened, heard, link, now, route, say
 from tests.support.domain import BEST_EFFORT, LATCHED, text
 from tests.support.participants import KnownNode
 from tests.support.ports import free_port
-from tests.support.waiting import eventually
+from tests.support.waiting import eventually, holds
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.keys import fingerprint, read_key, write_key
@@ -22,6 +22,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.qos import PROFILES, Qos, parse_qos
 from rsb_bridge.model.session import Client, Topic
 from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -101,6 +102,20 @@ def test_versions_of_a_type_that_differ(direction: Any, bridge: Bridge, robot: D
     for engine in (server, client):
         words = f"{INT32} differs between the two sides", "install the same version on both"
         eventually(lambda engine=engine, words=words: says(engine, "/count", *words))
+
+    def shown() -> list[tuple[State, str, float]]:
+        found = [route(engine, "/count") for engine in (server, client)]
+        return [(each.state, each.cause, each.since) for each in found]
+
+    def events() -> list[list[str]]:
+        return [[event.text for event in engine.events() if "/count" in event.text] for engine in (server, client)]
+
+    # It is tried again after 1, 2, 4 and 8 s, of which nothing is seen.
+    before, said = shown(), events()
+    assert {each[:2] for each in before} == {(State.DOWN, Cause.REFUSED)}
+    holds(lambda: [each[:2] for each in shown()] == [each[:2] for each in before], 12.0)
+    assert [each[2] for each in shown()] == pytest.approx([each[2] for each in before], abs=0.5)
+    assert events() == said
 
 
 def test_two_sides_in_one_domain_would_loop(bridge: Bridge, robot: Domain) -> None:

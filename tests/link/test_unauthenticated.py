@@ -12,7 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.support.bridge import carries, happened, heard, link, linked, settled
+from tests.support.bridge import carries, happened, heard, link, linked, now, settled
 from tests.support.domain import text
 from tests.support.relay import message_number
 from tests.support.waiting import eventually
@@ -20,6 +20,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import read_key
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Client, Topic
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.wire.connection import ClientConnection
 from rsb_bridge.wire.messages import Hello
 from rsb_bridge.wire.preamble import Kind
@@ -76,11 +77,8 @@ def friend(bridge: Bridge, robot: Domain, pc: Domain) -> Iterator[tuple[Engine, 
         (
             {"name": "robot3"},
             EventCode.LINK_UNKNOWN_NAME,
-            "the server knows no client of the name 'robot3': ",
-            (
-                "set name in this side's session file to one that the server lets in, or list 'robot3' under clients",
-                "list it under clients in this side's session file, or set name in the client's to one listed",
-            ),
+            "'robot3': ",
+            ("run rsb-console client add robot3", "rsb-console client add robot3"),
         ),
         (
             {"name": "robot2", "use_encryption": False},
@@ -116,11 +114,36 @@ def test_a_name_that_differs_from_the_servers(bridge: Bridge) -> None:
     """A server that lists no clients lets one in, of its own name."""
     server = bridge.server(name="pc")
     stranger = bridge.client()
-    words = "the server knows no client of the name 'robot1'"
-    remedy = "set name in this side's session file to one that the server lets in"
-    eventually(lambda: happened(stranger, EventCode.LINK_REFUSED, f"{words}: {remedy}"))
-    remedy = "this side's session file lists no clients: set name in the client's to 'pc'"
-    assert happened(server, EventCode.LINK_UNKNOWN_NAME, f"{words}: {remedy}")
+    eventually(lambda: link(stranger).cause == LinkCause.UNKNOWN_NAME)
+    assert happened(server, EventCode.LINK_UNKNOWN_NAME, "'pc'")
+    eventually(
+        lambda: [(each.name, each.cause) for each in now(server).refused] == [("robot1", LinkCause.UNKNOWN_NAME)]
+    )
+
+
+def test_a_refused_client_is_shown_for_as_long_as_it_tries(friend: Any, bridge: Bridge, monkeypatch: Any) -> None:
+    """An unknown name, and another key under the name of a robot that is linked."""
+    monkeypatch.setattr("rsb_bridge.link.refused_clients.FORGOTTEN_AFTER", 15.0)
+    server, *_ = friend
+    unknown = bridge.client(name="robot9")
+    wrong_key = bridge.client(name="robot1", key_file="other.key")
+    causes = {"robot9": LinkCause.UNKNOWN_NAME, "robot1": LinkCause.WRONG_KEY}
+    eventually(lambda: {each.name: each.cause for each in now(server).refused} == causes)
+    eventually(lambda: all(each.attempts > 1 for each in now(server).refused))
+    assert {each.host for each in now(server).refused} == {"127.0.0.1"}
+    assert set(causes.values()) <= {event.cause for event in server.events()}
+    unknown.stop()
+    wrong_key.stop()
+    eventually(lambda: not now(server).refused)
+
+
+def test_a_refused_client_that_is_added_is_shown_no_more(friend: Any, bridge: Bridge) -> None:
+    server, *_ = friend
+    unknown = bridge.client(name="robot9", key_file=bridge.make_key("nine"))
+    eventually(lambda: [each.name for each in now(server).refused] == ["robot9"])
+    server.add_client(Client("robot9", key_file="nine.key")).result(60)
+    assert not now(server).refused
+    eventually(lambda: linked(unknown, "robot9"))
 
 
 def test_a_key_against_none(bridge: Bridge) -> None:
@@ -138,7 +161,7 @@ def test_a_server_that_is_none(bridge: Bridge) -> None:
         client = bridge.client()
         connection, _ = other.accept()
         connection.sendall(b"SSH-2.0-OpenSSH_9.2p1\r\n")
-        eventually(lambda: happened(client, EventCode.LINK_REFUSED, "the other side is not an rsb-console"))
+        eventually(lambda: link(client).cause == LinkCause.NOT_A_BRIDGE)
         connection.close()
         silent, _ = other.accept()
         eventually(lambda: happened(client, EventCode.LINK_UNREACHABLE))

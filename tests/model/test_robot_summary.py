@@ -24,10 +24,20 @@ from rsb_bridge.model.robot_summary import (
     encode,
     of_clients,
     of_engine,
+    told_once,
 )
 from rsb_bridge.model.session import Client, Session, Topic
-from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.model.snapshot import (
+    Acknowledgement,
+    Ledger,
+    LinkSnapshot,
+    PatternSnapshot,
+    RouteSnapshot,
+    Snapshot,
+    State,
+)
 from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_console.widgets.status import state_counts
 
 SERVER = Session(
     name="control", role="server", server_ip="0.0.0.0", server_port=7060,
@@ -100,7 +110,54 @@ def test_the_worst_topic_decides(state: State, cause: Cause, expected: RobotStat
         assert "it is broken" in summary.why
         assert summary.since == NOW - 5.0
     else:
-        assert (summary.why, summary.since) == ("", UP.since)
+        assert (bool(summary.why), summary.since) == (state is State.UNHEARD, UP.since)
+
+
+def test_the_figures_are_those_of_the_console() -> None:
+    """What nobody hears is no fault, and is counted all the same."""
+    unheard = [a(f"/t{number}", State.UNHEARD, cause=Cause.NO_SUBSCRIBER) for number in range(27)]
+    routes = (*unheard, a("/odom"))
+    summary = on_server(*routes)
+    assert summary.states == {State.UNHEARD: 27, State.OK: 1}
+    assert decode(encode(summary)).states == summary.states
+    (count, *_) = summary.why.split(":")
+    header = "".join(text for text, _ in state_counts(routes, State, words=True))
+    assert count in header
+
+
+def announced(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...]) -> RobotSummary:
+    """The server, as it announces itself in a fleet."""
+    now = Snapshot(NOW, "control", "server", "0.0.0.0", 1, running=True, links=links, routes=routes)
+    return of_engine(now, SERVER, host="pc", version="1", losses={}, battery=None)
+
+
+def test_a_fault_of_a_client_is_listed_once_at_that_client() -> None:
+    links = (UP, replace(DOWN, name="robot2"))
+    server = announced(a("/scan", State.STALE, cause=Cause.SILENT, reason="silent"), links=links)
+    assert (server.state.is_wrong, server.wrong_clients, server.clients_wrong) == (True, ("robot1", "robot2"), 2)
+    assert decode(encode(server)) == server
+    rows = [RobotSummary(name=name, role="client", state=RobotState.FAULT, why="it") for name in ("robot1", "robot2")]
+    assert [each.state for each in told_once([server, *rows])] == [RobotState.OK, RobotState.FAULT, RobotState.FAULT]
+    # robot2 has never been in the fleet: only the server knows that it is missing
+    alone, _ = told_once([server, rows[0]])
+    assert alone.state is server.state
+    assert "robot2" in alone.why
+    assert "robot1" not in alone.why
+
+
+def test_a_fault_of_the_server_stays_its_own() -> None:
+    links = tuple(replace(DOWN, name=name, cause=LinkCause.UNREACHABLE) for name in ("robot1", "robot2"))
+    server = announced(links=links)
+    assert (server.state, server.wrong_clients) == (RobotState.FAULT, ())
+
+
+def test_more_clients_than_a_summary_names() -> None:
+    links = tuple(replace(DOWN, name=f"robot-of-the-second-hall-{number}") for number in range(200))
+    server = announced(links=links)
+    assert server.clients_wrong == 200
+    assert len(encode(server)) <= SUMMARY_BYTES
+    rows = [RobotSummary(name=name, state=RobotState.FAULT) for name in server.wrong_clients]
+    assert told_once([server, *rows])[0].state.is_wrong
 
 
 def test_what_has_stopped_has_no_rate() -> None:
@@ -247,3 +304,18 @@ def test_a_pattern_of_which_not_all_is_bridged_is_a_warning(state: State, robot_
     assert ("/camera/**" in summary.why) is (robot_state is RobotState.WARN)
     worse = on_server(a("/scan", State.STOPPED), link=replace(UP, patterns=(pattern,)))
     assert worse.state is RobotState.FAULT
+
+
+def test_what_is_acknowledged_is_counted_apart_and_is_no_longer_the_robots_state() -> None:
+    known = Acknowledgement("anna", NOW - 1.0)
+    stale = a("/scan", State.STALE, cause=Cause.SILENT, reason="it is broken")
+    summary = on_server(replace(stale, acknowledged=known), a("/map"))
+    assert (summary.state, summary.acknowledged, summary.since) == (RobotState.ACKNOWLEDGED, 1, NOW - 5.0)
+    assert not summary.state.is_wrong
+    assert "it is broken" in summary.why
+    both = on_server(replace(stale, acknowledged=known), a("/map", State.SLOW, cause=Cause.SLOW))
+    assert (both.state, both.acknowledged) == (RobotState.WARN, 1)
+    away = a("/map", State.DOWN, cause=Cause.LINK_DOWN, acknowledged=known)
+    gone = on_server(away, link=replace(DOWN, name="robot1", acknowledged=known))
+    assert (gone.state, gone.acknowledged, gone.since) == (RobotState.ACKNOWLEDGED, 1, DOWN.since)
+    assert decode(encode(gone)).acknowledged == 1

@@ -36,7 +36,7 @@ _COMMAND = Path(sys.executable).with_name("rsb-console")
 _STOPS_WITHIN = 20.0
 _MEMORY = 256 << 20
 """Bytes: what waits is bounded, whatever the network does (a program that bridges nothing has 65 MiB)."""
-_LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped", "lost_in_dds")
+_LEDGER_FIELDS = ("offered", "delivered", "throttled", "expired", "in_flight", "dropped", "unknown", "lost_in_dds")
 
 
 class Program:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,7 +14,7 @@ from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
 from rsb_bridge.route.incoming import IncomingRoute
-from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.ledger import MissedWhileDown, RouteLedger, reported_drops, reported_ledger
 from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.codec import decode, encode
 from rsb_bridge.wire.messages import Report
@@ -51,7 +52,8 @@ steps = st.one_of(
 
 
 def check(ledger: Ledger) -> None:
-    parts = (ledger.delivered, ledger.throttled, ledger.expired, ledger.in_flight, *ledger.dropped.values())
+    known = (ledger.delivered, ledger.throttled, ledger.expired, *ledger.dropped.values())
+    parts = (*known, ledger.unknown, ledger.in_flight)
     assert sum(parts) == ledger.offered
     assert min(parts) >= 0
     assert len(ledger.dropped) <= 32
@@ -60,7 +62,7 @@ def check(ledger: Ledger) -> None:
 @given(st.lists(steps, max_size=40), st.booleans())
 @settings(max_examples=500, deadline=None)
 def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple[Any, ...]], numbered: bool) -> None:
-    ledger = RouteLedger()
+    ledger = RouteLedger(numbered=numbered)
     for now, (what, *details) in enumerate(taken):
         match what:
             case "send":
@@ -80,7 +82,7 @@ def test_no_report_makes_a_part_negative_or_the_sum_wrong(taken: list[tuple[Any,
                 ledger.reported(details[0], now)
             case "settle":
                 ledger.settle(*details)
-        check(ledger.ledger(0, numbered=numbered))
+        check(ledger.ledger(0))
 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=10), st.lists(st.integers(0, 4), max_size=10))
@@ -100,7 +102,7 @@ def test_true_reports_are_taken_as_they_are(sent: list[int], lost: list[int]) ->
             before = ReceivedReport(route=route_id, received=arrived, delivered=arrived, newest=count)
         ledger.closed()
     ledger.settle(before, "first")
-    final = ledger.ledger(0, numbered=True)
+    final = ledger.ledger(0)
     assert final.delivered == delivered
     assert final.dropped.get("link lost", 0) == sum(sent) - delivered
 
@@ -114,7 +116,91 @@ def test_an_opening_is_not_settled_with_another_process_s_counts() -> None:
     ledger.closed()
     ledger.opened(1, "second")
     assert ledger.settle(ReceivedReport(route=1, received=131, delivered=131, newest=131), "second")
-    assert ledger.ledger(0, numbered=True).dropped == {"link lost": 5}
+    assert (ledger.ledger(0).dropped, ledger.ledger(0).unknown) == ({}, 5)
+
+
+def opened(instance: str, sent: int, *, numbered: bool = False) -> RouteLedger:
+    """A ledger with an opening in which some messages were sent."""
+    ledger = RouteLedger(numbered=numbered)
+    ledger.opened(1, instance)
+    ledger.offered += sent
+    ledger.sent(sent)
+    return ledger
+
+
+def test_what_a_receiver_that_died_did_not_report_is_unknown() -> None:
+    """What it has reported counts; the rest is neither lost nor delivered."""
+    ledger = opened("first", 2005)
+    ledger.reported(ReceivedReport(route=1, received=170, delivered=160, newest=170, dropped={"publish failed": 10}), 0)
+    ledger.closed()
+    assert ledger.ledger(0).in_flight == 1835
+    assert ledger.settle(None, "second")
+    balance = ledger.ledger(0)
+    assert (balance.delivered, balance.dropped, balance.unknown) == (160, {"publish failed": 10}, 1835)
+    assert (balance.dropped_total, balance.in_flight) == (10, 0)
+
+
+def test_what_the_same_receiver_did_not_get_is_lost() -> None:
+    ledger = opened("first", 10)
+    ledger.closed()
+    ledger.settle(ReceivedReport(route=1, received=7, delivered=7, newest=7), "first")
+    balance = ledger.ledger(0)
+    assert (balance.delivered, balance.dropped, balance.unknown) == (7, {"link lost": 3}, 0)
+
+
+def test_what_a_receiver_has_forgotten_is_unknown() -> None:
+    """Its half was removed and added: it reported some, and knows of none."""
+    ledger = opened("first", 10)
+    ledger.reported(ReceivedReport(route=1, received=4, delivered=4, newest=4), 0)
+    ledger.closed()
+    ledger.settle(None, "first")
+    balance = ledger.ledger(0)
+    assert (balance.delivered, balance.dropped, balance.unknown) == (4, {}, 6)
+
+
+@pytest.mark.parametrize(("instance", "rest"), [("first", {"link lost": 6}), ("second", {})])
+def test_datagrams_that_were_lost_on_the_way_stay_so_when_the_link_goes(instance: str, rest: dict[str, int]) -> None:
+    """The count of drops falls neither when the opening ends nor when it is settled."""
+    ledger = opened("first", 20, numbered=True)
+    ledger.reported(ReceivedReport(route=1, received=11, delivered=11, newest=14), 0)
+    assert ledger.ledger(0).dropped == {"lost on the way": 3}
+    ledger.closed()
+    assert ledger.ledger(0).dropped == {"lost on the way": 3}
+    ledger.settle(None if rest == {} else ReceivedReport(route=1, received=11, delivered=11, newest=14), instance)
+    balance = ledger.ledger(0)
+    assert balance.dropped == {"lost on the way": 3, **rest}
+    assert (balance.unknown, balance.in_flight) == (0 if rest else 6, 0)
+
+
+def test_an_older_peer_finds_what_is_unknown_among_the_drops() -> None:
+    """The parts that it knows add up, and a peer that knows the cause takes it out of them again."""
+    ledger = opened("first", 5)
+    ledger.drop("queue full", 2)
+    ledger.offered += 2
+    ledger.closed()
+    ledger.settle(None, "second")
+    balance = ledger.ledger(0)
+    report = SentReport(route=1, offered=balance.offered, dropped=reported_drops(balance), missed_while_down=9)
+    assert sum(report.dropped.values()) == report.offered
+    assert reported_ledger(report) == replace(balance, missed_while_down=9)
+
+
+def test_missed_messages_are_the_time_at_the_usual_rate_while_somebody_publishes() -> None:
+    missed = MissedWhileDown()
+    missed.lost(0.0)
+    missed.tick(10.0, published=True)
+    assert missed.count == 0  # the rate is not known
+    missed.rate = 20.0
+    missed.lost(100.0)
+    missed.tick(101.0, published=True)
+    missed.lost(101.0)
+    assert (missed.count, missed.down) == (20, True)
+    missed.tick(151.0, published=False)  # paused, or nobody is there
+    missed.back(151.5, published=True)
+    assert (missed.count, missed.down) == (30, False)
+    missed.tick(200.0, published=True)
+    missed.back(200.0, published=True)
+    assert missed.count == 30
 
 
 @pytest.fixture
@@ -161,6 +247,8 @@ def test_an_impossible_report_is_said_once_and_ends_nothing(make_context: Callab
         {"offered": 2**63, "delivered": 2**63},
         {"offered": 10, "delivered": 10, "lost_in_dds": -1},
         {"offered": 10, "delivered": 15, "dropped": {"link lost": -5}},
+        {"offered": 10, "delivered": 15, "dropped": {"unknown": -5}},
+        {"offered": 10, "delivered": 10, "missed_while_down": -1},
     ],
 )
 def test_a_sender_s_impossible_ledger_is_not_shown(

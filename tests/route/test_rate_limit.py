@@ -102,5 +102,5 @@ def test_what_the_receiver_leaves_out_is_throttled_in_the_senders_ledger() -> No
         route=1, received=10, delivered=3, expired=0, incomplete=0, newest=10, dropped={THROTTLED: 7}
     )
     assert ledger.reported(report, 0.0)
-    balance = ledger.ledger(0, numbered=False)
+    balance = ledger.ledger(0)
     assert (balance.delivered, balance.throttled, balance.dropped, balance.in_flight) == (3, 7, {}, 0)

@@ -10,6 +10,8 @@ from tests.support.offline import FakePeer
 from rsb_bridge.link.proposals import proposal_of
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause
 from rsb_bridge.route.outgoing import OutgoingRoute
 
 if TYPE_CHECKING:
@@ -51,3 +53,55 @@ def test_where_nobody_looks_for_publishers_it_is_not_said_that_there_are_none(
         route.refuse(EventCode.ROUTE_REFUSED, "denied")
     (seen,) = [stage for stage in route.snapshot().stages if stage.name == "publisher seen"]
     assert seen.done is None
+
+
+@pytest.mark.parametrize("code", [EventCode.ROUTE_REFUSED, EventCode.ROUTE_TYPE_DIFFERS])
+def test_a_refusal_stands_while_the_route_is_tried_again(
+    code: EventCode, loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    """Each try is refused a moment later; nothing of it is seen, on the screen or in the log."""
+    context, peer = make_context(), FakePeer()
+    topic = Topic("/scan", "transmit")
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    route.open(1)
+    route.refuse(code, "denied")
+    events = len(context.events.after(0))
+    shown = set()
+    for number in range(1, 8):
+        for _ in range(10):
+            loop.jump(1.0)
+            route.tick()
+            shown.add((route.snapshot().state, route.snapshot().cause, route.snapshot().reason))
+        since = route.snapshot().since
+        route.open(2 * number + 1)
+        for accepted in (False, True):
+            loop.jump(0.5)
+            if accepted:
+                route.on_accepted()
+            route.tick()
+            shown.add((route.snapshot().state, route.snapshot().cause, route.snapshot().reason))
+        assert route.snapshot().since == since
+        route.refuse(code, "denied")
+    assert shown == {(State.DOWN, Cause.REFUSED, "denied")}
+    assert len(context.events.after(0)) == events
+
+
+def test_a_refusal_is_over_once_a_later_opening_goes_on(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    context = make_context()
+    topic = Topic("/scan", "transmit")
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, FakePeer(), topic, proposal, proposed_here=True)
+    route.open(1)
+    route.refuse(EventCode.ROUTE_REFUSED, "denied")
+    loop.jump(1.0)
+    route.open(3)
+    route.on_accepted()
+    loop.jump(6.0)  # nobody publishes, so it goes no further
+    route.tick()
+    assert route.snapshot().state is State.WAITING
+    route.close("the link is down")
+    route.open(5)
+    assert route.snapshot().state is State.WAITING

@@ -145,10 +145,28 @@ def test_a_route_that_flows_is_fine() -> None:
         (
             SENDER,
             {"stopped_since": NOW - 20.0, "stale_since": NOW - 20.0, "expected_rate": 10.0},
-            State.STALE,
+            State.STOPPED,
             Cause.PUBLISHER_SILENT,
-            ["nothing for 20 s: /talker is running, but publishes nothing"],
+            ["20 s", "10 Hz", "/talker"],
         ),
+        (SENDER, {"stale_since": NOW - 20.0}, State.STALE, Cause.PUBLISHER_SILENT, ["20 s", "/talker"]),
+        (SENDER, {"stale_since": NOW - 20.0, "endpoints": []}, State.STALE, Cause.PUBLISHER_GONE, ["/chat"]),
+        (
+            SENDER,
+            {"stale_since": NOW - 20.0, "endpoints": [], "came": False},
+            State.STALE,
+            Cause.NO_PUBLISHER,
+            ["/chat"],
+        ),
+        (
+            SENDER,
+            {"stopped_since": NOW - 3.0, "expected_rate": 10.0, "endpoints": [], "came": False},
+            State.STOPPED,
+            Cause.NO_PUBLISHER,
+            ["/chat"],
+        ),
+        (SENDER, {"endpoints": []}, State.OK, Cause.PUBLISHER_GONE, ["/chat"]),
+        (SENDER, {"came": False, "came_before": True}, State.WAITING, Cause.PUBLISHER_SILENT, ["/talker"]),
         (RECEIVER, {"stale_since": NOW - 20.0}, State.STALE, Cause.SILENT, ["nothing for 20 s"]),
         (
             SENDER,
@@ -299,7 +317,7 @@ def test_a_further_fault_never_makes_it_better(known: Facts, stale: float | None
 
 verdicts = st.builds(
     Verdict, st.sampled_from(list(State)), st.sampled_from(list(Cause)), st.sampled_from(["", "a", "b"])
-)
+).filter(lambda verdict: (verdict.state is State.LATE) == (verdict.cause == Cause.LATE))
 
 
 @given(verdicts, verdicts)
@@ -312,15 +330,38 @@ def test_both_sides_show_the_same_and_never_less_than_either_says(one: Verdict, 
     if not own & {one.cause, other.cause}:
         assert len({(each.verdict.state, each.verdict.cause) for each in shown}) == 1
         for each in shown:
-            assert each.verdict.state.rank <= min(one.state.rank, other.state.rank)
+            least = min(one.state.rank, other.state.rank)
+            assert each.verdict.state.rank <= least or silence_is_explained({one, other})
         assert not all(each.from_peer for each in shown)
+
+
+def silence_is_explained(said: set[Verdict]) -> bool:
+    """Whether one side says that nothing comes, and the other that the topic has stopped."""
+    unexplained = Cause.SILENT, Cause.NO_MESSAGE, Cause.NO_CALL
+    stale = any(each.state is State.STALE and each.cause in unexplained for each in said)
+    return stale and any(each.state is State.STOPPED for each in said)
+
+
+def test_a_slow_topic_that_recovers_is_not_said_to_lose_messages() -> None:
+    """The rate is fine again, and the watch waits before it says so."""
+    slow = {"slow_since": NOW - 8.0, "expected_rate": 20.0}
+    losing = verdict_on(SENDER, rate=10.0, lost_in_dds=80, **slow).text
+    for rate in (17.1, 20.0, 20.3, 40.0):
+        verdict = verdict_on(SENDER, rate=rate, **slow)
+        assert (verdict.state, verdict.cause) == (State.SLOW, Cause.SLOW)
+        assert f"{rate:.1f}" in verdict.text
+        assert losing.partition(":")[2].split()[0] == "DDS"
+        assert "DDS" not in verdict.text
 
 
 def test_the_side_that_knows_why_is_heard() -> None:
     """The receiving side knows only that nothing comes; the sending side's publisher has stopped."""
     why = Verdict(State.STOPPED, Cause.PUBLISHER_GONE, "it died")
     verdict, from_sender = worse(why, Verdict(State.STALE, Cause.SILENT, "nothing for 15 s"))
-    assert (verdict, from_sender) == (Verdict(State.STALE, Cause.PUBLISHER_GONE, "it died"), True)
+    assert (verdict, from_sender) == (why, True)
+    unheard = Verdict(State.WAITING, Cause.NO_PUBLISHER, "nobody")
+    verdict, from_sender = worse(unheard, Verdict(State.STALE, Cause.SILENT, "nothing for 15 s"))
+    assert (verdict, from_sender) == (Verdict(State.STALE, Cause.NO_PUBLISHER, "nobody"), True)
 
 
 def test_who_says_it_stands_before_what_the_other_side_says_only() -> None:
@@ -364,7 +405,7 @@ def test_what_a_newer_peer_says_is_shown_as_it_stands() -> None:
     here = BothSides(sends=True, peer_name="server")
     here.take(VerdictRecord("haunted", "ghosts", "there are ghosts on the line"), NOW)
     shown = here.shown(FINE).verdict
-    assert (shown.state, shown.cause, shown.text) == (State.WAITING, "ghosts", "server: there are ghosts on the line")
+    assert (shown.state, shown.cause, shown.text) == (State.SLOW, "ghosts", "server: there are ghosts on the line")
 
 
 @pytest.mark.parametrize(

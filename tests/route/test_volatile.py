@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from rsb_bridge.route.volatile import FREE, SlowSubscriberError, VolatileTopic
+from rsb_bridge.route.volatile import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
 from rsb_bridge.wire.budget import Budget
 
 LIMIT = 40_000_000
@@ -130,8 +130,8 @@ def test_larger_messages_than_those_that_filled_it_go_on() -> None:
     now, budget = Time(), Budget(LIMIT)
     pools = [Pool(1000)]
 
-    def renew() -> Pool:
-        pools.append(Pool(1000))
+    def renew(depth: int) -> Pool:
+        pools.append(Pool(depth))
         return pools[-1]
 
     topic = VolatileTopic(pools[0], 1000, budget, now, renew)
@@ -150,3 +150,64 @@ def test_larger_messages_than_those_that_filled_it_go_on() -> None:
     assert pools[1].held <= LIMIT / 2
     topic.close()
     assert budget.held == 0
+
+
+class Burst:
+    """A topic for which nobody has chosen a depth.
+
+    Attributes:
+        pools: its publishers so far.
+    """
+
+    def __init__(self) -> None:
+        self.now, self.budget = Time(), Budget(LIMIT)
+        self.pools = [Pool(BURST_DEPTH)]
+        self.topic = VolatileTopic(self.pools[0], BURST_DEPTH, self.budget, self.now, self._renew, lasting_depth=10)
+
+    def _renew(self, depth: int) -> Pool:
+        self.pools.append(Pool(depth))
+        self.pools[-1].stopped = self.pools[-2].stopped
+        return self.pools[-1]
+
+    def publish(self, count: int, size: int, rate: float) -> None:
+        """Publish messages for some time."""
+        for _ in range(count):
+            self.topic.publish(bytes(size))
+            self.now.s += 1 / rate
+
+
+def test_a_burst_is_kept_until_it_is_acknowledged() -> None:
+    burst = Burst()
+    burst.pools[0].stopped = True
+    burst.publish(2000, 2_500, 30_000.0)
+    assert len(burst.pools[0]._history) == 2000
+    burst.pools[0].stopped = False
+    burst.publish(20_000, 2_500, 2_000.0)
+    assert len(burst.pools) == 1
+    assert burst.budget.held < 6_000_000
+
+
+def test_a_subscriber_that_takes_nothing_costs_no_more_than_before() -> None:
+    """After two seconds the publisher keeps few messages, and all others still get theirs."""
+    burst = Burst()
+    burst.pools[0].stopped = True
+    burst.publish(100, 100_000, 30.0)
+    assert [each.depth for each in burst.pools] == [BURST_DEPTH, 10]
+    assert burst.budget.held <= 1_100_000
+    burst.publish(100, 100_000, 30.0)
+    assert len(burst.pools) == 2
+
+
+def test_healthy_subscribers_cost_little() -> None:
+    burst = Burst()
+    burst.publish(10_000, 10_000, 1_000.0)
+    assert len(burst.pools) == 1
+    assert burst.budget.held <= 2 << 20
+    assert burst.pools[0].asked < 200
+
+
+def test_a_full_budget_ends_the_burst_at_once() -> None:
+    burst = Burst()
+    burst.pools[0].stopped = True
+    burst.publish(21, 1_000_000, 1_000.0)
+    assert [each.depth for each in burst.pools] == [BURST_DEPTH, 10]

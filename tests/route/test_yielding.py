@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, cast
 
 from rsb_bridge.model.qos import Qos
+from rsb_bridge.ros.api import RawMessage
 from rsb_bridge.route.yielding import Share, Yielding
 
 if TYPE_CHECKING:
@@ -28,3 +29,23 @@ def test_a_topic_that_is_held_back_goes_on_as_soon_as_its_share_is_larger() -> N
     assert yielding.wait(0.0) == 2.0
     yielding.told(None, low=False, qos=Qos(), now=1.0)
     assert yielding.wait(1.0) == 0.0
+
+
+def test_a_topic_that_recovers_is_not_said_to_be_thinned_to_what_it_wants() -> None:
+    """It publishes at 20 Hz throughout; at 20 s its share becomes larger than that."""
+    yielding, qos = Yielding(0.0), Qos(reliability="best_effort")
+    said: dict[int, tuple[float, float] | None] = {}
+    for second in range(40):
+        share = Share(15_000.0 if second < 20 else 50_000.0, 1e4, 4e4, "/first")
+        yielding.told(share, low=False, qos=qos, now=second)
+        stamps = [int((second + each / 20) * 1e9) for each in range(20)]
+        kept = yielding.keep([RawMessage(b"", stamp, b"gid", 1) for stamp in stamps], second + 0.9)
+        yielding.packed(len(kept), len(kept) * 940)
+        yielding.look(second + 1.0)
+        shown = yielding.shown()
+        said[second] = None if shown is None else (shown.rate, shown.wanted)
+    assert all(said[second] for second in range(5, 20))
+    assert said[39] is None
+    for figures in filter(None, said.values()):
+        rate, wanted = (round(each) for each in figures)
+        assert rate < wanted

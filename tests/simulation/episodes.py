@@ -41,6 +41,35 @@ async def server_away(world: World, seconds: float, *, machine: bool) -> None:
         world.server.start()
 
 
+async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_within: float = 6.0) -> None:
+    """A robot's only way is a tunnel that carries a third of what its topics bring, and has room for minutes of it.
+
+    Args:
+        world: in which.
+        seconds: for how long.
+        speed: bytes/s.
+        fresh_within: s within which what comes out at all comes out.
+    """
+    (robot,) = world.robots
+    ends = robot.station.machine, world.server.machine
+    for machine in ends:
+        machine.stream_buffer = 4 << 20
+    await asyncio.sleep(20.0)
+    for path in world.network.both_ways(*ends):
+        path.bandwidth = speed
+    with world.trouble("tunnel", robot):  # it may look slow, and it may be given up: its messages stay fresh
+        for flow in robot.flows:
+            flow.vanish()
+            flow.fresh_within = fresh_within
+            flow.size, flow.period = 500, 500 * len(robot.flows) / (3 * speed)
+            flow.appear()
+        await asyncio.sleep(seconds)
+        for flow in robot.flows:
+            flow.vanish()
+        for path in world.network.both_ways(*ends):
+            path.bandwidth = None
+
+
 async def server_restarts(world: World, times: int) -> None:
     """The server is stopped as an operator does it, and started again."""
     for _ in range(times):

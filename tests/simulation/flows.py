@@ -58,20 +58,32 @@ class Account:
         offered: messages that it took.
         published: of those, how many the other side's engine has published.
         unreported: how many of these the sender may never learn of, because whoever published them is gone.
+        removed: how many of these the sender may hold for lost, because the receiving half was removed.
+        forgotten: whether whoever published for it was ever gone.
         last_offered: s, when it took the last one.
     """
 
-    __slots__ = ("last_offered", "offered", "published", "unreported")
+    __slots__ = ("forgotten", "last_offered", "offered", "published", "removed", "unreported")
 
     def __init__(self) -> None:
         self.offered = 0
         self.published = 0
         self.unreported = 0
+        self.removed = 0
+        self.forgotten = False
         self.last_offered = 0.0
 
-    def forget(self, route: OutgoingRoute) -> None:
-        """Whoever published for that route is gone, and has reported what the route knows."""
+    def forget(self, route: OutgoingRoute, *, removed: bool = False) -> None:
+        """Whoever published for that route is gone, and has reported what the route knows.
+
+        Args:
+            route: the sending half.
+            removed: whether the receiving half was removed, and its process goes on.
+        """
+        self.forgotten = True
         self.unreported = self.published - route.ledger().delivered
+        if removed:
+            self.removed = self.unreported
 
 
 class Flow:
@@ -95,7 +107,9 @@ class Flow:
         last_sent: s, when the last message was published.
         last_heard: s, when the last message came out.
         heard: messages that came out.
+        oldest: s, the age of the oldest of them when it came out.
         newest: number of the newest message that came out, by life of the publisher.
+        fresh_within: s from when a message is published until it comes out at the latest, if it does.
         taken: by which sending half of a route each of the last messages was taken.
     """
 
@@ -131,6 +145,9 @@ class Flow:
         self.last_heard = 0.0
         self.heard = 0
         self.newest: dict[int, int] = {}
+        self.fresh_within = float("inf")
+        self.oldest = 0.0
+        self._published_at: OrderedDict[Label, float] = OrderedDict()
         self.taken: OrderedDict[Label, Account] = OrderedDict()
         self.writer: Writer | None = None
         self.reader: Reader | None = None
@@ -205,6 +222,9 @@ class Flow:
         if self.writer is not None:
             self.sent += 1
             self.last_sent = self._loop.time()
+            self._published_at[Label(self.number, self.life, self.sent)] = self.last_sent
+            if len(self._published_at) > _REMEMBERED:
+                self._published_at.popitem(last=False)
             padding = self._random.randrange(2 * self.size)
             self.writer.publish(_HEAD.pack(_CDR, self.number, self.life, self.sent) + bytes(padding))
 
@@ -227,10 +247,20 @@ class Flow:
             newest = self.newest.get(label.life, 0)
             if self.ordered and not self.latched and label.number <= newest:
                 self._on_wrong(f"{self}: {label} came out after {newest}")
+            self._check_age(label)
             self.newest[label.life] = max(newest, label.number)
             self._seen[label] = None
             if len(self._seen) > _REMEMBERED:
                 self._seen.popitem(last=False)
+
+    def _check_age(self, label: Label) -> None:
+        published_at = self._published_at.get(label)
+        if published_at is None:
+            return
+        age = self._loop.time() - published_at
+        self.oldest = max(self.oldest, age)
+        if age > self.fresh_within:
+            self._on_wrong(f"{self}: {label} came out {age:.1f} s after it was published")
 
     # --- what the bridge does, as the domains at both ends see it
 

@@ -17,6 +17,7 @@ from tests.simulation.tables import tables
 
 from rsb_bridge.route.calls.goals import MOST_GOALS
 from rsb_bridge.route.calls.kept_answers import MOST_KEPT
+from rsb_bridge.transport.transport import DatagramTransport
 
 if TYPE_CHECKING:
     from tests.simulation.flows import Account, Flow
@@ -230,9 +231,12 @@ class Invariants:
             ledger.delivered,
             ledger.throttled,
             ledger.expired,
+            ledger.unknown,
             ledger.in_flight,
             *ledger.dropped.values(),
         )
+        open_ends = ledger.unknown + ledger.in_flight
+        datagrams = isinstance(route.transport, DatagramTransport)  # which may come after they were taken for lost
         wrong = ""
         if min(parts) < 0:
             wrong = "a part of it is negative"
@@ -242,12 +246,18 @@ class Invariants:
             wrong = f"{account.offered} messages were taken"
         elif ledger.delivered > account.published:
             wrong = f"{account.published} messages were published"
+        elif ledger.unknown and not account.forgotten:
+            wrong = "something is unknown, and whoever published it is still there"
+        elif not datagrams and ledger.delivered + open_ends < account.published - account.removed:
+            wrong = f"{account.published} messages were published, and some of them are said to be lost"
         else:
             robot = world.robot(route.peer.name)
             last = max(account.last_offered, route.opened_at, world.clear_since(robot))
             if not robot.troubles and route.flowing and now - last > self._patience * SETTLED_WITHIN:
                 if ledger.delivered < account.published - account.unreported:
                     wrong = f"{account.published} messages were published, of which {account.unreported} may be unknown"
+                elif ledger.delivered + ledger.unknown < account.published - account.removed:
+                    wrong = f"{account.published} messages were published, and some of them are said to be lost"
                 elif ledger.in_flight:
                     wrong = f"nothing was sent for {now - last:.1f} s, and something is in flight"
         if wrong:

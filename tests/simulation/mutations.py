@@ -13,10 +13,18 @@ from unittest.mock import patch
 
 import msgspec
 from tests.simulation.climate import ACTIONS, CALLS, LIVELY, STILL, STORM, Climate
-from tests.simulation.episodes import cancelled_while_cut, restarted_while_cut, server_away, type_differs_for
+from tests.simulation.episodes import (
+    cancelled_while_cut,
+    restarted_while_cut,
+    server_away,
+    tunnelled,
+    type_differs_for,
+)
 
+from rsb_bridge.channel.receipts import WindowedSender
 from rsb_bridge.channel.stream import StreamReceiver, StreamSender
 from rsb_bridge.channel.udp_channel import UdpChannel
+from rsb_bridge.channel.window import Window
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.model.backoff import Backoff
@@ -89,6 +97,20 @@ def _settled_by_id(self: Any, final: Any, _: str) -> bool:
     return bool(_settle(self, final, _))
 
 
+def _settled_as_lost(self: Any, final: Any, instance: str) -> bool:
+    """As `RouteLedger.settle` was: whatever a process that is gone did not confirm is lost."""
+    before = self.unknown
+    plausible = bool(_settle(self, final, instance))
+    self.drop("link lost", self.unknown - before)
+    self.unknown = before
+    return plausible
+
+
+def _settled_as_unknown(self: Any, final: Any, _: str) -> bool:
+    """As `RouteLedger.settle`, but it trusts no process."""
+    return bool(_settle(self, final, "another"))
+
+
 def _counted_before(self: Any) -> Any:
     """As the receiver's last count was: told to whatever process asks."""
     return self._before[1] if self._before is not None else None
@@ -97,6 +119,16 @@ def _counted_before(self: Any) -> Any:
 def _end_oldest(self: Any, number: int) -> Any:
     """As `UnderWay.end`, but of the oldest call: answers in order, whoever asked."""
     return _end(self, next(iter(self._calls), number))
+
+
+async def _tunnel(world: World) -> None:
+    await tunnelled(world, 120.0)
+
+
+def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
+    """As `Window.acknowledge`, but all that is under way seems new."""
+    self._marks.clear()
+    _took(self, count, sent, now)
 
 
 def _end_for_nothing(self: Any, number: int) -> Any:
@@ -131,6 +163,7 @@ _take = KeptAnswers.take
 _keep = KeptCalls.keep
 _end = UnderWay.end
 _settle = RouteLedger.settle
+_took = Window.acknowledge
 _propose = RouteTable._propose
 
 
@@ -188,6 +221,16 @@ MUTATIONS = (
         "the ledger of", _MANY, 1, 4.0, restarted_while_cut,
     ),
     Mutation(
+        "what a process that was killed did not confirm is taken for lost",
+        ((RouteLedger, "settle", _settled_as_lost),),
+        "some of them are said to be lost", _MANY, 1, 4.0, restarted_while_cut,
+    ),
+    Mutation(
+        "what was not confirmed is unknown, though its receiver says what arrived",
+        ((RouteLedger, "settle", _settled_as_unknown),),
+        "whoever published it is still there", STORM, 2, 2.0,
+    ),
+    Mutation(
         "the ids of routes that were closed are never forgotten",
         ((RouteTable, "closed", _nothing),),
         "_by_id", STILL, 1, 3.0, _differs,
@@ -226,6 +269,16 @@ MUTATIONS = (
         "what the other side makes of a topic is not taken in",
         ((BothSides, "take", _nothing),),
         "do not agree on", _SILENT, 1, 0.5,
+    ),
+    Mutation(
+        "a stream takes whatever its buffers hold",
+        ((WindowedSender, "begin_window", _nothing),),
+        "s after it was published", STILL, 1, 0.05, _tunnel,
+    ),
+    Mutation(
+        "receipts that are late leave the window as it is",
+        ((Window, "acknowledge", _took_in_time),),
+        "s after it was published", STILL, 1, 0.05, _tunnel,
     ),
     Mutation(
         "an answer goes to whoever asked first",

@@ -413,7 +413,7 @@ class World:
         """The receiving half of a route is removed: likewise, where the link is down and the sending half is not."""
         for route, account in self.accounts.items():
             if route.peer.name == removed.peer.name and route.remote_topic == removed.remote_topic:
-                account.forget(route)
+                account.forget(route, removed=True)
 
     def _begins(self, run: Run) -> None:
         self.chronicle.tell(f"{run.station.name}: an engine begins")

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
 
 STOPS_WITHIN = 15.0
-THREADS = ("rsb-io", "ros", "rsb-history", "rsb-disk", "rsb-metrics")
+THREADS = ("rsb-io", "ros", "rsb-history", "rsb-disk", "rsb-metrics", "rsb-on-fault")
 """Of an engine."""
 
 
@@ -288,7 +288,8 @@ def settled(engine: Engine, topic: str, offered: int, within: float = 60.0) -> L
 
 def balance(ledger: Ledger) -> int:
     """What the parts of a ledger add up to."""
-    return ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired + ledger.in_flight
+    settled = ledger.delivered + ledger.throttled + ledger.dropped_total + ledger.expired
+    return settled + ledger.unknown + ledger.in_flight
 
 
 def happened(engine: Engine, code: EventCode, about: str = "") -> Event | None:

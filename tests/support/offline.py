@@ -22,6 +22,7 @@ from rsb_bridge.transport.registry import Transports, default_transports
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.route.route import Route
     from rsb_bridge.wire.messages import ControlMessage
 
@@ -67,6 +68,9 @@ class FakePeer:
     linked = True
     clock_offset = 0.0
     clock_uncertainty = 0.001
+    report_delay = 0.0
+    full_out: Fullness | None = None
+    full_in: Fullness | None = None
     features: tuple[str, ...] = (FEATURE,)
     down_reason = ""
     connections = 1
@@ -81,6 +85,9 @@ class FakePeer:
 
     def send(self, message: ControlMessage) -> None:
         self.sent.append(message)
+
+    def report_soon(self, route: Route) -> None:
+        """It is not sent any reports."""
 
     def open_channel(self, route: Route) -> None:
         pass

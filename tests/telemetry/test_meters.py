@@ -111,3 +111,15 @@ def test_a_rate_of_nothing_comes_to_zero() -> None:
     for second in range(2, 60):
         rate.add(0.0, float(second))
     assert rate.rate == 0.0
+
+
+def test_pings_that_are_held_up_one_way_for_long_do_not_move_the_clock() -> None:
+    """A tunnel holds everything up for 12 s on the way there."""
+    clock = ClockOffset()
+    second = 10**9
+    clock.add(0, second, second, second // 500)  # the peer's clock is 0.999 s ahead
+    for now in range(20, 60):
+        clock.add(now * second, (now + 13) * second, (now + 13) * second, (now + 12) * second)
+    assert clock.offset == pytest.approx(0.999)
+    assert clock.uncertainty is not None
+    assert clock.uncertainty < 0.02

@@ -133,6 +133,16 @@ def test_a_message_that_was_lost_and_came_after_all_makes_no_counter_smaller(scr
     assert scraped.dropped(Ledger(2, 1, dropped={"lost on the way": 1})) == {"lost on the way": 1}, "a new life"
 
 
+def test_what_is_unknown_and_what_was_missed_are_counters_of_their_own(scraped: Scraped) -> None:
+    found = scraped.samples(
+        route("/scan", ledger=Ledger(10, 7, dropped={"queue full": 1}, unknown=2, missed_while_down=40))
+    )
+    figures = {name: value for (name, _), value in found.items()}
+    assert figures["rsb_messages_unknown_total"] == 2
+    assert figures["rsb_messages_missed_while_down_total"] == 40
+    assert figures["rsb_messages_dropped_total"] == 1
+
+
 def test_a_peer_makes_up_no_labels(scraped: Scraped) -> None:
     for number in range(50):
         dropped = {f"cause {number} {each}": 1 for each in range(30)} | {"queue full": 2}

@@ -12,6 +12,7 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import FINE, Cause, Verdict
 from rsb_bridge.route.announcing import Announcer
+from rsb_bridge.telemetry.meters import RateMeter
 from rsb_bridge.telemetry.usual_rate import UsualRate
 from rsb_bridge.telemetry.watches import LossWatch, SlowWatch, StopWatch
 
@@ -213,3 +214,28 @@ def test_a_topic_that_waited_and_turns_stale_for_the_same_cause_is_a_fault() -> 
     states = [Verdict(state, Cause.NO_PUBLISHER, "nobody") for state in (State.WAITING, State.STALE)]
     heard = said(Announcer(), [states[0]] * 15 + [states[1]] * 100)
     assert [code for _, code, _ in heard] == [EventCode.ROUTE_WAITING, EventCode.ROUTE_FAULT]
+
+
+@pytest.mark.parametrize(
+    ("gaps", "regular"),
+    [
+        ([1.0] * 6, True),
+        ([0.1] * 60, True),
+        ([2.0, 2.1, 1.9, 2.0, 2.0, 2.1], True),
+        ([1.0] * 3, False),
+        ([0.02] * 30, False),
+        ([4.0, 9.0, 3.0, 20.0, 6.0, 30.0], False),
+        ([0.1, 0.1, 8.0, 0.1, 12.0, 0.1, 0.1, 3.0], False),
+    ],
+)
+def test_silence_means_something_after_messages_at_a_rhythm(gaps: list[float], regular: bool) -> None:
+    """A few messages at the times that an operator clicks are none."""
+    meter, now, due = RateMeter(0.0), 0.0, [0.5]
+    for gap in gaps:
+        due.append(due[-1] + gap)
+    for _ in range(int(due[-1]) + 20):
+        now += 1.0
+        while due and due[0] <= now:
+            meter.add(1, 100, due.pop(0))
+        meter.tick(now)
+    assert meter.regular is regular

@@ -36,6 +36,7 @@ from rsb_bridge.wire.messages import (
     Welcome,
 )
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.receipts import Receipts
 from rsb_bridge.wire.records import (
     CallsReport,
     LaneEntry,
@@ -149,6 +150,7 @@ EXAMPLES = [
     TypeText(route=1, text=b"\x28\xb5\x2f\xfd"),
     BenchAsk(request=1, route=3, reset=True, size=2500, rate=100.0, count=50),
     BenchAnswer(request=1, problem="no", sent=5, rate=9.5, received=4, p50=-0.001, cpu=1.5, memory=7, max_rate=10.0),
+    Receipts(received=((1, 4096), (3, 0)), every=((2, 512),)),
     Duplicate(address="10.0.0.9", host="spare", others=2),
     Shutdown(reason="stopped"),
 ]

@@ -55,6 +55,8 @@ class DatagramSender(_DatagramChannel):
     """The sending end. What the pace holds up waits here, sealed; nothing more is sealed meanwhile."""
 
     batch_bytes = BATCH_BYTES
+    arrived_share: float | None = None
+    """The share of the datagrams that arrives, by the last receipts, or None if there was none."""
 
     def __init__(self, udp_channel: UdpChannel, route: RouteSink, codec: DatagramWriter) -> None:
         super().__init__(udp_channel, route)
@@ -64,6 +66,7 @@ class DatagramSender(_DatagramChannel):
         self._waiting: Sequence[bytes] = ()
         self._timer: asyncio.TimerHandle | None = None
         self._largest = 0
+        self._receipted = (-1, 0)  # the newest datagram of the last receipt, and how many had arrived
         udp_channel.add_sender(route.id, self)
 
     @property
@@ -98,6 +101,11 @@ class DatagramSender(_DatagramChannel):
 
     def receipt(self, receipt: Receipt) -> None:
         """As `DatagramSource.receipt`."""
+        newest, opened = self._receipted
+        if receipt.newest > newest:
+            share = max(0.0, min((receipt.opened - opened) / (receipt.newest - newest), 1.0))
+            self.arrived_share = share if self.arrived_share is None else (share + self.arrived_share) / 2
+            self._receipted = receipt.newest, receipt.opened
         self._pacer.receipt(receipt.newest, receipt.opened, receipt.buffer, self._loop.time())
         if receipt.buffer < RECEIVE_BUFFER and self._largest > self._pacer.window:
             self.carrier.shortages[False] = BufferShortage(False, receipt.buffer, self._largest)
@@ -140,6 +148,7 @@ class DatagramReceiver(_DatagramChannel):
         self._whole: list[Message] = []
         self._buffer = udp_channel.socket.receive_buffer
         self._due = self._buffer // _RECEIPTS_PER_BUFFER
+        self._missing = 0  # datagrams, at the last receipt
         self._since_receipt = self._due  # the sender knows the buffer as soon as anything comes
         udp_channel.add_receiver(route.id, self)
 
@@ -165,18 +174,23 @@ class DatagramReceiver(_DatagramChannel):
         """Deliver the messages that are whole, and have the sender know what has come, when that is due."""
         whole, self._whole = self._whole, []
         if self._since_receipt >= self._due and self._codec.opened:
-            self._since_receipt = 0
-            self.carrier.acknowledge(
-                Receipt(self._route_id, self._codec.newest_sequence, self._codec.opened, self._buffer)
-            )
+            self._acknowledge()
         if whole:
             if self._buffer < RECEIVE_BUFFER:
                 self._check_buffer(max(len(payload) for payload, _, _ in whole))
             self._route.deliver(whole)
 
+    def _acknowledge(self) -> None:
+        self._since_receipt = 0
+        self._missing = self._codec.newest_sequence + 1 - self._codec.opened
+        self.carrier.acknowledge(Receipt(self._route_id, self._codec.newest_sequence, self._codec.opened, self._buffer))
+
     def expire(self, now: float) -> None:
         """Give up messages whose fragments did not come in time."""
         self._codec.expire(now, _EXPIRE)
+        missing = self._codec.newest_sequence + 1 - self._codec.opened
+        if missing > self._missing and self._codec.opened:
+            self._acknowledge()  # the sender learns within a second how much does not come
         if self._buffer < RECEIVE_BUFFER:  # its limit may have been raised
             before, self._buffer = self._buffer, self.carrier.socket.receive_buffer
             if self._buffer != before:

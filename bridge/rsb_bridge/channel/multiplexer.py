@@ -12,14 +12,16 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
 from rsb_bridge.model.priority import weight_of
-from rsb_bridge.wire.framing import ProtocolError
+from rsb_bridge.wire.framing import LENGTH, ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
+    from rsb_bridge.channel.receipts import ReceiptBook
     from rsb_bridge.transport.streams import Stream
     from rsb_bridge.wire.framing import Message
 
@@ -46,13 +48,15 @@ class Multiplexer:
         self._time = 0  # virtual: bytes
         self._pumping = False
 
-    def carry(self, route: RouteSink, keys: DataKeys) -> MultiplexedSender | MultiplexedReceiver:
+    def carry(
+        self, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
+    ) -> MultiplexedSender | MultiplexedReceiver:
         """This side's end of a new channel for a route."""
         end: type[MultiplexedSender | MultiplexedReceiver]
         end = MultiplexedSender if route.outgoing else MultiplexedReceiver
         if route.duplex:
             end = MultiplexedDuplex
-        channel = self.channels[route.id] = end(self, route, keys)
+        channel = self.channels[route.id] = end(self, route, keys, book)
         return channel
 
     def join(self, channel: MultiplexedSender) -> None:
@@ -92,13 +96,17 @@ class _MultiplexedChannel:
         multiplexer: of the stream.
         route: what it carries.
         keys: make the codecs.
+        book: for receipts, or None if the other side does not know them.
     """
 
     ready = True
 
-    def __init__(self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys) -> None:
+    def __init__(
+        self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
+    ) -> None:
         self._multiplexer = multiplexer
         self._route = route
+        self._book = book
         self._route_id = route.id
 
     @property
@@ -109,6 +117,8 @@ class _MultiplexedChannel:
         return ""
 
     def close(self, reason: str) -> None:
+        if self._book is not None:
+            self._book.forget(self._route_id)
         self._multiplexer.forget(self._route_id)
 
     def lost(self, reason: str) -> None:
@@ -116,7 +126,7 @@ class _MultiplexedChannel:
         self._route.channel_lost(reason)
 
 
-class MultiplexedSender(_MultiplexedChannel):
+class MultiplexedSender(_MultiplexedChannel, WindowedSender):
     """The sending end.
 
     Attributes:
@@ -125,17 +135,27 @@ class MultiplexedSender(_MultiplexedChannel):
 
     batch_bytes = CHUNK
 
-    def __init__(self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys) -> None:
-        super().__init__(multiplexer, route, keys)
+    def __init__(
+        self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
+    ) -> None:
+        super().__init__(multiplexer, route, keys, book)
         self.start = 0
         self._writer = keys.stream_writer(route.id)
         self._chunks: deque[bytes] = deque()
+        self._sent = 0
+        self.begin_window()
 
     @property
     def congested(self) -> bool:
-        return bool(self._chunks)
+        return bool(self._chunks) or (self._window is not None and self._sent >= self._window.limit)
+
+    @property
+    def sent(self) -> int:
+        return self._sent
 
     def send(self, batch: Sequence[Message]) -> None:
+        if self._window is not None and self._book is not None:
+            self._window.wrote(self._sent, self._book.now())
         for payload, stamp, flags in batch:
             self._chunks += self._writer.write_chunks(payload, stamp, flags, CHUNK)
         self._multiplexer.join(self)
@@ -143,6 +163,7 @@ class MultiplexedSender(_MultiplexedChannel):
     def next_chunk(self) -> bytes:
         """Take the next chunk, for sending; after the last one the route may send more."""
         chunk = self._chunks.popleft()
+        self._sent += len(chunk)
         self.start += len(chunk) * _UNIT // weight_of(self._route.rank)
         if not self._chunks:
             self._multiplexer.leave(self)
@@ -163,12 +184,15 @@ class MultiplexedSender(_MultiplexedChannel):
         super().close(reason)
 
 
-class MultiplexedReceiver(_MultiplexedChannel):
+class MultiplexedReceiver(_MultiplexedChannel, ReceiptSender):
     """The receiving end."""
 
-    def __init__(self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys) -> None:
-        super().__init__(multiplexer, route, keys)
+    def __init__(
+        self, multiplexer: Multiplexer, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
+    ) -> None:
+        super().__init__(multiplexer, route, keys, book)
         self._reader = keys.stream_reader(route.id)
+        self.begin_receipts()
 
     def counts(self) -> Counts | None:
         return None
@@ -183,6 +207,7 @@ class MultiplexedReceiver(_MultiplexedChannel):
         message = self._reader.open_frame(frame)
         if message is not None:
             self._route.deliver((message,))
+        self.count_bytes(LENGTH.size + len(frame))
 
     def close(self, reason: str) -> None:
         self._reader.close()

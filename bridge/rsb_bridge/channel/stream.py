@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.large_messages import LARGE, LargeMessages
+from rsb_bridge.channel.receipts import ReceiptSender, WindowedSender
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.framing import ProtocolError
 from rsb_bridge.wire.sealing import SealError
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Counts, RouteSink
     from rsb_bridge.channel.data_keys import DataKeys
+    from rsb_bridge.channel.receipts import ReceiptBook
     from rsb_bridge.wire.framing import Message
 
 
@@ -30,6 +32,7 @@ class _StreamChannel(StreamHandler):
         stream: that is let in.
         route: what it carries.
         keys: make the codecs.
+        book: for receipts, or None if the other side does not know them.
 
     Attributes:
         carrier: the stream; the channel is its handler.
@@ -37,15 +40,18 @@ class _StreamChannel(StreamHandler):
 
     ready = True
 
-    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
+    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None) -> None:
         self.carrier = stream
         self._route = route
+        self._book = book
         stream.handler = self
 
     def trouble(self) -> str:
         return _STUCK if self.carrier.stuck else ""
 
     def close(self, reason: str) -> None:
+        if self._book is not None:
+            self._book.forget(self._route.id)
         self.carrier.handler = StreamHandler()
         self.carrier.abort(reason)  # the peer closes its half too: nobody would read what waits
 
@@ -58,23 +64,33 @@ class _StreamChannel(StreamHandler):
         self._route.channel_lost(reason)
 
 
-class StreamSender(_StreamChannel):
+class StreamSender(_StreamChannel, WindowedSender):
     """The sending end."""
 
-    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
-        super().__init__(stream, route, keys)
+    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None) -> None:
+        super().__init__(stream, route, keys, book)
         self._writer = keys.stream_writer(route.id)
         self._large = LargeMessages(stream, self._writer, keys.scratch, self.writable)
+        self.begin_window()
 
     @property
     def congested(self) -> bool:
-        return self.carrier.congested or self._large.waiting
+        carrier, window = self.carrier, self._window
+        return carrier.congested or self._large.waiting or (window is not None and carrier.sent_bytes >= window.limit)
 
     @property
     def batch_bytes(self) -> int:
-        return self.carrier.batch_bytes
+        if self._window is None:
+            return self.carrier.batch_bytes
+        return min(self.carrier.batch_bytes, self._window.limit - self.carrier.sent_bytes)
+
+    @property
+    def sent(self) -> int:
+        return self.carrier.sent_bytes
 
     def send(self, batch: Sequence[Message]) -> None:
+        if self._window is not None and self._book is not None:
+            self._window.wrote(self.carrier.sent_bytes, self._book.now())
         if not self._large.waiting and max([len(message[0]) for message in batch]) < LARGE:
             self.carrier.write(self._writer.write_many(batch))
         else:
@@ -95,12 +111,13 @@ class StreamSender(_StreamChannel):
         self._fail("the peer sent data on a stream that goes the other way")
 
 
-class StreamReceiver(_StreamChannel):
+class StreamReceiver(_StreamChannel, ReceiptSender):
     """The receiving end."""
 
-    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys) -> None:
-        super().__init__(stream, route, keys)
+    def __init__(self, stream: Stream, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None) -> None:
+        super().__init__(stream, route, keys, book)
         self._reader = keys.stream_reader(route.id)
+        self.begin_receipts()
 
     def counts(self) -> Counts | None:
         return None
@@ -118,14 +135,17 @@ class StreamReceiver(_StreamChannel):
             return
         if messages:
             self._route.deliver(messages)
+        self.count_bytes(len(data))
 
 
 class StreamDuplex(StreamReceiver, StreamSender):
     """Either end of a route that sends both ways. The receiving end's methods come first: what arrives is taken."""
 
 
-def stream_channel(stream: Stream, route: RouteSink, keys: DataKeys) -> StreamSender | StreamReceiver:
-    """This side's end of a route's channel on a stream that is let in."""
+def stream_channel(
+    stream: Stream, route: RouteSink, keys: DataKeys, book: ReceiptBook | None = None
+) -> StreamSender | StreamReceiver:
+    """Return this side's end of a route's channel on a stream that is let in."""
     if route.duplex:
-        return StreamDuplex(stream, route, keys)
-    return StreamSender(stream, route, keys) if route.outgoing else StreamReceiver(stream, route, keys)
+        return StreamDuplex(stream, route, keys, book)
+    return StreamSender(stream, route, keys, book) if route.outgoing else StreamReceiver(stream, route, keys, book)

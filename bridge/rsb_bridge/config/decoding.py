@@ -17,7 +17,7 @@ from rsb_bridge.model.session import Problem
 T = TypeVar("T", bound=msgspec.Struct)
 
 _NOTHING = "has no value: give one, or leave the key out"
-_NOUNS = {str: "text", int: "a whole number", float: "a number", bool: "true or false"}
+_NOUNS = {str: "text", int: "a whole number", float: "a number", bool: "true or false", tuple: "a list"}
 
 # Stands in for a required value that is missing or of the wrong kind, which is reported, so that all rules can run.
 _STAND_INS = {

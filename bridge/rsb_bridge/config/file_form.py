@@ -33,7 +33,7 @@ NOUNS: Final[dict[str, str]] = {
 }  # fmt: skip
 """What an entry is called, before its name, by list."""
 
-_OF_TOPICS = ("qos", "priority", "expected_rate", "stale_after")
+_OF_TOPICS = ("qos", "priority", "expected_rate", "stale_after", "late_after")
 _OF_CALLS = ("kind", "timeout")
 _PROVIDERS: dict[Any, Provider] = {"transmit": "server", "receive": "client"}
 DIRECTIONS: Final[dict[Any, Direction]] = {provider: direction for direction, provider in _PROVIDERS.items()}
@@ -75,6 +75,7 @@ _NOT_OF_CALLS = {
     "qos": "calls have ROS's own QoS: leave it out",
     "expected_rate": "nobody expects calls at a rate: leave it out",
     "stale_after": "nobody expects calls all the time: leave it out; timeout says how long an answer may take",
+    "late_after": "calls are not judged by it: leave it out; timeout says how long an answer may take",
     "direction": f"write provider: client or provider: server, {_SIDE}",
 }
 

@@ -12,7 +12,7 @@ from rsb_bridge.config.keys import conceal
 from rsb_bridge.config.pattern_rules import exception_problems, pattern_problems
 from rsb_bridge.model import transports
 from rsb_bridge.model.lanes import LANES
-from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, NO_PORT, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
+from rsb_bridge.model.limits import CHANNEL, DEADMAN_TIME, LATE_AFTER, NO_PORT, STALE_AFTER, TEXT_LENGTH, TOPIC_LENGTH
 from rsb_bridge.model.names import is_topic_name, server_topic, well_formed
 from rsb_bridge.model.patterns import is_pattern
 from rsb_bridge.model.qos import AUTO, PROFILES, Qos, parse_qos
@@ -90,6 +90,8 @@ def topic_problems(topic: Topic, location: str, session: Session | None, client:
     yield from rate_problems(topic.expected_rate, join(location, "expected_rate"))
     if topic.stale_after is not None:
         yield from stale_problems(topic.stale_after, join(location, "stale_after"))
+    if topic.late_after is not None:
+        yield from late_problems(topic.late_after, join(location, "late_after"))
     yield from _arming(topic, location)
 
 
@@ -194,6 +196,12 @@ def _qos(value: str | int | dict[str, Any], location: str) -> Iterator[Problem]:
         options = list(PROFILES) if isinstance(value, dict) else [AUTO, *PROFILES]
         hint = did_you_mean(name, options) if isinstance(name, str) else ""
         yield Problem(location, conceal(f"{error}{hint}"))
+
+
+def late_problems(seconds: float, location: str) -> Iterator[Problem]:
+    """Check that messages can be judged by such a delay."""
+    if seconds and seconds not in LATE_AFTER:
+        yield Problem(location, f"{seconds} is out of range: {LATE_AFTER} s, or 0 to accept any delay")
 
 
 def stale_problems(seconds: float, location: str) -> Iterator[Problem]:

@@ -11,6 +11,7 @@ import msgspec
 
 from rsb_bridge.config.call_rules import overlaps
 from rsb_bridge.config.decoding import join, read, show
+from rsb_bridge.config.fault_command import command_words
 from rsb_bridge.config.file_form import (
     LISTS,
     NAME_KEYS,
@@ -29,6 +30,7 @@ from rsb_bridge.config.operators import operator_problems
 from rsb_bridge.config.pattern_rules import too_many_patterns
 from rsb_bridge.config.topic_rules import (
     A_KIND,
+    late_problems,
     name_problems,
     port_problems,
     stale_problems,
@@ -163,6 +165,7 @@ def _session(session: Session) -> Iterator[Problem]:
     yield from key_file_problems(session)
     yield from operator_problems(session)
     yield from stale_problems(session.stale_after, "stale_after")
+    yield from late_problems(session.late_after, "late_after")
     if session.stale_warnings < 0:
         yield Problem("stale_warnings", f"{session.stale_warnings} is not a count: 0 or more")
     yield from _profiles(session)
@@ -172,6 +175,8 @@ def _session(session: Session) -> Iterator[Problem]:
         yield from name_problems(session.diagnostics_topic, "diagnostics_topic")
     if session.metrics is not None:
         yield from _metrics(session.metrics)
+    if session.on_fault is not None:
+        yield from _on_fault(session.on_fault)
     client = session.name if session.role == "client" and session.use_name else None
     yield from _topics(session.topics, "", session, client)
     yield from _clients(session)
@@ -185,6 +190,13 @@ def _metrics(address: str) -> Iterator[Problem]:
         return
     if not (_is_ip(host) or _is_host(host)):
         yield Problem("metrics", f"{show(host)} is not an IPv4 or IPv6 address, or a host name")
+
+
+def _on_fault(command: str | tuple[str, ...]) -> Iterator[Problem]:
+    try:
+        command_words(command)
+    except ValueError as error:
+        yield Problem("on_fault", str(error))
 
 
 def _profiles(session: Session) -> Iterator[Problem]:

@@ -23,6 +23,7 @@ from rsb_bridge.control.states import Receiver, out_of_reach
 from rsb_bridge.control.ways import UnixSocket
 from rsb_bridge.model.clock import Clock
 from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.operators import is_undo
 from rsb_bridge.model.snapshot import Level
 from rsb_bridge.telemetry.event_log import EventLog
 
@@ -168,6 +169,9 @@ class RemoteEngine(EngineApi):
     def pause(self, key: str, paused: bool) -> Future[None]:
         return self._request(commands.Pause(key, paused), requests.as_nothing)
 
+    def acknowledge(self, key: str, acknowledged: bool = True, *, link: str = "") -> Future[None]:
+        return self._request(commands.Acknowledge(key, acknowledged, link), requests.as_nothing)
+
     @property
     def arming(self) -> RemoteArming:
         return RemoteArming(lambda command: self._request(command, requests.as_nothing))
@@ -240,7 +244,7 @@ class RemoteEngine(EngineApi):
 
         answered.add_done_callback(convert_answer)
         try:
-            self._loop.call_soon_threadsafe(self._send_request, command, answered, step)
+            self._loop.call_soon_threadsafe(self._send_request, command, answered, step, is_undo())
         except RuntimeError:
             answered.set_exception(EngineError("detached from the bridge"))
         return done
@@ -389,11 +393,13 @@ class RemoteEngine(EngineApi):
 
     # --- requests
 
-    def _send_request(self, command: Command, answered: Future[object], step: Callable[[str], None] | None) -> None:
+    def _send_request(
+        self, command: Command, answered: Future[object], step: Callable[[str], None] | None, undo: bool
+    ) -> None:
         if self._connection is None:
             answered.set_exception(EngineError(f"not attached: {self._lost}"))
             return
-        request = self._requests.new(command, answered, step)
+        request = self._requests.new(command, answered, step, undo=undo)
         if (size := len(protocol.encode(request))) > protocol.TO_BRIDGE_LIMIT:  # the bridge would end the connection
             self._requests.take(protocol.Failed(request.id, f"it is too long: {size:,} bytes"))
         else:

@@ -41,6 +41,14 @@ class Pause(_Command, frozen=True, tag="pause"):
     paused: bool
 
 
+class Acknowledge(_Command, frozen=True, tag="acknowledge"):
+    """See `AddTopic`."""
+
+    key: str = ""
+    acknowledged: bool = True
+    link: str = ""
+
+
 class ArmTopic(_Command, frozen=True, tag="arm"):
     """As the methods of `rsb_bridge.api.ArmingApi`, likewise those below: for the console that asks."""
 
@@ -156,6 +164,7 @@ Command: TypeAlias = (
     | EditTopic
     | RemoveTopic
     | Pause
+    | Acknowledge
     | ArmTopic
     | DisarmTopic
     | KeepArmed
@@ -178,7 +187,7 @@ Command: TypeAlias = (
 )
 
 CHANGING = (
-    AddTopic, EditTopic, RemoveTopic, Pause, ArmTopic, DisarmTopic, AddClient, ChangeClient, RemoveClient,
-    Call, Retry, ShutDown, Restart, Reload, Stop,
+    AddTopic, EditTopic, RemoveTopic, Pause, Acknowledge, ArmTopic, DisarmTopic, AddClient, ChangeClient,
+    RemoveClient, Call, Retry, ShutDown, Restart, Reload, Stop,
 )  # fmt: skip
 """The commands that are refused to those who only watch."""

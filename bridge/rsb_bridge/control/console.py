@@ -6,7 +6,9 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING, Protocol
 
-from rsb_bridge.api import EngineError
+import msgspec
+
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control import protocol
 from rsb_bridge.control.commands import CHANGING, ArmTopic, Bench
 from rsb_bridge.control.performing import perform
@@ -15,7 +17,7 @@ from rsb_bridge.control.states import EncodedRoutes, Sender
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.consoles import on_console
 from rsb_bridge.model.history import HistoryReport
-from rsb_bridge.model.operators import acting
+from rsb_bridge.model.operators import acting, undoing
 from rsb_bridge.model.reloaded import Reloaded
 from rsb_bridge.tasks import Tasks
 
@@ -47,6 +49,11 @@ class Connection(Protocol):
     @property
     def only_looks(self) -> str:
         """Why it may change nothing, in words, whatever the console asks for; empty: it may."""
+        ...
+
+    @property
+    def of_this_machine(self) -> bool:
+        """Whether the console runs on the bridge's machine, as the bridge's user or root."""
         ...
 
     @property
@@ -216,7 +223,7 @@ class Console:
 
     async def _answer(self, request: protocol.Request) -> None:
         try:
-            with acting(self._operator), on_console(self):
+            with acting(self._operator), undoing(request.undo), on_console(self):
                 answer = await perform(
                     request.command,
                     self._engine,
@@ -225,7 +232,7 @@ class Console:
                 )
             reply: ToConsole = _reply(request.id, answer)
         except EngineError as error:
-            reply = protocol.Failed(request.id, str(error))
+            reply = protocol.Failed(request.id, str(error), isinstance(error, InvalidRequestError))
         finally:
             self._requests -= 1
         if isinstance(request.command, CHANGING) and self._sender.sent is not None and self._buffered == 0:
@@ -294,9 +301,12 @@ class Console:
     async def _send_state(self) -> None:
         async with self._sending:
             engine, encoded = self._engine, self._served.encoded
-            snapshot = engine.snapshot()
+            snapshot, session = engine.snapshot(), engine.session
+            if session.on_fault is not None and not self._connection.of_this_machine:
+                # The command line may hold more than an operator elsewhere should read, and is of no use there.
+                session = msgspec.structs.replace(session, on_fault=None)
             for state in self._sender.differences(
-                snapshot, engine.session, waits_for_operator=engine.waits_for_operator, encoded=encoded
+                snapshot, session, waits_for_operator=engine.waits_for_operator, encoded=encoded
             ):
                 self.send(state)
                 if state.more:

@@ -46,6 +46,8 @@ async def perform(
             await _done(engine.remove_topic(command.key))
         case commands.Pause():
             await _done(engine.pause(command.key, command.paused))
+        case commands.Acknowledge():
+            await _done(engine.acknowledge(command.key, command.acknowledged, link=command.link))
         case commands.ArmTopic():
             await _done(engine.arming.arm(command.key))
         case commands.DisarmTopic():

@@ -8,6 +8,7 @@ the definition: msgspec reads and writes them by their type hints.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import msgspec
@@ -18,7 +19,8 @@ from rsb_bridge.model.history import HistoryReport  # noqa: TC001
 from rsb_bridge.model.peek import PeekedMessage  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.reloaded import Reloaded  # noqa: TC001 -- msgspec resolves the hints
 from rsb_bridge.model.session import Session  # noqa: TC001 -- msgspec resolves the hints
-from rsb_bridge.model.snapshot import Event, LinkSnapshot, RouteSnapshot, TopicInfo
+from rsb_bridge.model.snapshot import Event, LinkSnapshot, RefusedClient, RouteSnapshot, TopicInfo
+from rsb_bridge.model.verdict import state_for_any, state_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -132,10 +134,12 @@ class Request(_Message, frozen=True, tag="request"):
     Attributes:
         id: of the console's choosing.
         command: what to do.
+        undo: whether it takes back an earlier command of this console, which the bridge's log then says.
     """
 
     id: int
     command: Command
+    undo: bool = False
 
 
 class Look(_Message, frozen=True, tag="look"):
@@ -177,6 +181,7 @@ class State(_Message, frozen=True, tag="state"):
         last_event: likewise.
         session: as in `rsb_bridge.api.EngineApi`; None: as before.
         waits_for_operator: as in `rsb_bridge.api.EngineApi`.
+        refused: as in `rsb_bridge.model.snapshot.Snapshot`.
     """
 
     routes: tuple[msgspec.Raw, ...] = ()
@@ -190,6 +195,7 @@ class State(_Message, frozen=True, tag="state"):
     last_event: int = 0
     session: Session | None = None
     waits_for_operator: bool = False
+    refused: tuple[RefusedClient, ...] = ()
 
 
 class Events(_Message, frozen=True, tag="events"):
@@ -248,10 +254,12 @@ class Failed(_Message, frozen=True, tag="failed"):
     Attributes:
         id: of the request.
         reason: in words.
+        invalid: whether the request itself is wrong, as in `rsb_bridge.api.InvalidRequestError`.
     """
 
     id: int
     reason: str
+    invalid: bool = False
 
 
 class Goodbye(_Message, frozen=True, tag="goodbye"):
@@ -280,6 +288,8 @@ def encode(message: ToBridge | ToConsole) -> bytes:
 
 def encode_route(route: RouteSnapshot) -> msgspec.Raw:
     """A route as it stands in a `State`."""
+    if (state := state_for_any(route.state)) is not route.state:  # an older console would refuse what it does not know
+        route = replace(route, state=state)
     return msgspec.Raw(_encoder.encode(route))
 
 
@@ -289,7 +299,9 @@ def decode_route(raw: msgspec.Raw) -> RouteSnapshot:
     Raises:
         ProtocolError: it is none.
     """
-    return _decoded(_route, raw)
+    route = _decoded(_route, raw)
+    state = state_of(route.state, route.cause)
+    return route if state is route.state else replace(route, state=state)
 
 
 class Frames(Generic[M]):

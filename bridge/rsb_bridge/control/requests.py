@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING, TypeVar
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.control.protocol import Failed, ProtocolError, Reply, Request, Step
 from rsb_bridge.model.benchmark import Outcome
 from rsb_bridge.model.history import HistoryReport
@@ -29,17 +29,20 @@ class Requests:
         self._ids = itertools.count(1)
         self._waiting: dict[int, tuple[Future[object], Callable[[str], None] | None]] = {}
 
-    def new(self, command: Command, answered: Future[object], step: Callable[[str], None] | None) -> Request:
+    def new(
+        self, command: Command, answered: Future[object], step: Callable[[str], None] | None, *, undo: bool = False
+    ) -> Request:
         """The message for a command.
 
         Args:
             command: to be done.
             answered: gets the answer.
             step: is told of each step; None: nobody is.
+            undo: whether it takes back an earlier command.
         """
         number = next(self._ids)
         self._waiting[number] = (answered, step)
-        return Request(number, command)
+        return Request(number, command, undo)
 
     def take(self, message: Reply | Failed | Step) -> None:
         """Hand on what the bridge says of a command.
@@ -56,7 +59,8 @@ class Requests:
         if answered is None:
             raise ProtocolError("an answer without a request")
         if isinstance(message, Failed):
-            answered.set_exception(EngineError(message.reason))
+            kind = InvalidRequestError if message.invalid else EngineError
+            answered.set_exception(kind(message.reason))
         else:
             answered.set_result(message.reloaded or message.history or message.bench or message.value)
 

@@ -151,6 +151,8 @@ class SealedAcceptor:
 class SealedConsole(asyncio.Protocol):
     """One connection, and who is at its other end: a `rsb_bridge.control.console.Connection`, once that is proven."""
 
+    of_this_machine = False
+
     def __init__(self, acceptor: SealedAcceptor) -> None:
         self.stage = _Stage.WAITING
         self.name = ""

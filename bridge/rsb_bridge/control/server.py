@@ -186,6 +186,7 @@ class _OfThisMachine:
     """A console's connection through the control socket, of whose other end the kernel knows who it is."""
 
     only_looks = ""
+    of_this_machine = True
 
     def __init__(self, writer: asyncio.StreamWriter) -> None:
         self._writer = writer

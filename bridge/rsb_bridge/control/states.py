@@ -82,6 +82,7 @@ class Sender:
             last_event=snapshot.last_event,
             session=None if session == self._session else session,
             waits_for_operator=waits_for_operator,
+            refused=snapshot.refused,
         )
         self.sent, self._keys, self._session = snapshot, keys, session
         self._routes = {route.key: route for route in snapshot.routes}
@@ -148,6 +149,7 @@ class Receiver:
             links=state.links,
             routes=routes,
             last_event=state.last_event,
+            refused=state.refused,
         )
         return True
 
@@ -165,6 +167,7 @@ def out_of_reach(shown: Snapshot, reason: str, *, since: float, now: float) -> S
         shown,
         time=now,
         running=False,
+        refused=(),
         links=tuple(
             replace(
                 link, state=model.State.DOWN, cause=LinkCause.UNREACHABLE, reason=reason, warning="", since=since,

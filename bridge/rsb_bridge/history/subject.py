@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 UP = (State.OK, State.UNHEARD)
 """Messages cross as they should; that nobody hears them is no outage."""
+CROSSES = (*UP, State.LATE)
+"""States in which messages cross. A late topic is in trouble, and not out."""
 FINE = (*UP, State.PAUSED, State.DISARMED)
 """A pause is wanted, and so is what nobody has armed; it counts neither as up nor as out."""
 OUTAGES_OF_ONE = 100
@@ -109,7 +111,9 @@ class Subject:
 
     # --- as time goes by
 
-    def observe(self, now: float, state: State, reason: str, link: Subject | None, rate: float) -> None:
+    def observe(
+        self, now: float, state: State, reason: str, link: Subject | None, rate: float, *, is_open: bool = False
+    ) -> None:
         """Take note of how it is now. Until the next time it counts as being so.
 
         Args:
@@ -118,6 +122,7 @@ class Subject:
             reason: why it is not OK.
             link: of a topic.
             rate: of a link, bytes/s; what is counted by `count` comes on top.
+            is_open: a topic that waits could carry messages.
         """
         if not self.live:
             self.live, self._opening = True, True
@@ -135,7 +140,7 @@ class Subject:
         if state in FINE:
             self._opening = False
             self._end(now, link)
-        elif self._waits(now):
+        elif self._waits(now, is_open=is_open):
             self._born = now
             self._waits_for = reason
             self._end(now, link)
@@ -149,11 +154,11 @@ class Subject:
             self._out += now - self._born
             self._open = _Open(self._born, state, reason, with_link=link is not None and link.is_out)
 
-    def _waits(self, now: float) -> bool:
-        """Whether it waits for its first message. One that opens again after an outage is still out for a while."""
+    def _waits(self, now: float, *, is_open: bool = False) -> bool:
+        """Whether it waits for its first message. One that opens again after an outage is out until it is open."""
         if self._waits_since is None:
             return False
-        return self._open is None or now - self._waits_since >= _OPENS_WITHIN
+        return self._open is None or is_open or now - self._waits_since >= _OPENS_WITHIN
 
     def count(self, total: int) -> None:
         """Take note of how many messages or calls there were so far; fewer than before: they are counted anew.
@@ -182,7 +187,7 @@ class Subject:
         self._seen = now
         self._known += passed
         self._amount += self._rate * passed
-        if self._state in UP:
+        if self._state in CROSSES:
             self._up += passed
         elif self._state is State.WAITING and self._open is None:
             self._waiting += passed

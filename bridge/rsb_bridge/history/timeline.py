@@ -15,12 +15,13 @@ from rsb_bridge.model import history as model
 from rsb_bridge.model.history import KEPT_FOR, LINK, Gap, HistoryReport
 from rsb_bridge.model.session import Kind  # noqa: TC001 -- likewise
 from rsb_bridge.model.snapshot import Event  # noqa: TC001 -- msgspec resolves the hints
+from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from rsb_bridge.model.history import Outage, Track
-    from rsb_bridge.model.snapshot import Snapshot, State
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot, State
 
 VERSION = 1
 FROM_THE_FUTURE = "it is from the future: the clock was wrong then, or it is now"
@@ -109,14 +110,25 @@ class Timeline:
         for route in snapshot.routes:
             key = (route.link, route.spec.kind, route.topic, route.outgoing)
             total = route.ledger.delivered if route.calls is None else route.calls.asked
-            self._observe(key, now, route.state, route.reason or route.last_error, total=total)
+            reason = route.reason or route.last_error
+            self._observe(key, now, route.state, reason, total=total, is_open=_is_open(route))
         for subject in [each for each in self._subjects.values() if each.live and each.turn != self._turn]:
             self.changes += subject.is_out
             subject.cut(now, self._link_of(subject), cut_off=False)
         if now - self._tidied >= _TIDIED_EVERY:
             self._tidy(now)
 
-    def _observe(self, key: Key, now: float, state: State, reason: str, *, rate: float = 0.0, total: int = 0) -> None:
+    def _observe(
+        self,
+        key: Key,
+        now: float,
+        state: State,
+        reason: str,
+        *,
+        rate: float = 0.0,
+        total: int = 0,
+        is_open: bool = False,
+    ) -> None:
         subject = self._subjects.get(key)
         if subject is None:
             if not self._subjects.make_room(key, self._turn):
@@ -125,7 +137,7 @@ class Timeline:
         subject.turn = self._turn
         was_out = subject.is_out
         subject.count(total)
-        subject.observe(now, state, reason, self._link_of(subject), rate)
+        subject.observe(now, state, reason, self._link_of(subject), rate, is_open=is_open)
         self.changes += was_out != subject.is_out
 
     def did(self, event: Event, now: float) -> bool:
@@ -282,3 +294,10 @@ class Timeline:
 def _key_of(link: str) -> Key:
     """A link's own."""
     return link, LINK, "", False
+
+
+def _is_open(route: RouteSnapshot) -> bool:
+    """Whether messages or calls would cross, though none has come since it was opened."""
+    if route.calls is None:
+        return route.cause == Cause.PUBLISHER_SILENT
+    return any(stage.name == "offered" and stage.done for stage in route.stages)

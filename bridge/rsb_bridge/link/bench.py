@@ -288,7 +288,7 @@ class LinkBench:
                 raise LinkError("the other side is measuring the link: try again later")
             protocol: Any = order.transport or None
             topic = Topic(
-                name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0
+                name, order.direction, TYPE, protocol, qos=_DEPTH, compression="none", stale_after=0.0, late_after=0.0
             )  # fmt: skip
             route = link.proposed.add(topic)
         deadline = self._now() + _OPENED_WITHIN
@@ -342,6 +342,11 @@ class LinkBench:
         return self._now() + 2 * order.count / order.rate + _QUIET
 
     # --- both
+
+    @property
+    def measures(self) -> bool:
+        """Whether a measurement fills the link on purpose now."""
+        return bool(self._routes())
 
     def _routes(self) -> list[Route]:
         return [each for each in self._link.routes.values() if is_bench_topic(each.local_topic)]

@@ -14,7 +14,7 @@ from rsb_bridge.link.connecting import ConnectAttempt, Failure, LetIn
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.duplicate_client import NAME_TRIED_EVERY, DuplicateClients
 from rsb_bridge.link.link import Link
-from rsb_bridge.link.refused import CAUSES, with_remedy
+from rsb_bridge.link.refused import with_remedy
 from rsb_bridge.link.shut_down import ASKED_EVERY, told_by_server
 from rsb_bridge.model.backoff import Backoff
 from rsb_bridge.model.codes import EventCode
@@ -153,15 +153,18 @@ class ClientLink(Link):
     ) -> Failure | None:
         """Connect, and wait for the server's answer; None: the server accepted the stream."""
         remedied = partial(with_remedy, name=self.name, has_key=self.key is not None)
-        attempt = ConnectAttempt(connection, self.address, remedied, let_in)
+        attempt = ConnectAttempt(connection, transport.format_address((host, port)), remedied, let_in)
         try:
             await transport.connect(host, port, attempt, rank)
             async with asyncio.timeout(_HANDSHAKE_TIMEOUT):
-                return await attempt.outcome
+                return await asyncio.shield(attempt.outcome)
         except OSError as error:
-            if attempt.outcome.done() and not attempt.outcome.cancelled():  # it came as the time ran out
+            if attempt.outcome.done():  # it came as the time ran out
                 return attempt.outcome.result()
-            return Failure(f"{transport.format_address((host, port))}: {_connect_error_message(error)}", refused=False)
+            if attempt.connects and isinstance(error, TimeoutError):
+                is_new = self.peer is None and self.status.cause is not LinkCause.NO_ANSWER
+                return await attempt.silence(probe=is_new)
+            return _not_connected(transport.format_address((host, port)), error)
         finally:
             attempt.end()
 
@@ -183,8 +186,7 @@ class ClientLink(Link):
             self._longest = _LONGEST_DELAY
         repeated = failure.reason == self.status.reason
         expected = self.status.cause is LinkCause.CLOSED  # the server said goodbye, and is not back yet
-        refused = CAUSES.get(failure.code, LinkCause.REFUSED)
-        self.status.down(refused if failure.refused else LinkCause.UNREACHABLE, failure.reason)
+        self.status.down(failure.cause, failure.reason)
         code = EventCode.LINK_REFUSED if failure.refused else EventCode.LINK_UNREACHABLE
         reason = failure.reason.removeprefix(f"{self.address}: ")
         level = Level.DEBUG if repeated else Level.WARNING if expected else Level.ERROR
@@ -211,7 +213,7 @@ class ClientLink(Link):
 
     def on_duplicate(self, message: Duplicate) -> None:
         now = self.context.now()
-        begins = not self.warning
+        begins = self.cause is not LinkCause.NAME_TAKEN
         self.duplicates.told(message, self.context.wall())
         if not message.address and not begins:
             self.log(Level.INFO, EventCode.LINK_NAME_FREE, self.duplicates.over(), link_status=True)
@@ -310,7 +312,7 @@ class ClientLink(Link):
         assert self.keys is not None
         assert self.control is not None
         if descriptors.scarce():
-            return Failure(descriptors.scarcity_message("client"), refused=False)
+            return Failure(descriptors.scarcity_message("client"))
         connection = DataConnection(self.keys, route_id)
 
         def let_in(stream: Stream, event: Established | Accepted, more: list[Event]) -> None:
@@ -329,7 +331,7 @@ class ClientLink(Link):
         shared = self.channels.shared_streams.get((transport.name, channel))
         if shared is not None and not shared.stream.over:
             shared.stream.write(DataConnection(self.keys, route.id).start())
-            route.channel = shared.carry(route, self.channels.keys)
+            route.channel = shared.carry(route, self.channels.keys, self.channels.book)
         elif channel in self._waiting:
             self._waiting[channel][route.id] = route
         else:
@@ -378,8 +380,15 @@ class ClientLink(Link):
         self.udp_ready()
 
 
-def _connect_error_message(error: OSError) -> str:
+def _not_connected(address: str, error: OSError) -> Failure:
+    """Say why there is no connection to an address, and what to check."""
+    if isinstance(error, TimeoutError):  # the kernel's own timeout is one, too
+        return Failure(
+            f"{address}: nothing comes back: is it on, is server_ip right, does a firewall drop it?",
+            LinkCause.TIMED_OUT,
+        )
+    message = os_error_message(error)
     if isinstance(error, socket.gaierror):
         remedy = "correct server_ip in this side's session file (an address in numbers needs no name server)"
-        return f"{os_error_message(error)}: {remedy}"
-    return os_error_message(error)
+        message = f"{message}: {remedy}"
+    return Failure(f"{address}: {message}")

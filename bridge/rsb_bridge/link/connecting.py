@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+from rsb_bridge.link.refused import CAUSES
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Accepted, Established, Event, Failed, Refused
 
@@ -14,22 +17,31 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.connection import ClientConnection, DataConnection
     from rsb_bridge.wire.preamble import RefusalCode
 
+_EMPTY_LINE = b"\r\n\r\n"
+_PROBED_FOR = 0.5
+"""s in which a program answers that waits for the end of a line."""
+
 LetIn: TypeAlias = "Callable[[Stream, Established | Accepted, list[Event]], None]"
 """Gives an accepted stream its new handler; the events are those that followed the server's answer."""
 
 
 class Failure(NamedTuple):
-    """Why the server did not accept a stream.
+    """The reason why the server did not accept a stream.
 
     Attributes:
         reason: for an operator.
-        refused: the server refused, or another program answered; False: the server was not reached.
-        code: of the refusal; None: there is none.
+        cause: the same as a code.
+        code: of the server's refusal, or None if it did not refuse.
     """
 
     reason: str
-    refused: bool
+    cause: LinkCause = LinkCause.UNREACHABLE
     code: RefusalCode | None = None
+
+    @property
+    def refused(self) -> bool:
+        """Whether the server refused, or another program answered; else the server was not reached."""
+        return self.code is not None or self.cause is LinkCause.NOT_A_BRIDGE
 
 
 class ConnectAttempt(StreamHandler):
@@ -58,6 +70,12 @@ class ConnectAttempt(StreamHandler):
         self._refusal_message = refusal_message
         self._let_in = let_in
         self._stream: Stream | None = None
+        self._probing = False
+
+    @property
+    def connects(self) -> bool:
+        """Whether the stream is connected, or has been."""
+        return self._stream is not None
 
     def connected(self, stream: Stream) -> None:
         self._stream = stream
@@ -70,20 +88,54 @@ class ConnectAttempt(StreamHandler):
         stream.write(self._connection.data_to_send())
         for index, event in enumerate(events):
             match event:
+                case Established() | Accepted() if self._probing:
+                    stream.abort("it answered too late")
+                    return
                 case Established() | Accepted():
                     self._finish(None)
                     self._let_in(stream, event, events[index + 1 :])
                     return
                 case Refused(code, message):
                     stream.close("refused")  # not before what is left to send is sent
-                    self._finish(Failure(self._refusal_message(code, message), refused=True, code=code))
+                    cause = CAUSES.get(code, LinkCause.REFUSED)
+                    self._finish(Failure(self._refusal_message(code, message), cause, code))
+                case Failed(_, str() as foreign):
+                    self._finish(Failure(_not_a_bridge(self._address, foreign), LinkCause.NOT_A_BRIDGE))
                 case Failed(reason):
-                    self._finish(Failure(f"{self._address} does not speak this protocol: {reason}", refused=True))
+                    text = f"{self._address} does not speak this protocol: {reason}"
+                    self._finish(Failure(text, LinkCause.NOT_A_BRIDGE))
                 case _:
                     pass
 
     def closed(self, reason: str) -> None:
-        self._finish(Failure(f"{self._address}: {reason} before the handshake finished", refused=False))
+        text = f"{self._address}: {reason} before the handshake finished"
+        if not self._heard:
+            text = f"{text}: is it an rsb-console server, or a tunnel that leads nowhere?"
+        self._finish(Failure(text))
+
+    async def silence(self, *, probe: bool) -> Failure:
+        """Give up a stream that is accepted and not answered.
+
+        Args:
+            probe: send an empty line first: many programs answer only to a whole line. A bridge that hangs takes it for
+                a broken handshake, so do this only where no bridge has ever answered.
+        """
+        self._probing = True
+        if probe and self._stream is not None and not self._stream.over:
+            self._stream.write(_EMPTY_LINE)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_PROBED_FOR):
+                    answer = await asyncio.shield(self.outcome)
+                    if answer is not None and answer.cause is LinkCause.NOT_A_BRIDGE:
+                        return answer
+        if self._heard:
+            return Failure(_not_a_bridge(self._address, ""), LinkCause.NOT_A_BRIDGE)
+        text = f"{self._address} accepts, but does not answer: does an rsb-console server run there, or does it hang?"
+        return Failure(text, LinkCause.NO_ANSWER)
+
+    @property
+    def _heard(self) -> bool:
+        return self._stream is not None and self._stream.received_bytes > 0
 
     def end(self) -> None:
         """Close the stream, unless the server accepted it."""
@@ -93,3 +145,16 @@ class ConnectAttempt(StreamHandler):
     def _finish(self, outcome: Failure | None) -> None:
         if not self.outcome.done():
             self.outcome.set_result(outcome)
+
+
+def _not_a_bridge(address: str, protocol: str) -> str:
+    """Say that another program answers, and what to do.
+
+    Args:
+        address: where.
+        protocol: the name of its protocol, or an empty string.
+    """
+    what = f"{address} answers as {protocol}, not as rsb-console" if protocol else f"{address} is not an rsb-console"
+    if protocol == "Zenoh":
+        return f"{what}: for a link over Zenoh set server_ip: zenoh"
+    return f"{what}: correct server_ip or server_port"

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.link.fullness import Asked
 from rsb_bridge.model.allotment import Wish, allot, highest
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.priority import FEATURE
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from rsb_bridge.channel.channel import Carrier
     from rsb_bridge.context import Context
+    from rsb_bridge.link.fullness import LinkFullness
     from rsb_bridge.link.keepalive import Keepalive
     from rsb_bridge.route.route import Route
     from rsb_bridge.route.yielding import Traffic
@@ -33,6 +35,10 @@ _BUSY = 0.5
 """s for which a channel has not been idle."""
 _HELD_UP = 0.2
 """s that two pings one after the other take longer than the shortest one: one alone may be the radio's."""
+_POOR, _MUCH = 0.35, 50e3
+"""The share of datagrams that arrive, and bytes/s of a topic."""
+_DELAYED = 1.0
+"""s that messages have been under way at least."""
 _MORE = 1.1
 """Times what arrives."""
 _MARGIN, _DRAINS = 0.9, 0.6
@@ -53,6 +59,12 @@ class _Asking(NamedTuple):
     traffic: Traffic
 
 
+def _mostly_lost(asking: _Asking) -> bool:
+    """Whether so many datagrams of a busy topic are lost that the link rather is full than poor."""
+    share = asking.route.arrived_share
+    return share is not None and share < _POOR and asking.traffic.bytes_per_second >= _MUCH
+
+
 class _Counts(NamedTuple):
     """Of a route's ledger."""
 
@@ -69,12 +81,17 @@ class Contention:
     """
 
     def __init__(
-        self, context: Context, routes: Callable[[], Iterable[Route]], carriers: Callable[[], Collection[Carrier]]
+        self,
+        context: Context,
+        routes: Callable[[], Iterable[Route]],
+        carriers: Callable[[], Collection[Carrier]],
+        fullness: LinkFullness,
     ) -> None:
         self.sending, self.receiving = Throughput(), Throughput()
         self._context = context
         self._routes = routes
         self._carriers = carriers
+        self._fullness = fullness
         self._divided: float | None = None
         self._enough_for = _PROBES_AFTER
         self._may_be_stall = False
@@ -85,13 +102,23 @@ class Contention:
         self._pings: deque[float] = deque(maxlen=_SHORTEST_PINGS)
         self._told = -1
 
-    def tick(self, keepalive: Keepalive, features: Collection[str], connection: int) -> None:
+    def tick(
+        self,
+        keepalive: Keepalive,
+        features: Collection[str],
+        connection: int,
+        peer: str = "",
+        *,
+        measures: bool = False,
+    ) -> None:
         """Look once a second, while linked.
 
         Args:
             keepalive: of the link.
             features: of the other side.
             connection: counts up from one to the next.
+            peer: the other side's name.
+            measures: somebody fills the link on purpose, to measure it.
         """
         self._warn(features, connection)
         now, at = self._context.now(), self._context.wall()
@@ -104,8 +131,14 @@ class Contention:
         asked = sum(each.traffic.bytes_per_second for each in asking)
         # Where all that is asked for arrives, pings are held up by somebody else's traffic.
         held_up = self._held_up(keepalive) and (self._divided is not None or asked > _MORE * self._crossed)
-        full = full or held_up
+        full = full or held_up or self._delayed(asking, asked) or any(map(_mostly_lost, asking))
         crossed = self._crossed = self.sending.look(arrived, now, at, full=full)
+        wanted = [
+            Asked(each.route.topic, each.route.remote_topic, each.traffic.bytes_per_second)
+            for each in asking
+            if each.traffic.bytes_per_second > 0.0
+        ]
+        self._fullness.look(wanted, max(arrived, self._datagrams(asking)), full=full and not measures, peer=peer)
         received = sum(each.received_bytes for each in self._carriers())
         self.receiving.look(received - self._received, now, at, full=False)
         self._received = received
@@ -120,6 +153,7 @@ class Contention:
         self._held = False
         self._counts.clear()
         self._pings.clear()
+        self._fullness.disconnected()
         self.sending.disconnected()
         self.receiving.disconnected()
         for route in self._routes():
@@ -140,6 +174,15 @@ class Contention:
             arrived += max(0, counts.delivered - last.delivered) * traffic.size
             full = full or (not held and (traffic.busy >= _BUSY or counts.queue_full > last.queue_full))
         return arrived + self._calls(), full
+
+    def _delayed(self, asking: Collection[_Asking], asked: float) -> bool:
+        """Whether messages wait somewhere on the way, as in a tunnel that takes them faster than it carries them."""
+        return asked > _MORE * self._crossed and any(each.route.delay >= _DELAYED for each in asking)
+
+    def _datagrams(self, asking: Collection[_Asking]) -> float:
+        """Bytes/s that arrive where messages go by datagrams: parts of a message arrive though it does not."""
+        shares = [(each.traffic.bytes_per_second, each.route.arrived_share) for each in asking]
+        return sum(size * share for size, share in shares if share is not None)
 
     def _calls(self) -> float:
         """Bytes/s of calls, which go ahead of all topics."""

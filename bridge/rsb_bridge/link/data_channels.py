@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.channel.data_keys import DataKeys
 from rsb_bridge.channel.path_probe import PathProbe
+from rsb_bridge.channel.receipts import ReceiptBook, ReceiptSender, WindowedSender
 from rsb_bridge.channel.shared_stream import SharedStream
 from rsb_bridge.channel.stream import stream_channel
 from rsb_bridge.link.udp_channels import UdpChannels
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from rsb_bridge.route.route import Route
     from rsb_bridge.transport.streams import Stream, StreamHandler
     from rsb_bridge.wire.budget import Budget
+    from rsb_bridge.wire.receipts import Receipts
     from rsb_bridge.wire.sealing import Role, SessionKeys
 
 
@@ -32,8 +34,10 @@ class DataChannels:
         loop: sets the timers.
         log: adds an event about the link.
         unfinished: what the peer may have this side hold of messages that are not whole yet.
+        send_receipts: sends receipts to the peer.
 
     Attributes:
+        book: for receipts of streams, or None without a link or if the peer does not know them.
         keys: what seals and opens routes' messages; None: not linked.
         probe: what is sent to find a UDP path; None: not linked.
         shared_streams: multiplexed streams, by transport and channel.
@@ -41,22 +45,33 @@ class DataChannels:
     """
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, log: Callable[[Level, EventCode, str], None], unfinished: Budget
+        self,
+        loop: asyncio.AbstractEventLoop,
+        log: Callable[[Level, EventCode, str], None],
+        unfinished: Budget,
+        send_receipts: Callable[[Receipts], None],
     ) -> None:
+        self.book: ReceiptBook | None = None
         self.keys: DataKeys | None = None
         self.probe: PathProbe | None = None
         self.shared_streams: dict[tuple[str, int], SharedStream] = {}
         self.udp = UdpChannels(loop, log)
         self._unfinished = unfinished
+        self._loop = loop
+        self._send_receipts = send_receipts
 
-    def connected(self, keys: SessionKeys, role: Role) -> None:
-        """There is a connection, which has left these keys."""
+    def connected(self, keys: SessionKeys, role: Role, *, receipts: bool) -> None:
+        """Begin a connection, which has left these keys; `receipts`: both sides know them."""
+        self.book = ReceiptBook(self._loop, self._send_receipts) if receipts else None
         self.keys = DataKeys(keys, role, self._unfinished)
         self.probe = PathProbe(self.keys)
 
     def disconnected(self) -> None:
         """The connection is over. Call it when no route uses a channel any more."""
         self.keys = self.probe = None
+        if self.book is not None:
+            self.book.close()
+            self.book = None
         self.udp.close()
         self.shared_streams.clear()
 
@@ -74,12 +89,35 @@ class DataChannels:
         if route.transport.multiplexed:
             handler = shared = SharedStream(stream, owner, route.proposal.port, self._unfinished)
             self.shared_streams[route.transport.name, route.proposal.port] = shared
-            route.channel = shared.carry(route, self.keys)
+            route.channel = shared.carry(route, self.keys, self.book)
         else:
-            handler = route.channel = stream_channel(stream, route, self.keys)
+            handler = route.channel = stream_channel(stream, route, self.keys, self.book)
         if beginning:
             handler.received(beginning)
         route.advance()
+
+    def handle_receipts(self, receipts: Receipts, open_route: Callable[[int], Route | None]) -> None:
+        """Hand the peer's receipts and intervals to the channels."""
+        for route_id, every in receipts.every:
+            route = open_route(route_id)
+            if route is not None and isinstance(route.channel, ReceiptSender):
+                route.channel.set_interval(every)
+        for route_id, received in receipts.received:
+            route = open_route(route_id)
+            if route is not None and isinstance(route.channel, WindowedSender):
+                route.channel.acknowledge(received)
+
+    def tick(self, routes: Iterable[Route]) -> None:
+        """Send the receipts that are left, and close the windows of stalled channels. Called once a second."""
+        self.udp.tick()
+        if self.book is None:
+            return
+        for route in routes:
+            channel = route.channel
+            if isinstance(channel, ReceiptSender):
+                channel.send_receipt()
+            if isinstance(channel, WindowedSender):
+                channel.check_window()
 
     def carriers(self, routes: Iterable[Route], control: ControlChannel | None) -> set[Carrier]:
         """All that carries bytes, what carries the control connection among it."""

@@ -6,16 +6,18 @@ from abc import ABC, abstractmethod
 from functools import partial
 from typing import TYPE_CHECKING
 
+from rsb_bridge.channel import window
 from rsb_bridge.channel.datagram import datagram_channel
 from rsb_bridge.link.bench import LinkBench
 from rsb_bridge.link.contention import Contention
 from rsb_bridge.link.data_channels import DataChannels
 from rsb_bridge.link.duplicate_client import DuplicateClients
+from rsb_bridge.link.fullness import LinkFullness
 from rsb_bridge.link.keepalive import Keepalive
 from rsb_bridge.link.neighbourhood import Neighbourhood
 from rsb_bridge.link.patterns import LinkPatterns
 from rsb_bridge.link.proposed_topics import ProposedTopics
-from rsb_bridge.link.reporting import reports
+from rsb_bridge.link.reporting import EarlyReports, reports
 from rsb_bridge.link.route_table import RouteTable
 from rsb_bridge.link.snapshots import snapshot_of
 from rsb_bridge.link.status import LinkStatus
@@ -32,8 +34,9 @@ from rsb_bridge.transport.transport import StreamTransport
 from rsb_bridge.wire.benchmark import BenchAnswer, BenchAsk
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.framing import ProtocolError
-from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Shutdown
+from rsb_bridge.wire.messages import Duplicate, Neighbours, Ping, Pong, Report, Shutdown
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.receipts import Receipts
 
 if TYPE_CHECKING:
     import asyncio
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
     from rsb_bridge.config.rights import Rights
     from rsb_bridge.context import Context
     from rsb_bridge.link.control_channel import ControlChannel
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind, Topic
     from rsb_bridge.route.route import Route
     from rsb_bridge.telemetry.event_log import About
@@ -73,6 +77,7 @@ class Link(ABC):
         connections: how many connections there have been.
         linked_at: s, when the present or last connection was made.
         channels: what carries the routes' messages.
+        fullness: whether the link carries less than is asked of it.
         contention: divides what the link carries, and `budget` is what the peer may have this side hold and do.
         revisions: numbers the changes made on this side.
         duplicates: further clients of its name, which are refused.
@@ -89,6 +94,7 @@ class Link(ABC):
         self.keys: SessionKeys | None = None
         self.peer: Hello | Welcome | None = None
         self.encrypted = encrypted
+        self._is_silent = False
         self.status = LinkStatus(context.wall())
         self.connections = 0
         self.linked_at = 0.0
@@ -98,13 +104,15 @@ class Link(ABC):
         self.neighbourhood = Neighbourhood(context, self.send)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
-        self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished)
+        self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished, self.send)
         self.table = RouteTable(context, self)
-        self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers)
+        self.fullness = LinkFullness(self._log_full)
+        self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
         self.proposed = ProposedTopics(context, self.table, name, self._prefixed, lambda: self.profile)
         self.patterns = LinkPatterns(self)
         self.topic_lists = TopicLists(context.ros, self.shows, self.send, self.spawn)
         self.bench = LinkBench(self)
+        self._early = EarlyReports(context.loop, self.send)
         self.type_questions = TypeQuestions(context.descriptions, self.table.ids.open_route, self.send, self.spawn)
 
     # --- what client and server do differently
@@ -230,11 +238,12 @@ class Link(ABC):
     def up(self, control: ControlChannel, peer: Hello | Welcome, keys: SessionKeys) -> None:
         """The peer is connected and authenticated."""
         self.control, self.peer, self.keys = control, peer, keys
-        self.channels.connected(keys, self.role)
+        self.channels.connected(keys, self.role, receipts=window.FEATURE in peer.features)
+        self._is_silent = False
         self.connections += 1
         self.linked_at = self.context.now()
         self.keepalive = self.keepalive.next(self.profile.patience)
-        self.keepalive.watch(partial(control.abort, "the peer is silent"))
+        self.keepalive.watch(partial(self._silent, control))
         self.status.up(self.context.wall())
         encryption = f"encrypted with {keys.suite.name}" if self.encrypted else "NOT ENCRYPTED"
         linked = (
@@ -245,14 +254,25 @@ class Link(ABC):
         self.table.connected()
         self.patterns.connected()
 
+    def _silent(self, control: ControlChannel) -> None:
+        """End a connection over which nothing comes any more."""
+        self._is_silent = True
+        text = f"the peer is silent: nothing came for {self.keepalive.quiet:.0f} s"
+        control.abort(f"{text}: check that it is on, its cable or Wi-Fi, and firewalls")
+
     def lost(self, reason: str, code: EventCode) -> None:
         """The control connection is over."""
         self.keepalive.stop()
         self.control = self.keys = None
-        self.status.down(_CAUSES.get(code, LinkCause.CLOSED), reason)
+        cause = _CAUSES.get(code, LinkCause.CLOSED)
+        if cause is LinkCause.LOST and self.transport.problem:
+            cause, reason = LinkCause.ROUTER_LOST, self.transport.problem
+        elif cause is LinkCause.LOST and self._is_silent:
+            cause = LinkCause.SILENT
+        self.status.down(cause, reason)
         self.status.since = self.context.wall()
         self.table.disconnected(reason)
-        asked = (self.patterns, self.topic_lists, self.type_questions)
+        asked = (self.patterns, self.topic_lists, self.type_questions, self._early)
         for part in (self.neighbourhood, self.channels, *asked, self.bench, self.contention):
             part.disconnected()
         level = Level.INFO if code is EventCode.LINK_CLOSED else Level.WARNING
@@ -297,6 +317,7 @@ class Link(ABC):
         """The peer sent a control message."""
         match message:
             case Ping():
+                self.keepalive.pinged(message)
                 if (pong := self.keepalive.answer(message)) is not None:
                     self.send(pong)
             case Pong():
@@ -305,12 +326,18 @@ class Link(ABC):
                 self.topic_lists.handle(message)
             case Follow() | Followed():
                 self.patterns.handle(message)
+            case Receipts():
+                self.channels.handle_receipts(message, self.table.ids.open_route)
             case Neighbours():
                 self.neighbourhood.heard(message)
             case AskType() | TypeText():
                 self.type_questions.handle(message)
             case BenchAsk() | BenchAnswer():
                 self.bench.handle(message)
+            case Report():
+                if message.full is not None:
+                    self.fullness.told(message.full, self._peer_name)
+                self.table.handle(message)
             case Duplicate():
                 self.on_duplicate(message)
             case Shutdown():
@@ -329,13 +356,17 @@ class Link(ABC):
         """An incarnation of a route is over."""
         self.table.closed(route_id)
 
+    def report_soon(self, route: Route) -> None:
+        """Send a route's counts sooner than with the next second's report. May be called for every batch."""
+        self._early.add(route)
+
     def open_channel(self, route: Route) -> None:
         """Open what carries a route's messages, or begin to."""
         assert self.control is not None
         assert self.channels.keys is not None
         port, transport = route.proposal.port or self.shared_port(), route.transport
         if self.transport.multiplexed and port == self.shared_port():
-            route.channel = self.control.multiplexer.carry(route, self.channels.keys)
+            route.channel = self.control.multiplexer.carry(route, self.channels.keys, self.channels.book)
         elif isinstance(transport, StreamTransport):
             self.open_stream(route, transport)
         elif (udp_channel := self.channels.udp.get(port) or self._new_udp_channel(transport, port)) is not None:
@@ -366,10 +397,11 @@ class Link(ABC):
         self.patterns.tick()
         if self.control is None:
             return
-        self.contention.tick(self.keepalive, self.features, self.connections)
+        measures = self.bench.measures
+        self.contention.tick(self.keepalive, self.features, self.connections, self._peer_name, measures=measures)
         self.send(self.keepalive.tick())
-        self.channels.udp.tick()
-        for report in reports(self.routes.values()):
+        self.channels.tick(self.routes.values())
+        for report in reports(self.routes.values(), self.fullness.news()):
             self.send(report)
         self.table.tick()
         self.bench.tick()
@@ -385,7 +417,42 @@ class Link(ABC):
     @property
     def warning(self) -> str:
         """What is wrong though the link is up, for an operator; or empty."""
-        return self.duplicates.warning(self.context.now(), self.context.wall()) if self.linked else ""
+        if not self.linked:
+            return ""
+        taken = self.duplicates.warning(self.context.now(), self.context.wall())
+        return "; ".join(filter(None, (taken, self.fullness.warning(self._peer_name))))
+
+    @property
+    def cause(self) -> LinkCause:
+        """Why it is down, or what is wrong though it is up."""
+        if not self.linked:
+            return self.status.cause
+        if self.duplicates.warning(self.context.now(), self.context.wall()):
+            return LinkCause.NAME_TAKEN
+        full = self.fullness.out is not None or self.fullness.into is not None
+        return LinkCause.FULL if full else self.status.cause
+
+    @property
+    def full_out(self) -> Fullness | None:
+        """What it carries from here, if that is less than is asked of it."""
+        return self.fullness.out
+
+    @property
+    def full_in(self) -> Fullness | None:
+        """What it carries to here, likewise."""
+        return self.fullness.into
+
+    @property
+    def report_delay(self) -> float:
+        """Seconds that what the peer reports takes to get here, about."""
+        return self.keepalive.way_back
+
+    @property
+    def _peer_name(self) -> str:
+        return "the server" if self.is_client else self.name
+
+    def _log_full(self, level: Level, code: EventCode, text: str) -> None:
+        self.log(level, code, text, link_status=True)
 
     def _log_udp(self, level: Level, code: EventCode, text: str) -> None:
         self.log(level, code, f"{self.peer_at}: {text}")
@@ -394,6 +461,5 @@ class Link(ABC):
         """Add an event about this link; `link_status`: it says whether the link is up."""
         about: About = {"link": self.name, "topic": topic}
         if link_status:
-            cause = LinkCause.NAME_TAKEN if self.warning else self.status.cause
-            about |= {"state": self.status.state, "since": self.status.since, "cause": cause}
+            about |= {"state": self.status.state, "since": self.status.since, "cause": self.cause}
         self.context.log(level, code, text, link_status=link_status, **about)

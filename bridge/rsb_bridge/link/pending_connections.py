@@ -6,8 +6,10 @@ from enum import IntEnum, auto
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.link.refusals import Refusals, network
+from rsb_bridge.link.refused import CAUSES
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
+from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.transport import descriptors
 from rsb_bridge.transport.streams import Stream, StreamHandler
 from rsb_bridge.wire.events import Attach, Established, Event, Failed, Refused
@@ -35,6 +37,8 @@ _CODES = {
     RefusalCode.NAME_TAKEN: EventCode.LINK_NAME_TAKEN,
     RefusalCode.SHUT_DOWN: EventCode.LINK_SHUT_DOWN,
 }
+_ONLY_BRIDGES = "this port is for bridges only, so correct the address in that program"
+_SENDS_NOTHING = "it sends nothing for 5 s: a port scan or a health check? A robot's bridge would send its name"
 _TOO_MANY = "too many unauthenticated connections"
 
 
@@ -93,8 +97,8 @@ class Admission(Protocol):
         """A client was refused that has proven its key: another one has its name, or its link is shut down."""
         ...
 
-    def remedy_for_unknown(self) -> str:
-        """What an operator does about a client whose name the session file does not have."""
+    def remedy_for_unknown(self, name: str) -> str:
+        """Say what an operator does about a client whose name the session file does not have."""
         ...
 
 
@@ -188,12 +192,19 @@ class _PendingConnection(StreamHandler):
         self._stream, self.host, self.network = stream, stream.host, network(stream.host)
         self._pending.add(self)
         loop = self._pending.context.loop
-        self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self.reject, "no handshake within 5 s")
+        self._deadline = loop.call_later(_HANDSHAKE_WITHIN, self._gives_up)
 
     def closed(self, reason: str) -> None:
         self._leave()
 
-    def reject(self, message: str) -> None:
+    def _gives_up(self) -> None:
+        """End a handshake that takes too long."""
+        if self._stream is None or self._stream.received_bytes:
+            self.reject("no handshake within 5 s")
+        else:
+            self.reject(_SENDS_NOTHING, LinkCause.NO_ANSWER)
+
+    def reject(self, message: str, cause: str = "") -> None:
         """Refuse the stream and close it."""
         stream = self._stream
         if stream is None:
@@ -202,14 +213,13 @@ class _PendingConnection(StreamHandler):
             self._tell()
             return
         self._leave()
-        self._pending.refusals.log(stream, EventCode.LINK_REJECTED, message)
+        self._pending.refusals.log(stream, EventCode.LINK_REJECTED, message, cause=cause)
         stream.write(self._connection.refuse(RefusalCode.BUSY, message))
         stream.close(message)
 
     def _identify(self, name: str) -> Credential:
-        credential = self._admission.credential(name)
         self.name = name
-        return credential
+        return self._admission.credential(name)
 
     def received(self, data: bytes) -> None:
         stream, connection = self._stream, self._connection
@@ -230,14 +240,19 @@ class _PendingConnection(StreamHandler):
                 case Refused(code, message, None):
                     message = self._for_operator(code, message)
                     self.name = self._admission.refused(self.name, stream, code, message)
-                    self._refuse(stream, _CODES.get(code, EventCode.LINK_REJECTED), message, answer)
+                    cause = CAUSES.get(code, LinkCause.REFUSED)
+                    self._refuse(stream, _CODES.get(code, EventCode.LINK_REJECTED), message, answer, cause)
                     return
                 case Refused(code, message, Hello() as peer):
                     self._leave()
                     self._refuse_proven(stream, Refusal(code, message), peer)
                     return
-                case Failed(reason):
-                    self._refuse(stream, EventCode.LINK_REJECTED, reason, answer)
+                case Failed(reason, foreign):
+                    if foreign is None:
+                        self._refuse(stream, EventCode.LINK_REJECTED, reason, answer)
+                    else:
+                        text = f"{reason}: {_ONLY_BRIDGES}"
+                        self._refuse(stream, EventCode.LINK_REJECTED, text, answer, LinkCause.NOT_A_BRIDGE)
                     return
                 case _:
                     pass
@@ -270,11 +285,11 @@ class _PendingConnection(StreamHandler):
             stream.write(self._connection.refuse(refusal.code, refusal.message))
             stream.close(refusal.message)
 
-    def _refuse(self, stream: Stream, code: EventCode, message: str, answer: bytes) -> None:
+    def _refuse(self, stream: Stream, code: EventCode, message: str, answer: bytes, cause: str = "") -> None:
         """Somebody failed to authenticate: say so, later to a host where many have failed."""
         refusals = self._pending.refusals
         refusals.failed(self.host)
-        refusals.log(stream, code, message, self.name)
+        refusals.log(stream, code, message, self.name, cause)
         self.stage, self._refusal = _Stage.REFUSED, (answer, message)
         if delay := refusals.delay(self.host):
             self._stop_waiting()
@@ -294,7 +309,7 @@ class _PendingConnection(StreamHandler):
         if code is RefusalCode.WRONG_KEY:
             return f"{message}: copy one side's key file to the other"
         if code is RefusalCode.UNKNOWN_NAME:
-            return f"{message}: {self._admission.remedy_for_unknown()}"
+            return f"{message}: {self._admission.remedy_for_unknown(self.name)}"
         return message
 
     def _leave(self) -> None:

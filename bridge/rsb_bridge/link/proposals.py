@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import msgspec
+from msgspec import UNSET
 
 from rsb_bridge import __version__
 from rsb_bridge.link.errors import LinkError
@@ -51,6 +52,7 @@ def proposal_of(
         max_rate=topic.max_rate or 0.0,
         expected_rate=topic.expected_rate or 0.0,
         stale_after=topic.stale_after,
+        late_after=topic.late_after,
         paused=topic.paused,
         arm=topic.arm,
         deadman=topic.deadman_seconds if topic.arm else 0.0,
@@ -80,6 +82,7 @@ def topic_of(proposal: Propose) -> Topic:
         max_rate=proposal.max_rate or None,
         expected_rate=proposal.expected_rate or None,
         stale_after=proposal.stale_after,
+        late_after=proposal.late_after,
         paused=proposal.paused,
         arm=proposal.arm,
         deadman=proposal.deadman if proposal.arm else None,
@@ -102,7 +105,7 @@ def kind_of(proposal: Propose) -> Kind:
 
 
 _OF_AN_OPENING = {"route": 1, "paused": False, "pause_revision": 0, "who": "", "edited": False}
-_AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "priority": 0}
+_AMENDABLE = {"max_rate": 0.0, "expected_rate": 0.0, "stale_after": None, "late_after": None, "priority": 0}
 
 
 def same_route(one: Propose, other: Propose) -> bool:
@@ -116,6 +119,8 @@ def amended(proposal: Propose, limits: Propose | Amend) -> Propose:
     new = {name: getattr(limits, name) for name in _AMENDABLE}
     if new["priority"] is None:
         new["priority"] = proposal.priority
+    if new["late_after"] is UNSET:
+        new["late_after"] = proposal.late_after
     return msgspec.structs.replace(proposal, **new)
 
 
@@ -131,5 +136,6 @@ def amended_topic(topic: Topic, limits: Propose) -> Topic:
         max_rate=limits.max_rate or None,
         expected_rate=limits.expected_rate or None,
         stale_after=limits.stale_after,
+        late_after=limits.late_after,
         priority=priority_of(limits.priority) if limits.kind == "topic" else "normal",
     )

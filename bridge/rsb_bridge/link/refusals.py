@@ -83,20 +83,20 @@ class Refusals:
         """How late (s) a host is told that it is refused: failures cost time, but lock nobody out."""
         return _DELAY if len(self._failures.get(network(host), ())) >= _FAILURES else 0.0
 
-    def log(self, stream: Stream, code: EventCode, message: str, name: str = "") -> None:
-        """As `log_of`, of a client.
+    def log(self, stream: Stream, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
+        """Log that a client was rejected, as `log_of` does.
 
-        It takes nothing of the quota of the link of that name: whoever calls itself so need not be that client.
+        The quota of the link of that name stays as it is: anybody can use the name.
         """
-        self.log_of(stream.host, f"a client at {stream.peer}", code, message, name)
+        self.log_of(stream.host, f"a client at {stream.peer}", code, message, name, cause)
 
-    def log_of(self, host: str, who: str, code: EventCode, message: str, name: str = "") -> None:
+    def log_of(self, host: str, who: str, code: EventCode, message: str, name: str = "", cause: str = "") -> None:
         """Log that somebody was rejected: ever more rarely for each host and message, and few messages of a host."""
         host = network(host)
         if (host, _MANY) in self._logged or self._has_many(host, message):
             message = _MANY
         if self.is_new(host, message):
-            self._context.events.add(Level.WARNING, code, f"rejected {who}: {message}", link=name)
+            self._context.events.add(Level.WARNING, code, f"rejected {who}: {message}", link=name, cause=cause)
 
     def _has_many(self, host: str, message: str) -> bool:
         return (host, message) not in self._logged and sum(1 for one, _ in self._logged if one == host) >= _OF_ONE_HOST

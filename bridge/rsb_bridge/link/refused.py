@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 from rsb_bridge.link.duplicate_client import REMEDY
 from rsb_bridge.link.shut_down import told_by_server
 from rsb_bridge.model.verdict import LinkCause
@@ -34,8 +36,8 @@ def with_remedy(code: RefusalCode, message: str, *, name: str, has_key: bool) ->
         case RefusalCode.SHUT_DOWN:
             return told_by_server(message)
         case RefusalCode.UNKNOWN_NAME:
-            remedy = "set name in this side's session file to one that the server lets in"
-            return f"{message}: {remedy}, or list {name!r} under clients in the server's"
+            add = f"rsb-console client add {shlex.quote(name)}"
+            return f"{message}: run {add} on the server, or correct name in this side's session"
         case RefusalCode.ENCRYPTION_REQUIRED:
             return f"{message}: set use_encryption and key_file"
         case _:

@@ -10,17 +10,22 @@ from rsb_bridge.route.outgoing import OutgoingRoute
 from rsb_bridge.wire.messages import Report
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable, Iterable, Iterator
 
     from rsb_bridge.route.route import Route
-    from rsb_bridge.wire.records import CallsReport, ReceivedReport, SentReport
+    from rsb_bridge.wire.records import CallsReport, FullRecord, ReceivedReport, SentReport
 
 _REPORTED_AT_ONCE = 250
 """Routes in one message, whatever long texts are in it (PROTOCOL.md section 1)."""
 
 
-def reports(routes: Iterable[Route]) -> Iterator[Report]:
-    """This side's counts, as far as the peer does not know them."""
+_EARLY = 0.1
+"""s"""
+
+
+def reports(routes: Iterable[Route], full: FullRecord | None = None) -> Iterator[Report]:
+    """This side's counts, as far as the peer does not know them, and how full the link is if that is news."""
     sent: list[SentReport] = []
     received: list[ReceivedReport] = []
     calls: list[CallsReport] = []
@@ -35,9 +40,45 @@ def reports(routes: Iterable[Route]) -> Iterator[Report]:
                 received.append(receiving)
         elif isinstance(route, CallsRoute) and (carrying := route.news()) is not None:
             calls.append(carrying)
+    if full is not None:
+        yield Report(sent=(), received=(), full=full)
     for first in range(0, max(len(sent), len(received), len(calls)), _REPORTED_AT_ONCE):
         part = slice(first, first + _REPORTED_AT_ONCE)
         yield Report(sent=tuple(sent[part]), received=tuple(received[part]), calls=tuple(calls[part]))
+
+
+class EarlyReports:
+    """Reports of routes that have received much since their last one: together, and ten times a second at most.
+
+    Args:
+        loop: the I/O loop.
+        send: sends a message to the peer.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, send: Callable[[Report], None]) -> None:
+        self._loop = loop
+        self._send = send
+        self._due: set[Route] = set()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def add(self, route: Route) -> None:
+        """Report a route within `_EARLY` s."""
+        self._due.add(route)
+        if self._timer is None:
+            self._timer = self._loop.call_later(_EARLY, self._report)
+
+    def _report(self) -> None:
+        self._timer = None
+        due, self._due = self._due, set()
+        for report in reports(due):
+            self._send(report)
+
+    def disconnected(self) -> None:
+        """Forget what is due: nobody is there to take it."""
+        self._due.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
 
 def take_report(report: Report, open_route: Callable[[int], Route | None]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 
 from rsb_bridge import __version__
+from rsb_bridge.channel import window
 from rsb_bridge.config.keys import Key
 from rsb_bridge.config.rights import rights_of_client
 from rsb_bridge.link.cipher_preference import preferred_suite
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from rsb_bridge.link.link import Link
     from rsb_bridge.link.server_link import ServerLink
     from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.snapshot import RefusedClient
 
 _RESTART_WITHIN = 5.0
 _LOOK_EVERY = 0.05
@@ -44,7 +46,7 @@ _BOUND_AFTER, _LONGEST_BIND_PAUSE = 0.5, 5.0
 
 Keys = Mapping[str, tuple[Key, ...]]
 """Those that are valid, the next one last, by client's name; none: without encryption."""
-FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE)
+FEATURES = (lanes.FEATURE, priority.FEATURE, benchmark.FEATURE, patterns.FEATURE, window.FEATURE)
 """What this version can do beyond version 2 of the wire format."""
 ReportStep = Callable[[str], None]
 """Is told each step of a restart, as text for an operator."""
@@ -73,6 +75,10 @@ class BridgeRole(Protocol):
 
     def links(self) -> list[Link]:
         """All links, up or down."""
+        ...
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        """Return the clients that are refused, and that no link shows."""
         ...
 
     def tick(self) -> None:
@@ -152,6 +158,9 @@ class ClientRole:
 
     def links(self) -> list[Link]:
         return [self._link]
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        return ()
 
     def tick(self) -> None:
         """There is nothing to do besides the link's own tick."""
@@ -238,6 +247,9 @@ class ServerRole:
 
     def links(self) -> list[Link]:
         return list(self._server.links.values())
+
+    def refused(self) -> tuple[RefusedClient, ...]:
+        return self._server.refused_clients.shown()
 
     def tick(self) -> None:
         self._server.tick()

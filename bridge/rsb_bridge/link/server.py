@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -11,6 +12,8 @@ from rsb_bridge.channel.udp_channel import ServerUdpChannel, UdpDemultiplexer
 from rsb_bridge.link.control_channel import ControlChannel
 from rsb_bridge.link.descriptor_share import DescriptorShare
 from rsb_bridge.link.pending_connections import PendingConnections
+from rsb_bridge.link.refused import CAUSES
+from rsb_bridge.link.refused_clients import RefusedClients
 from rsb_bridge.link.server_link import UNKNOWN_ROUTE, ServerLink
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.snapshot import Level
@@ -31,7 +34,6 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.events import Attach, Established
 
 _SESSION_CHANGED = "the server's session has changed: try again"
-_CAUSES = {RefusalCode.WRONG_KEY: LinkCause.WRONG_KEY, RefusalCode.WRONG_VERSION: LinkCause.WRONG_VERSION}
 _SHUT_DOWN = "the server shuts its links down: try again"
 _REPLACED_PAUSE = 10.0
 """s that a replaced client waits, which was silent for a moment: it would find its name taken."""
@@ -43,6 +45,7 @@ class Server:
     Attributes:
         entries: of the clients that are let in, by their names.
         links: likewise; a client that the session lists has one before it ever came.
+        refused_clients: refused clients that no link shows.
     """
 
     def __init__(
@@ -52,6 +55,7 @@ class Server:
         self._make_welcome = make_welcome
         self._aes = aes
         self._pending = PendingConnections(context, self)
+        self.refused_clients = RefusedClients(context)
         self._transport = context.transports.of_link(context.session.server_ip)
         datagrams = UdpDemultiplexer(self._new_udp_channel).received
         acceptor = Acceptor(self._pending.arrive, datagrams, self._pending.shortage)
@@ -82,12 +86,14 @@ class Server:
     def tick(self) -> None:
         """Once a second."""
         self._pending.tick()
+        self.refused_clients.tick()
 
     # --- other clients than before
 
     def add_client(self, entry: Entry) -> None:
         """Let one more client in."""
         self.entries[entry.client.name] = entry
+        self.refused_clients.forget(entry.client.name)
         self._add_link(entry)
 
     def _add_link(self, entry: Entry) -> None:
@@ -141,7 +147,7 @@ class Server:
         """What a client of that name has to prove; raises Refusal where there is none."""
         entry = self.entries.get(name)
         if entry is None:
-            raise Refusal(RefusalCode.UNKNOWN_NAME, f"the server knows no client of the name {name!r}")
+            raise Refusal(RefusalCode.UNKNOWN_NAME, f"unknown client name {name!r}")
         return Credential(tuple(key.secret for key in entry.keys), self.links[name].replays)
 
     def _welcome(self, hello: Hello) -> Welcome:
@@ -157,6 +163,7 @@ class Server:
         """A client is authenticated; it takes the place of an older connection of its name."""
         assert isinstance(event.peer, Hello)
         link = self.links[event.peer.name]
+        self.refused_clients.forget(link.name)
         if link.keeps_name_from(event.peer):  # since the handshake began
             raise Refusal(RefusalCode.NAME_TAKEN, link.name_taken())
         if link.control is not None:
@@ -188,11 +195,12 @@ class Server:
         if link is None and code is RefusalCode.WRONG_VERSION:
             at_host = [each for each in self.links.values() if each.was_at(stream.host)] or list(self.links.values())
             link = at_host[0] if len(at_host) == 1 else None
-        if link is None:
-            return ""
-        if not link.linked:
-            link.refused(stream, _CAUSES.get(code, LinkCause.REFUSED), message)
-        return link.name
+        cause = CAUSES.get(code, LinkCause.REFUSED)
+        if link is None or link.linked:
+            self.refused_clients.tried(stream, name, cause, message)
+        else:
+            link.refused(stream, cause, message)
+        return "" if link is None else link.name
 
     def refused_proven(self, stream: Stream, code: RefusalCode, peer: Hello) -> None:
         """Show on the link that there is a second client of its name, or that its client asks to come back."""
@@ -202,13 +210,11 @@ class Server:
         elif link is not None:
             link.asked(stream)
 
-    def remedy_for_unknown(self) -> str:
-        """What an operator does about an unknown client name; the client itself is not told."""
+    def remedy_for_unknown(self, name: str) -> str:
+        """Say what an operator does about an unknown client name; the client itself is not told."""
         session = self.context.session
-        if session.clients:
-            return "list it under clients in this side's session file, or set name in the client's to one listed there"
-        remedy = f"set name in the client's to {session.name!r}, or list the client's under clients in this one"
-        return f"this side's session file lists no clients: {remedy}"
+        correct = "correct name" if session.clients else f"set name to {session.name!r}"
+        return f"rsb-console client add {shlex.quote(name)}, or {correct} in the robot's session"
 
     def _link_of(self, link_id: bytes) -> ServerLink | None:
         return next(

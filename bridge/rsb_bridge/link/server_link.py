@@ -133,8 +133,18 @@ class ServerLink(Link):
         """A second client was refused, which has proven its key."""
         self.duplicates.tried(address, host, self.context.now(), self.context.wall())
 
+    def _look_at_network(self) -> None:
+        """Show that the router is lost for as long as it is lost."""
+        problem, cause = self.transport.problem, self.status.cause
+        if problem and cause is not LinkCause.SHUT_DOWN:
+            self.status.down(LinkCause.ROUTER_LOST, problem)
+        elif not problem and cause is LinkCause.ROUTER_LOST:
+            self.status.down(LinkCause.LOST, "the Zenoh router is back, and the client has not come yet")
+
     def tick(self) -> None:
         super().tick()
+        if not self.linked:
+            self._look_at_network()
         if self.status.retry_at is not None and self.context.now() > self.status.retry_at + ASKED_EVERY:
             self.status.retry_at = None  # it does not ask any more
         news = self.duplicates.news(self.context.now())
@@ -231,7 +241,7 @@ class ServerLink(Link):
         if not transport.multiplexed or route.proposal.port != shared.channel:
             raise Refusal(RefusalCode.NO_SUCH_ROUTE, f"route {route.id} does not belong on channel {shared.channel}")
         assert self.channels.keys is not None
-        route.channel = shared.carry(route, self.channels.keys)
+        route.channel = shared.carry(route, self.channels.keys, self.channels.book)
         route.advance()
 
     def open_udp_channel(self, transport: DatagramTransport, port: int) -> None:

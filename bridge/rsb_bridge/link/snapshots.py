@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from rsb_bridge.link.pattern_snapshots import snapshots_of
 from rsb_bridge.model.snapshot import LinkSnapshot
-from rsb_bridge.model.verdict import LinkCause
 from rsb_bridge.telemetry.meters import ClockOffset
 
 if TYPE_CHECKING:
@@ -40,9 +39,11 @@ def snapshot_of(link: Link) -> LinkSnapshot:
         peer_version=peer.version if peer else "",
         peer_domain=peer.domain_id if peer else None,
         use_name=link.use_name,
-        cause=LinkCause.NAME_TAKEN if link.warning else link.status.cause,
+        cause=link.cause,
         warning=link.warning,
         capacity_out=link.contention.sending.capacity,
         capacity_in=link.contention.receiving.capacity,
+        full_out=link.full_out,
+        full_in=link.full_in,
         patterns=tuple(snapshots_of(link.patterns)),
     )

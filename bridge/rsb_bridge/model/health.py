@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rsb_bridge.model.snapshot import LinkSnapshot, PatternSnapshot, RouteSnapshot
 
 _NOTHING_WRONG = frozenset({State.WAITING, State.PAUSED, State.DISARMED, State.OK})
+
+
+def state_counts(things: Iterable[RouteSnapshot | LinkSnapshot]) -> dict[State, int]:
+    """Count how many routes or links are in each state, the worst first: a console, a fleet and `status` all show this.
+
+    States that none of them has are left out, and so are acknowledged faults.
+    """
+    counts = Counter(thing.state for thing in things if thing.acknowledged is None)
+    return {state: counts[state] for state in State if counts[state]}
 
 
 def link_is_wrong(link: LinkSnapshot) -> bool:
@@ -28,6 +40,21 @@ def route_is_wrong(route: RouteSnapshot) -> bool:
     if route.state is State.UNHEARD:
         return route.cause != Cause.NO_SUBSCRIBER
     return route.state not in _NOTHING_WRONG and not route_waits(route)
+
+
+def route_needs_attention(route: RouteSnapshot) -> bool:
+    """Whether a route has a fault that no operator has acknowledged."""
+    return route.acknowledged is None and route_is_wrong(route)
+
+
+def link_needs_attention(link: LinkSnapshot) -> bool:
+    """Whether a link has a fault that no operator has acknowledged."""
+    return link.acknowledged is None and link_is_wrong(link)
+
+
+def pattern_needs_attention(pattern: PatternSnapshot) -> bool:
+    """Whether a pattern has a fault that no operator has acknowledged."""
+    return pattern.acknowledged is None and pattern_is_wrong(pattern)
 
 
 def route_waits(route: RouteSnapshot) -> bool:

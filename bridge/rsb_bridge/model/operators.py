@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 OWN_CONSOLE = "the bridge's own console"
 
 _operator = ContextVar("operator", default=OWN_CONSOLE)
+_undo = ContextVar("undo", default=False)
 
 
 def operator() -> str:
@@ -34,3 +35,18 @@ def acting(who: str) -> Iterator[None]:
         yield
     finally:
         _operator.reset(token)
+
+
+def is_undo() -> bool:
+    """Whether the present command takes back an earlier one of the same operator."""
+    return _undo.get()
+
+
+@contextlib.contextmanager
+def undoing(undo: bool = True) -> Iterator[None]:
+    """Give commands that take back earlier ones."""
+    token = _undo.set(undo)
+    try:
+        yield
+    finally:
+        _undo.reset(token)

@@ -12,13 +12,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.model.health import link_is_wrong, pattern_is_wrong, route_is_wrong
+from rsb_bridge.model.health import (
+    link_is_wrong,
+    link_needs_attention,
+    pattern_is_wrong,
+    pattern_needs_attention,
+    route_is_wrong,
+    route_needs_attention,
+    state_counts,
+)
 from rsb_bridge.model.limits import TEXT_LENGTH
 from rsb_bridge.model.snapshot import State
-from rsb_bridge.model.text import plural, sanitize_text
+from rsb_bridge.model.text import join_first, plural, sanitize_text
+from rsb_bridge.model.verdict import Cause, LinkCause
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from rsb_bridge.model.session import Session
     from rsb_bridge.model.snapshot import Ledger, LinkSnapshot, RouteSnapshot, Snapshot
@@ -32,6 +41,9 @@ LOSS_SPAN = 60.0
 
 _MEANT = frozenset({"already published", "would loop", "thinned", "paused", "disarmed"})
 """Causes of drops that an operator or the bridge wants: no loss."""
+_CLIENT_NAMES = 1500
+"""Characters of the names of a server's clients, so that its summary stays within `SUMMARY_BYTES`."""
+_NAMED = 3
 _MARK_EVERY = 1.0
 _COUNT = 1 << 31
 _FIGURE = 1e15
@@ -46,6 +58,8 @@ class RobotState(StrEnum):
     """A topic or a service carries nothing, though it should; or of an engine itself, a link is down."""
     WARN = "warn"
     """Too little crosses, or not to everybody; or a link has a warning."""
+    ACKNOWLEDGED = "acknowledged"
+    """Something is wrong, and an operator has acknowledged all of it."""
     WAITING = "waiting"
     """It has not been there yet."""
     OK = "ok"
@@ -110,6 +124,10 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         links: all links.
         flowing: topics, services and the like that carry something.
         routes: all of them.
+        states: how many of them are in each state; the console of the robot shows the same figures.
+        wrong_clients: of a server, the clients whose faults `why` is about, as many as there is room for.
+        clients_wrong: how many such clients there are.
+        acknowledged: faults that an operator has acknowledged.
         messages_from_robot: Hz, of all topics that it sends.
         messages_to_robot: Hz, likewise.
         bytes_from_robot: a second, on the wire of its links.
@@ -131,6 +149,10 @@ class RobotSummary(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     links: int = 0
     flowing: int = 0
     routes: int = 0
+    states: dict[str, int] = {}
+    wrong_clients: tuple[str, ...] = ()
+    clients_wrong: int = 0
+    acknowledged: int = 0
     messages_from_robot: float = 0.0
     messages_to_robot: float = 0.0
     bytes_from_robot: float = 0.0
@@ -235,6 +257,8 @@ def of_engine(
     summary = _summary(
         snapshot.name, snapshot, snapshot.links, snapshot.routes, lambda route: route.topic, from_robot_is_sent=True
     )
+    if session.role == "server" and snapshot.running:
+        summary = _with_faults_of_clients(summary, snapshot, session)
     if summary.state is RobotState.MISSING and snapshot.running:  # it is there: the other side is not
         summary = msgspec.structs.replace(summary, state=RobotState.FAULT)
     return msgspec.structs.replace(
@@ -247,6 +271,47 @@ def of_engine(
         loss=max(losses.values(), default=None),
         battery=battery,
     )
+
+
+def _with_faults_of_clients(summary: RobotSummary, snapshot: Snapshot, session: Session) -> RobotSummary:
+    """Name the clients that a server's faults are about, unless the fault is its own: then no link can come up."""
+    if any(link.cause == LinkCause.UNREACHABLE for link in snapshot.links):
+        return summary
+    wrong = [client for client in of_clients(snapshot, session, {}, {}) if client.state.is_wrong]
+    if not wrong:
+        return summary
+    worst = min(wrong, key=lambda client: client.state.rank)
+    names: list[str] = []
+    for client in wrong:
+        if sum(map(len, names)) + len(client.name) <= _CLIENT_NAMES:
+            names.append(client.name)
+    return msgspec.structs.replace(
+        summary,
+        state=worst.state,
+        why=sanitize_text(_and_more(f"{worst.name}: {worst.why}", len(wrong)), WHY_LENGTH),
+        since=worst.since,
+        wrong_clients=tuple(names),
+        clients_wrong=len(wrong),
+    )
+
+
+def told_once(summaries: Sequence[RobotSummary]) -> list[RobotSummary]:
+    """Leave out of each server's row what the rows of its clients say: a fault is listed once, where it belongs."""
+    wrong = {summary.name for summary in summaries if summary.state.is_wrong and summary.role != "server"}
+    return [_told_once(summary, wrong) for summary in summaries]
+
+
+def _told_once(summary: RobotSummary, wrong: Collection[str]) -> RobotSummary:
+    if summary.role != "server" or not summary.wrong_clients:
+        return summary
+    left = [name for name in summary.wrong_clients if name not in wrong]
+    others = summary.clients_wrong - len(summary.wrong_clients)
+    if not left and others <= 0:
+        return msgspec.structs.replace(summary, state=RobotState.OK, why="")
+    if len(left) == len(summary.wrong_clients):
+        return summary
+    names = join_first(left, _NAMED) if left else f"{others} more {plural(others, 'client')}"
+    return msgspec.structs.replace(summary, why=sanitize_text(f"something is wrong with {names}", WHY_LENGTH))
 
 
 def _summary(
@@ -287,6 +352,8 @@ def _summary(
         links=len(links),
         flowing=sum(route.state.flows and route.link in up for route in routes),
         routes=len(routes),
+        states={state.value: count for state, count in state_counts(routes).items()},
+        acknowledged=_acknowledged(links, routes),
         messages_from_robot=sent,
         messages_to_robot=received,
         bytes_from_robot=tx,
@@ -308,22 +375,46 @@ def _state(
     """The state, why, and since when."""
     if not snapshot.running and not any(link.state is State.DOWN for link in links):
         return RobotState.MISSING, "the bridge is stopped", snapshot.time
-    if down := [link for link in links if link.state is State.DOWN]:
+    if down := [link for link in links if link.state is State.DOWN and link.acknowledged is None]:
         first = min(down, key=lambda link: link.since)
         return RobotState.MISSING, _and_more(first.reason, len(down)), first.since
-    wrong = [route for route in routes if route_is_wrong(route)]
+    wrong = [route for route in routes if route_needs_attention(route)]
     if stopped := [route for route in wrong if not route.state.flows]:
         return RobotState.FAULT, *_worst(stopped, len(wrong), called)
-    if warned := [link for link in links if link_is_wrong(link)]:
+    if warned := [link for link in links if link_needs_attention(link)]:
         return RobotState.WARN, _and_more(warned[0].warning, len(warned) + len(wrong)), warned[0].since
     if wrong:
         return RobotState.WARN, *_worst(wrong, len(wrong), called)
-    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_is_wrong(pattern)]:
+    if partial := [(pattern, link) for link in links for pattern in link.patterns if pattern_needs_attention(pattern)]:
         pattern, link = partial[0]
         return RobotState.WARN, _and_more(f"{pattern.spec.topic}: {pattern.reason}", len(partial)), link.since
+    if known := list(_known_faults(links, routes, called)):
+        why, since = known[0]
+        return RobotState.ACKNOWLEDGED, _and_more(why, len(known)), since
     if links and all(link.state is State.WAITING for link in links):
         return RobotState.WAITING, links[0].reason, links[0].since
-    return RobotState.OK, "", max((link.since for link in links if link.state is State.OK), default=snapshot.time)
+    unheard = [route for route in routes if route.state is State.UNHEARD]
+    why = f"{len(unheard)} unheard: {unheard[0].reason}" if unheard else ""
+    return RobotState.OK, why, max((link.since for link in links if link.state is State.OK), default=snapshot.time)
+
+
+def _known_faults(
+    links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot], called: Callable[[RouteSnapshot], str]
+) -> Iterator[tuple[str, float]]:
+    """The faults that an operator has acknowledged, each with the moment since when; links, then the worst routes."""
+    for link in links:
+        if link.acknowledged is not None and link_is_wrong(link):
+            yield link.reason or link.warning, link.since
+        for pattern in link.patterns:
+            if pattern.acknowledged is not None and pattern_is_wrong(pattern):
+                yield f"{pattern.spec.topic}: {pattern.reason}", link.since
+    for route in sorted(routes, key=lambda route: (route.state.rank, called(route))):
+        if route.acknowledged is not None and route.cause != Cause.LINK_DOWN and route_is_wrong(route):
+            yield f"{called(route)} {route.state.upper()}: {route.reason}", route.since
+
+
+def _acknowledged(links: Sequence[LinkSnapshot], routes: Sequence[RouteSnapshot]) -> int:
+    return sum(1 for _ in _known_faults(links, routes, lambda route: route.topic))
 
 
 def _worst(routes: Iterable[RouteSnapshot], count: int, called: Callable[[RouteSnapshot], str]) -> tuple[str, float]:
@@ -386,6 +477,14 @@ def decode(data: bytes) -> RobotSummary:
         links=int(_within(summary.links, _COUNT)),
         flowing=int(_within(summary.flowing, _COUNT)),
         routes=int(_within(summary.routes, _COUNT)),
+        states={
+            state.value: int(_within(summary.states.get(state, 0), _COUNT))
+            for state in State
+            if state in summary.states
+        },
+        wrong_clients=tuple(sanitize_text(each, TEXT_LENGTH) for each in summary.wrong_clients),
+        clients_wrong=int(_within(summary.clients_wrong, _COUNT)),
+        acknowledged=int(_within(summary.acknowledged, _COUNT)),
         messages_from_robot=_within(summary.messages_from_robot),
         messages_to_robot=_within(summary.messages_to_robot),
         bytes_from_robot=_within(summary.bytes_from_robot),

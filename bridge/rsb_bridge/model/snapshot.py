@@ -10,6 +10,7 @@ import msgspec
 # These types must be known where a snapshot is decoded
 from rsb_bridge.model.calls import CallsSnapshot, GoalSnapshot  # noqa: TC001
 from rsb_bridge.model.capacity import Capacity  # noqa: TC001
+from rsb_bridge.model.fullness import Fullness  # noqa: TC001
 from rsb_bridge.model.qos import Qos  # noqa: TC001
 from rsb_bridge.model.session import Kind, Topic  # noqa: TC001
 
@@ -20,9 +21,11 @@ class State(StrEnum):
     DOWN = "down"
     """No message can cross."""
     STALE = "stale"
-    """No message has come for `stale_after`."""
+    """No message has come for `stale_after`, though one was due; no rate says when."""
     STOPPED = "stopped"
     """No message has come for several of the periods that its rate lets expect."""
+    LATE = "late"
+    """Messages cross, and take longer than `late_after`."""
     SLOW = "slow"
     """Fewer messages come than its rate lets expect, or part of them is lost."""
     UNHEARD = "unheard"
@@ -46,12 +49,19 @@ class State(StrEnum):
 
     @property
     def flows(self) -> bool:
-        """Whether messages cross, be it too few of them, or unheard."""
-        return self in (State.OK, State.UNHEARD, State.SLOW)
+        """Whether messages cross, be it too few of them, too late, or unheard."""
+        return self in (State.OK, State.UNHEARD, State.SLOW, State.LATE)
+
+    @classmethod
+    def _missing_(cls, value: object) -> State | None:
+        """Take a state that only a newer version has for a warning: somebody should look."""
+        return cls.SLOW if isinstance(value, str) else None
 
 
 _RANKS = {state: rank for rank, state in enumerate(State)}
-_SEVERITIES = {State.DOWN: 2, State.STALE: 2, State.STOPPED: 2, State.SLOW: 1, State.UNHEARD: 1}
+_SEVERITIES = {
+    State.DOWN: 2, State.STALE: 2, State.STOPPED: 2, State.LATE: 1, State.SLOW: 1, State.UNHEARD: 1,
+}  # fmt: skip
 
 
 class Level(StrEnum):
@@ -123,11 +133,22 @@ class Stage(msgspec.Struct, frozen=True, array_like=True, gc=False):
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Where a route's messages went: ``offered = delivered + throttled + dropped + expired + in_flight``.
+    """The balance of a route's messages: ``offered = delivered + throttled + dropped + expired + unknown + in_flight``.
 
     All are message counts since the route was made. `dropped` says each cause: ``queue full``, ``link lost``,
     ``lost on the way``, ``too large``, ``publish failed``, ``latched full``, ``slow subscriber``, ``expands too much``,
     ``would loop``, ``paused``, ``disarmed``, ``thinned``.
+
+    Attributes:
+        offered: taken from ROS on the sending side.
+        delivered: given to DDS on the receiving side.
+        throttled: left out for a highest rate.
+        expired: given up incomplete.
+        in_flight: not accounted for yet.
+        dropped: by cause.
+        unknown: sent, but the other side's process ended before it said whether they arrived.
+        lost_in_dds: lost before they could be taken; no part of `offered`, like the next one.
+        missed_while_down: published while the route was down, estimated from the time and the usual rate.
     """
 
     offered: int = 0
@@ -136,7 +157,9 @@ class Ledger:
     expired: int = 0
     in_flight: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
+    unknown: int = 0
     lost_in_dds: int = 0
+    missed_while_down: int = 0
 
     @property
     def dropped_total(self) -> int:
@@ -161,6 +184,19 @@ class ArmingSnapshot:
     here: bool = False
     left: float | None = None
     deadman: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledgement:
+    """An operator knows of a fault: it counts no more until its state or its cause changes.
+
+    Attributes:
+        by: the operator, in words.
+        at: s since the epoch.
+    """
+
+    by: str
+    at: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +244,9 @@ class RouteSnapshot:
         lanes: of what is not a topic, the names that a call may be made to by hand: ``set_parameters``; a service has
             one, ``""``.
         pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
+        messages_total: messages or calls that `rate` and `bytes_total` count: on the sending side those given to the
+            link, on the receiving side those published.
+        acknowledged: who knows of its fault, or None. That of a link covers the routes that its loss has stopped.
     """
 
     key: str
@@ -249,6 +288,8 @@ class RouteSnapshot:
     goals: tuple[GoalSnapshot, ...] = ()
     lanes: tuple[str, ...] = ()
     pattern: str = ""
+    messages_total: int = 0
+    acknowledged: Acknowledgement | None = None
 
     @property
     def max_rate(self) -> float | None:
@@ -271,6 +312,7 @@ class PatternSnapshot:
         routes: that it has made.
         gone: of them, those whose topic nobody publishes now.
         beyond: how many names match and are not bridged, because there are too many.
+        acknowledged: who knows of its fault, or None.
     """
 
     key: str
@@ -283,6 +325,7 @@ class PatternSnapshot:
     routes: int = 0
     gone: int = 0
     beyond: int = 0
+    acknowledged: Acknowledgement | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,6 +358,9 @@ class LinkSnapshot:
         rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
         tx_bytes_total: sent, likewise.
         patterns: those of this side's session, in their order.
+        full_out: what it carries from here, if that is less than is asked of it; None: it carries all.
+        full_in: what it carries to here, likewise, as the other side says.
+        acknowledged: who knows of its fault, or None.
     """
 
     name: str
@@ -343,6 +389,30 @@ class LinkSnapshot:
     rx_bytes_total: int = 0
     tx_bytes_total: int = 0
     patterns: tuple[PatternSnapshot, ...] = ()
+    full_out: Fullness | None = None
+    full_in: Fullness | None = None
+    acknowledged: Acknowledgement | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedClient:
+    """A client that a server refuses at present, and that none of its links shows.
+
+    Attributes:
+        name: the client's name as it says, or empty if it said none.
+        host: its address.
+        cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
+        reason: the same in words, with the remedy.
+        since: s since the epoch, when it was first refused.
+        attempts: its attempts so far.
+    """
+
+    name: str
+    host: str
+    cause: str
+    reason: str
+    since: float
+    attempts: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,6 +429,7 @@ class Snapshot:
         links: on a server, one for each known client.
         routes: of all links.
         last_event: number of the newest event.
+        refused: clients that a server refuses at present.
     """
 
     time: float
@@ -370,6 +441,7 @@ class Snapshot:
     links: tuple[LinkSnapshot, ...] = ()
     routes: tuple[RouteSnapshot, ...] = ()
     last_event: int = 0
+    refused: tuple[RefusedClient, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import floor
 
 from rsb_bridge.model.snapshot import State
 
@@ -36,6 +37,8 @@ class Cause(StrEnum):
     """It had publishers, and has none any more."""
     PUBLISHER_SILENT = "publisher_silent"
     """There are publishers, but no messages."""
+    LATE = "late"
+    """Messages take longer than `late_after`."""
     SLOW = "slow"
     LOSSY = "lossy"
     """Messages are lost on the way."""
@@ -80,15 +83,27 @@ class LinkCause(StrEnum):
     NOT_YET = "not_yet"
     """It has not been connected yet."""
     LOST = "lost"
+    SILENT = "silent"
+    """It was up, and nothing came from the other side for too long."""
     CLOSED = "closed"
     """One of the sides ended it on purpose."""
     UNREACHABLE = "unreachable"
+    TIMED_OUT = "timed_out"
+    """Not one packet comes back from the server's address."""
+    ROUTER_LOST = "router_lost"
+    """The Zenoh router is lost, without which neither side reaches the other."""
+    NO_ANSWER = "no_answer"
+    """The server's port accepts the connection, and nothing answers."""
+    NOT_A_BRIDGE = "not_a_bridge"
+    """Another program answers at the server's port, or connects to it."""
     REFUSED = "refused"
     WRONG_KEY = "wrong_key"
     WRONG_VERSION = "wrong_version"
     UNKNOWN_NAME = "unknown_name"
     NAME_TAKEN = "name_taken"
     """Two machines have its name."""
+    FULL = "full"
+    """It is up, and carries less than is asked of it."""
     SHUT_DOWN = "shut_down"
     """An operator has shut it down on the server, which refuses the client until the link is restarted there."""
 
@@ -123,18 +138,36 @@ class Verdict:
     since: float | None = None
 
     def said(self, now: float) -> str:
-        """The text at `now` (s)."""
-        return self.text.replace(LASTING, about(now - (now if self.since is None else self.since)))
+        """Return the text at `now` (s).
+
+        Seconds begin at the same moment for all topics, so that the figures of several lines change together.
+        """
+        since = now if self.since is None else self.since
+        return self.text.replace(LASTING, about(floor(now) - floor(since)))
 
 
 FINE = Verdict(State.OK)
 
 
-def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
-    """What counts of what both sides say.
+def state_for_any(state: State) -> State:
+    """Return a state that every version knows, for the other side of a link and for attached consoles.
 
-    The worse state counts. Where a side knows only that nothing comes, the other side's cause explains it; where both
-    are equally bad, the sending side's does, at which a message's way begins.
+    Together with the cause, `state_of` finds the state itself again.
+    """
+    return State.SLOW if state is State.LATE else state
+
+
+def state_of(state: str, cause: str) -> State:
+    """Return the state that `state_for_any` stands for, or SLOW if only a newer version knows it."""
+    return State.LATE if (state, cause) == (State.SLOW, Cause.LATE) else State(state)
+
+
+def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
+    """Return the verdict that counts.
+
+    The worse state counts. If a side knows only that nothing comes, the other side's cause explains it, and a topic
+    that has stopped is not stale as well. If both are equally bad, the sending side's cause counts: there a message's
+    way begins.
 
     Returns:
         The verdict, and whether it is the sending side's.
@@ -144,5 +177,7 @@ def worse(sender: Verdict, receiver: Verdict) -> tuple[Verdict, bool]:
         from_sender = bool(sender.text) or not receiver.text
     chosen, other = (sender, receiver) if from_sender else (receiver, sender)
     if chosen.cause in _DETAILS_UNKNOWN and other.cause not in (*_DETAILS_UNKNOWN, Cause.NONE, Cause.THROTTLED):
-        return replace(other, state=chosen.state), not from_sender
+        explained = (chosen.state, other.state) == (State.STALE, State.STOPPED)
+        state = other.state if explained else chosen.state
+        return replace(other, state=state), not from_sender
     return chosen, from_sender

@@ -29,7 +29,7 @@ _SAID_ELSEWHERE = frozenset(
     }
 )  # fmt: skip
 """Causes that have events of their own, on both sides."""
-_TOLD = frozenset({State.DOWN, State.STALE, State.STOPPED, State.SLOW, State.UNHEARD})
+_TOLD = frozenset({State.DOWN, State.STALE, State.STOPPED, State.LATE, State.SLOW, State.UNHEARD})
 
 
 class Announcement(NamedTuple):

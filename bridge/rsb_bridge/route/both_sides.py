@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import sanitize_text
-from rsb_bridge.model.verdict import FINE, Cause, Verdict, worse
+from rsb_bridge.model.verdict import FINE, Cause, Verdict, state_for_any, state_of, worse
 from rsb_bridge.route.announcing import Announcement, Announcer
 from rsb_bridge.wire.records import VerdictRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from rsb_bridge.model.snapshot import State
     from rsb_bridge.ros.api import Endpoint
 
 _SAME_ON_BOTH = frozenset({Cause.LINK_DOWN, Cause.REFUSED, Cause.PAUSED, Cause.DISARMED})
@@ -28,6 +28,8 @@ _TEXT_LENGTH = 300
 """Characters of a text that is sent: a report has room for a thousand routes."""
 
 _LONGEST = 1e9  # s
+_JITTER = 2.0
+"""s by which one report may take longer than another about the same trouble."""
 _NODES, _NODE_LENGTH = 4, 64
 """Nodes that the other side is told of, and characters of their names."""
 
@@ -68,8 +70,13 @@ class BothSides:
         if record is None:
             self.peer = FINE
             return
-        state = State(record.state) if record.state in State.__members__.values() else State.WAITING
-        self.peer = Verdict(state, record.cause, record.text, _since(record.lasting, now))
+        state = state_of(record.state, record.cause)
+        since, before = _since(record.lasting, now), self.peer
+        same = (before.state, before.cause) == (state, record.cause)
+        # Reports take different times on their way.
+        if same and before.since is not None and abs(since - before.since) < _JITTER:
+            since = before.since
+        self.peer = Verdict(state, record.cause, record.text, since)
 
     def shown(self, own: Verdict) -> Shown:
         """What counts, given this side's verdict."""
@@ -104,7 +111,7 @@ def record_of(verdict: Verdict) -> VerdictRecord | None:
     """A verdict as the other side is told, but for how long it has lasted; None: it is fine."""
     if verdict == FINE:
         return None
-    return VerdictRecord(verdict.state, verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
+    return VerdictRecord(state_for_any(verdict.state), verdict.cause, sanitize_text(verdict.text, _TEXT_LENGTH))
 
 
 def lasting(record: VerdictRecord | None, verdict: Verdict, now: float) -> VerdictRecord | None:

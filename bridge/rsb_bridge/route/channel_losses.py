@@ -15,7 +15,8 @@ _LINK_OUTLIVES = 1.0
 """s by which a link has to outlive a channel before the channel's loss is reported. A link that ends (with a goodbye, a
 crash or a cut) takes its channels with it, and they may be seen to end first."""
 _AGAIN_AND_AGAIN = 2
-"""Channels that end before a message arrives. One may be bad luck, unless the kernel has tried for long."""
+"""Channels that end before a message arrives. One may be bad luck, unless the kernel has tried for long. One over which
+messages have arrived says nothing of the path: the link may be full, or the network was away."""
 _TIMED_OUT = os.strerror(errno.ETIMEDOUT)
 
 
@@ -29,16 +30,20 @@ class ChannelLosses:
 
     def __init__(self) -> None:
         self._reasons: deque[str] = deque(maxlen=_AGAIN_AND_AGAIN)
+        self._worked = False  # messages have arrived over the present channel
         self._report: asyncio.TimerHandle | None = None
 
     def add(self, reason: str, loop: asyncio.AbstractEventLoop, report: Callable[[], None]) -> None:
         """The channel was lost; `report` is called once the link should have ended, if it does with the channel."""
-        self._reasons.append(reason)
+        if not self._worked:
+            self._reasons.append(reason)
+        self._worked = False
         self.forget_report()
         self._report = loop.call_later(_LINK_OUTLIVES, report)
 
     def arrived(self) -> None:
         """Messages arrive."""
+        self._worked = True
         self._reasons.clear()
 
     def forget_report(self) -> None:

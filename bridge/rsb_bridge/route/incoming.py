@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 _INCOMPLETE_IN_A_ROW = 3
 _ASKED_EVERY = 0.9
 """s until the graph is asked again who subscribes, where their number is the same."""
+_REPORTS_AFTER = 100
+"""Messages after which a report goes sooner than with the next second's: if this process is killed, the sender never
+learns whether the unreported ones arrived."""
 _NO_HISTORY = HistoryHeader(bytes(PUBLISHER_ID_LENGTH), number=0, depth=AUTO_DEPTH)
 """Of messages whose sender does not say whose they are: they count as one publisher's."""
 
@@ -77,6 +80,7 @@ class IncomingRoute(TopicRoute):
         self._unpacker = Unpacker(peer.budget.expansion, context)
         self._later: deque[Message] = deque()
         self._received = 0
+        self._report_at = _REPORTS_AFTER  # messages received
         self._delivered = 0
         self._dropped: Counter[str] = Counter()
         self._before: tuple[str, ReceivedReport] | None = None
@@ -97,6 +101,7 @@ class IncomingRoute(TopicRoute):
         if self._received:
             self._before = self.instance, self._received_report()
             self._received = self._delivered = 0
+            self._report_at = _REPORTS_AFTER
             self._dropped.clear()
         self._later.clear()
         super().close(reason)
@@ -221,9 +226,12 @@ class IncomingRoute(TopicRoute):
                 count += 1
                 size += len(payload)
         self._delivered += count
+        if self._received >= self._report_at:
+            self._report_at = self._received + _REPORTS_AFTER
+            self.peer.report_soon(self)
         if count:
             latency = None if (offset := self.peer.clock_offset) is None else (now - stamp) / 1e9 + offset
-            if latency is not None:
+            if latency is not None and latency <= began - self._flows_since:  # else it was kept from before, on purpose
                 self.latency.add(latency)
             if self.peek_slot.wanted:
                 self._show(payload, flags, now, latency)
@@ -275,6 +283,21 @@ class IncomingRoute(TopicRoute):
 
     def _failed_later(self, error: Exception) -> None:
         self.notices.message_error(EventCode.ROUTE_PUBLISH_FAILED, str(error))
+
+    def _look_for_delay(self, now: float) -> None:
+        uncertainty = self.peer.clock_uncertainty
+        if not self.flowing or uncertainty is None or self._held_back:
+            self.lateness.reset()
+        else:
+            recent = self.latency.recent
+            self.lateness.tick(recent, uncertainty, self.late_after, now, recent)
+
+    @property
+    def _held_back(self) -> bool:
+        """Whether the sender has messages wait on purpose, as topics of a higher priority go first."""
+        if self.judged.peer.cause != Cause.THINNED or self.qos is None:
+            return False
+        return self.qos.latched or (self.qos.reliability == "reliable" and self.rank >= 0)
 
     def tick(self) -> None:
         super().tick()
@@ -340,6 +363,7 @@ class IncomingRoute(TopicRoute):
             subscriber_qos=self._subscriber_qos,
             type=self._hint[0],
             type_hash=self._hint[1],
+            latency=self.latency.recent,
             latency_p50=self.latency.p50,
             latency_p99=self.latency.p99,
             jitter=self.latency.jitter,
@@ -349,6 +373,16 @@ class IncomingRoute(TopicRoute):
 
     def facts(self) -> Facts:
         return facts_of(self)._replace(matched=self._subscribers)
+
+    @property
+    def has_kept(self) -> bool:
+        """Whether messages are kept here; the peer's verdict says whether its publishers have newer ones."""
+        return self._outputs.has_kept
+
+    @property
+    def silence_counts(self) -> bool:
+        """Whether silence counts, and messages are on their way; else the sending side knows best."""
+        return super().silence_counts and (self.silence.own or self._sender_ledger.in_flight > 0)
 
     @property
     def _failure(self) -> str:
@@ -383,9 +417,13 @@ class IncomingRoute(TopicRoute):
             ),
             link_stage(self),
             accepted_stage(self),
-            Stage("sent", (report is not None and report.offered > 0) or None),
-            Stage("received", self._received > 0 or None, "" if self._received else self.notices.undelivered),
-            Stage("published", self._delivered > 0 or None),
+            Stage("sent", (report is not None and report.offered > 0) or self.has_kept or None),
+            Stage(
+                "received",
+                self._received > 0 or self.has_kept or None,
+                "" if self._received else self.notices.undelivered,
+            ),
+            Stage("published", self._delivered > 0 or self.has_kept or None),
             Stage(
                 "subscriber seen",
                 self._subscribers > 0 or None,

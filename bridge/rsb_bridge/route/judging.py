@@ -38,12 +38,12 @@ def standing_of(route: Route) -> Standing:
         topic=route.local_topic,
         domain_id=route.context.domain_id,
         link_down="" if route.peer.linked else route.peer.down_reason or "the link is down",
-        refusal=route.refusal,
+        refusal=route.standing_refusal,
         loop=route.notices.loop,
         paused=route.paused,
         paused_by=route.pausing.who,
         disarmed="" if route.arming.passes(now) else SAID[route.arming.overdue(now) or route.arming.why],
-        no_path=route.trouble(),
+        no_path=_trouble(route),
         waits_for="" if route.flowing else _first_missing(route),
         limit=route.limit.rate,
         limited_by=route.limit.why,
@@ -59,10 +59,19 @@ def facts_of(route: TopicRoute) -> Facts:
         type_name=route.type_name if known else "",
         qos=route.qos if known else None,
         flowing=route.flowing,
-        came=route.meter.last is not None and route.meter.last >= route.opened_at,
+        came=route.came,
+        came_before=route.meter.last is not None and not route.came,
         stale_since=_stale_since(route),
         yielded=route.yielding.shown(),
+        late=route.late(),
+        full=route.peer.full_out if route.outgoing else route.peer.full_in,
     )
+
+
+def _trouble(route: Route) -> str:
+    """Why what carries it does not get through; a stream that waits on a full link is no such trouble."""
+    full = route.peer.full_out if route.outgoing else route.peer.full_in
+    return "" if full is not None and route.transport.reliable else route.trouble()
 
 
 def _first_missing(route: Route) -> str:
@@ -73,6 +82,6 @@ def _first_missing(route: Route) -> str:
 
 
 def _stale_since(route: TopicRoute) -> float | None:
-    if not route.flowing or route.is_latched:
+    if not route.flowing or not route.silence_counts:
         return None
     return route.silence.stale_since(route.context.now())

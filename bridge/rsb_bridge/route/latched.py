@@ -131,6 +131,11 @@ class LatchedTopic:
         """The number of the newest message of each publisher of the sending side."""
         return {publisher: history.newest for publisher, history in self._histories.items() if history.newest}
 
+    @property
+    def has_kept(self) -> bool:
+        """Whether any message is kept."""
+        return any(history.newest for history in self._histories.values())
+
     def close(self) -> None:
         """Close all publishers: nothing is kept any more."""
         if self._timer is not None:

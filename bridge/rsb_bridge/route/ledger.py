@@ -16,11 +16,14 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 _OVERDUE_AFTER = 2.0
-_MOST_CAUSES = 32
-"""Of drops, each with a count of its own; a report has no room for more (PROTOCOL.md, 3)."""
+_MOST_CAUSES = 31
+"""Causes of drops with a count of their own; a report has room for one more, `UNKNOWN` (PROTOCOL.md, 3)."""
 _OTHER = "other"
 THROTTLED = "throttled"
 """The receiver left these out, for the rate that it allows."""
+UNKNOWN = "unknown"
+"""Cause under which a report lists `Ledger.unknown`, so that the sum is right for an older peer, too."""
+_ON_THE_WAY = "lost on the way"
 _LARGEST = 2**53
 """The largest count that is kept or sent; anything beyond it is a mistake."""
 
@@ -51,6 +54,10 @@ class _Counted:
     def settled(self) -> int:
         """Messages whose end is known."""
         return self.delivered + self.expired + sum(self.dropped.values())
+
+    def lost(self, overdue: int = 0) -> int:
+        """Return how many numbered messages are lost: newer ones have arrived, or the first `overdue` are too late."""
+        return max(0, max(self.newest, overdue) - self.whole - self.expired - self.incomplete)
 
 
 def _within(report: ReceivedReport, sent: int) -> _Counted:
@@ -108,18 +115,29 @@ class RouteLedger:
     The receiver counts each opening anew. What it counted after its last report on an opening comes with the next one's
     `Ready` (PROTOCOL.md, 3); until then those messages are in flight, and only what it never saw is lost.
 
+    If the process that counted an opening has ended, nobody knows about the messages that its last report leaves open:
+    they are `unknown`, neither delivered nor lost.
+
+    Args:
+        numbered: whether the channel numbers its messages and may lose them.
+
     Attributes:
         offered: messages taken from ROS.
         throttled: left out for the route's highest rate.
         dropped: here, by cause.
+        unknown: sent, but their receiver ended before it said whether they arrived.
         lost_in_dds: lost before they could be taken.
+        missed: messages published while the route was down, estimated.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, numbered: bool = False) -> None:
         self.offered = 0
         self.throttled = 0
         self.dropped: Counter[str] = Counter()
+        self.unknown = 0
         self.lost_in_dds = 0
+        self.missed = MissedWhileDown()
+        self._numbered = numbered
         self._delivered = 0
         self._expired = 0
         self._opening = _Opening()
@@ -139,6 +157,12 @@ class RouteLedger:
     def delivered_now(self) -> int:
         """Messages of the present opening that were published, as the receiver last said."""
         return self._opening.counted.delivered if self._opening.counted else 0
+
+    @property
+    def reported_now(self) -> int:
+        """Messages of the present opening that the receiver has seen, given up, or seen newer ones of."""
+        counted = self._opening.counted
+        return max(counted.newest, counted.whole + counted.expired) if counted else 0
 
     def drop(self, cause: str, count: int) -> None:
         """Count messages dropped here."""
@@ -170,8 +194,13 @@ class RouteLedger:
         """What has not arrived in the present opening is not to be published any more."""
         self._opening.lost_as = "disarmed"
 
-    def reported(self, report: ReceivedReport, now: float) -> bool:
-        """Take what the receiver counted in the present opening, at `now` (s).
+    def reported(self, report: ReceivedReport, now: float, delay: float = 0.0) -> bool:
+        """Take what the receiver counted in the present opening.
+
+        Args:
+            report: of the receiver.
+            now: s.
+            delay: s that a message and the report on it take; what is under way for so long is not lost.
 
         Returns:
             Whether its figures could be right; those that could not are limited to what was sent.
@@ -179,7 +208,7 @@ class RouteLedger:
         opening = self._opening
         opening.counted = _within(report, opening.sent)
         opening.marks.append((now, opening.sent))
-        while now - opening.marks[0][0] >= _OVERDUE_AFTER:
+        while now - opening.marks[0][0] >= _OVERDUE_AFTER + delay:
             opening.overdue = opening.marks.popleft()[1]
         return opening.counted.plausible
 
@@ -188,8 +217,9 @@ class RouteLedger:
 
         Args:
             final: what the receiver counted in the last opening in which it got anything; None: it knows of none.
-            instance: of the peer's process that says so. Where it is not the one that the opening was with, or the
-                report is of another opening, the last report of that opening itself counts.
+            instance: of the peer's process that says so. If it is not the one that the opening was with, what that
+                one has not reported is unknown. If the report is of another opening, the last report of the opening
+                itself counts, and the rest is lost.
 
         Returns:
             Whether the figures could be right.
@@ -198,26 +228,29 @@ class RouteLedger:
         if opening is None:
             return True
         counted, plausible = opening.counted, True
-        if final is not None and (final.route, instance) == (opening.route_id, opening.instance):
+        same_process = instance == opening.instance
+        if final is not None and same_process and final.route == opening.route_id:
             counted = _within(final, opening.sent)
             plausible = counted.plausible
-        lost = opening.sent
+        elif final is None and counted is not None and counted.whole:
+            same_process = False  # the receiver has forgotten what it counted
+        left = opening.sent
         if counted is not None:
             self._delivered += counted.delivered
             self._expired += counted.expired
             self.dropped.update(counted.dropped)
-            lost -= counted.settled
-        self.drop(opening.lost_as, lost)
+            on_the_way = self._lost(opening, counted)
+            self.drop(_ON_THE_WAY, on_the_way)
+            left -= counted.settled + on_the_way
+        if same_process:
+            self.drop(opening.lost_as, left)
+        else:
+            self.unknown += left
         self.dropped = _folded(self.dropped)
         return plausible
 
-    def ledger(self, lost_in_dds: int, *, numbered: bool) -> Ledger:
-        """The balance.
-
-        Args:
-            lost_in_dds: beyond those in `lost_in_dds`.
-            numbered: whether the channel numbers its messages and may lose them.
-        """
+    def ledger(self, lost_in_dds: int) -> Ledger:
+        """Return the balance, with `lost_in_dds` added to those counted before."""
         delivered, expired, dropped = self._delivered, self._expired, self.dropped.copy()
         for opening in (self._opening, self._unsettled):
             if opening is not None and opening.counted is not None:
@@ -225,10 +258,11 @@ class RouteLedger:
                 expired += opening.counted.expired
                 if opening.counted.dropped:
                     dropped.update(opening.counted.dropped)
-        if numbered and (lost := self._lost()):
-            dropped["lost on the way"] += lost
+                if lost := self._lost(opening, opening.counted):
+                    dropped[_ON_THE_WAY] += lost
         throttled = self.throttled + dropped.pop(THROTTLED, 0)
-        accounted = delivered + expired + throttled + dropped.total()
+        unknown = self.unknown + dropped.pop(UNKNOWN, 0)
+        accounted = delivered + expired + throttled + unknown + dropped.total()
         return Ledger(
             offered=self.offered,
             delivered=delivered,
@@ -236,32 +270,81 @@ class RouteLedger:
             expired=expired,
             in_flight=self.offered - accounted,
             dropped=dict(_folded(dropped)),
+            unknown=unknown,
             lost_in_dds=min(self.lost_in_dds + lost_in_dds, _LARGEST),
+            missed_while_down=self.missed.count,
         )
 
-    def _lost(self) -> int:
-        """Messages of the present opening that the receiver has seen newer ones of, or that are long overdue."""
-        counted = self._opening.counted
-        if counted is None:
-            return 0
-        passed = max(counted.newest, self._opening.overdue)
-        return max(0, passed - counted.whole - counted.expired - counted.incomplete)
+    def _lost(self, opening: _Opening, counted: _Counted) -> int:
+        return counted.lost(opening.overdue) if self._numbered else 0
+
+
+class MissedWhileDown:
+    """Estimates how many messages were published while a route could not take them: the time at the usual rate.
+
+    The time counts only between `lost` and `back`, and only as long as somebody publishes.
+
+    Attributes:
+        rate: Hz, the usual rate of the messages that cross, or None if there is none.
+    """
+
+    def __init__(self) -> None:
+        self.rate: float | None = None
+        self._messages = 0.0
+        self._since: float | None = None
+
+    @property
+    def count(self) -> int:
+        """Messages since the route was made."""
+        return min(int(self._messages), _LARGEST)
+
+    @property
+    def down(self) -> bool:
+        """Whether time counts."""
+        return self._since is not None
+
+    def lost(self, now: float) -> None:
+        """Count from `now` (s) on, if there is a usual rate. May be called twice."""
+        if self._since is None and self.rate:
+            self._since = now
+
+    def tick(self, now: float, *, published: bool) -> None:
+        """Count the time until `now` (s), if somebody publishes."""
+        if self._since is not None:
+            if published:
+                self._messages += max(0.0, now - self._since) * (self.rate or 0.0)
+            self._since = now
+
+    def back(self, now: float, *, published: bool) -> None:
+        """Count until `now` (s), and no more."""
+        self.tick(now, published=published)
+        self._since = None
 
 
 def reported_ledger(report: SentReport) -> Ledger | None:
-    """The sender's ledger as it reports it; None: its figures cannot be right."""
+    """Return the ledger that a sender reports, or None if its figures cannot be right."""
     parts = (report.delivered, report.throttled, report.expired, report.in_flight, *report.dropped.values())
-    if sum(parts) != report.offered or not all(0 <= part <= _LARGEST for part in (*parts, report.lost_in_dds)):
+    figures = (*parts, report.lost_in_dds, report.missed_while_down)
+    if sum(parts) != report.offered or not all(0 <= figure <= _LARGEST for figure in figures):
         return None
+    dropped = dict(report.dropped)
+    unknown = dropped.pop(UNKNOWN, 0)
     return Ledger(
         offered=report.offered,
         delivered=report.delivered,
         throttled=report.throttled,
         expired=report.expired,
         in_flight=report.in_flight,
-        dropped=report.dropped,
+        dropped=dropped,
+        unknown=unknown,
         lost_in_dds=report.lost_in_dds,
+        missed_while_down=report.missed_while_down,
     )
+
+
+def reported_drops(ledger: Ledger) -> dict[str, int]:
+    """Return what a report lists as dropped: the causes of the ledger, and what is unknown."""
+    return {**ledger.dropped, UNKNOWN: ledger.unknown} if ledger.unknown else ledger.dropped
 
 
 def _folded(dropped: Counter[str]) -> Counter[str]:

@@ -16,6 +16,7 @@ def limits_changed(old: Propose, new: Propose) -> str:
         ("max_rate", old.max_rate or None, new.max_rate or None, " Hz"),
         ("expected_rate", old.expected_rate or None, new.expected_rate or None, " Hz"),
         ("stale_after", old.stale_after, new.stale_after, " s"),
+        ("late_after", old.late_after, new.late_after, " s"),
     )
     changed = [
         f"{name} {_figure(before, unit)} → {_figure(after, unit)}"

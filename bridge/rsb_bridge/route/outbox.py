@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import zstandard
 
+from rsb_bridge.channel.receipts import Pace
 from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.profiles import PLAIN
 from rsb_bridge.model.qos import AUTO_SECONDS
+from rsb_bridge.route.overload import WAITS, Overload
 from rsb_bridge.route.send_queue import QueueLimits, SendQueue
 from rsb_bridge.wire.framing import ZSTD, Message
 
@@ -49,6 +51,7 @@ class Outbox:
         self._largest = transport.largest_message
         self._compressor = zstandard.ZstdCompressor(_ZSTD_LEVEL) if proposal.compression == "zstd" else None
         self._queue = SendQueue()
+        self._overload = Overload()
 
     def pack(self, payload: bytes, stamp: int, flags: int) -> Message:
         """A message as it is sent: compressed, where that is agreed and makes it smaller."""
@@ -78,30 +81,42 @@ class Outbox:
             batch = queue.take(_BATCH, channel.batch_bytes)
             self._ledger.sent(len(batch))
             channel.send(batch)
+        if not queue:
+            self._overload.over()
 
     def __len__(self) -> int:
         return len(self._queue)
 
+    def waits(self, now: float) -> float:
+        """How long (s) the oldest message has waited at `now` (s); 0: none waits."""
+        oldest = self._queue.oldest_since
+        return 0.0 if oldest is None else now - oldest
+
     def clear(self) -> int:
         """Remove all messages; returns how many they were."""
+        self._overload.over()
         return self._queue.clear()
 
-    def limits(self, qos: Qos | None, depth: int, *, congested: bool, profile: LinkProfile = PLAIN) -> QueueLimits:
-        """What may wait now. As long as the channel takes messages, the queue only passes them on.
+    def limits(self, qos: Qos | None, depth: int, pace: Pace, now: float, profile: LinkProfile = PLAIN) -> QueueLimits:
+        """Return what may wait at `now` (s). As long as the channel takes messages, the queue only passes them on.
 
         Args:
-            qos: of the route; None: not known yet.
-            depth: messages that the publisher keeps, of a latched topic; else 0.
-            congested: whether the channel takes no messages now.
+            qos: of the route, or None if it is unknown.
+            depth: messages that the publisher of a latched topic keeps, or 0.
+            pace: of the channel.
+            now: s.
             profile: of the link.
         """
+        self._overload.look(now, self._queue.oldest_since, len(self._queue), moves=pace is Pace.SLOW)
         best_effort = qos is not None and qos.reliability == "best_effort"
         size = _QUEUE_BYTES + self._largest
         if best_effort:
             size = profile.queue_bytes or (_SLOW_QUEUE_BYTES if self._transport.slow else size)
-        if qos is None or qos.history == "keep_all" or not congested:
+        if qos is None or qos.history == "keep_all" or pace is Pace.FREE:
             return QueueLimits(0, 0.0, size)
         automatic = self._automatic and not best_effort
+        if automatic and self._overload.lasts and not qos.latched:
+            return QueueLimits(1, WAITS, size)
         most = qos.depth or (profile.depth if best_effort else _AUTO_DEPTH)
         kept_for = AUTO_SECONDS if profile.patience is None else profile.patience
         return QueueLimits(max(depth, most), kept_for if automatic else 0.0, size)

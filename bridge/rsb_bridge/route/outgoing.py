@@ -14,7 +14,8 @@ from rsb_bridge.route.both_sides import lasting, node_names, record_of
 from rsb_bridge.route.health import Flow, Health
 from rsb_bridge.route.intake import Intake, Subject
 from rsb_bridge.route.judging import facts_of
-from rsb_bridge.route.ledger import RouteLedger
+from rsb_bridge.route.lateness import QUEUE, WAY, Unreported, delay_of_sender
+from rsb_bridge.route.ledger import RouteLedger, reported_drops
 from rsb_bridge.route.lifecycle import Event
 from rsb_bridge.route.publisher_qos import without_history
 from rsb_bridge.route.resolving import MessageType, Resolver, qos_clash
@@ -31,7 +32,7 @@ from rsb_bridge.wire.messages import Describe, Propose, Publishers, Ready
 from rsb_bridge.wire.records import ReceivedReport, SentReport
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from rsb_bridge.channel.channel import SendingChannel
     from rsb_bridge.context import Context
@@ -42,11 +43,21 @@ if TYPE_CHECKING:
     from rsb_bridge.route.peer import Owner
     from rsb_bridge.route.verdict import Facts
 
+_TOLD_LATELY = 2.5
+"""s for which a delay counts that the receiver has reported."""
+_LONGEST_DELAY = 3600.0
+"""s; a longer one is a mistake."""
+_LONGEST_UNDER_WAY = 60.0
+"""s; what is under way for longer is lost."""
 _LIMITED = "they are limited to what was sent"
 
 
 class OutgoingRoute(TopicRoute):
-    """Takes a topic's messages here and sends them to the peer."""
+    """Takes a topic's messages here and sends them to the peer.
+
+    Attributes:
+        delay: s that messages take at least, as this side knows without the other one's clock.
+    """
 
     outgoing: ClassVar[bool] = True
     channel: SendingChannel | None
@@ -56,14 +67,18 @@ class OutgoingRoute(TopicRoute):
         self._intake: Intake | None = None
         self._type = TypeUse(context.ros, peer.budget.types)
         self._present: frozenset[bytes] | None = None  # the publishers that the peer was told of
-        self._ledger = RouteLedger()
+        self._ledger = RouteLedger(numbered=isinstance(self.transport, DatagramTransport))
         self._report: ReceivedReport | None = None  # of the present opening
+        self._kept_there: Collection[bytes] = ()  # publishers of a latched topic whose messages the peer has
         self._described: Describe | None = None
         self._sorter = Sorter(context, peer, self.advance)
         self._sending = Sending(context, self, self._ledger, self._sorter)
         self.limit.apply = self._sending.limit
         self._resolver = Resolver(context, proposal)
         self._health = Health()
+        self._unreported = Unreported()
+        self.delay = 0.0
+        self._told_delay: tuple[float, float] | None = None  # what the receiver measured, s, and when it was told, s
 
     # --- setting up
 
@@ -78,6 +93,7 @@ class OutgoingRoute(TopicRoute):
         described = self._described
         if described is not None and not again:
             self._end_intake()
+            self._kept_there = ready.newest.keys()
             self._intake = Intake(
                 self.context,
                 self,
@@ -167,6 +183,7 @@ class OutgoingRoute(TopicRoute):
         except RosError as error:
             self.request_reopen(EventCode.ROUTE_SUBSCRIBE_FAILED, str(error), Level.ERROR)
             return
+        self._ledger.missed.back(self.context.now(), published=self._misses)
         self.silence.rearm(self.context.now())
         self.log(Level.INFO, EventCode.ROUTE_CONNECTED, f"→ {self.transport.name} connected ({self.type_name})")
 
@@ -215,13 +232,19 @@ class OutgoingRoute(TopicRoute):
     def open(self, route_id: int) -> None:
         """Begin a new opening."""
         super().open(route_id)
+        self._unreported = Unreported()
+        self._told_delay = None
+        self.delay = 0.0
         self._sorter.clear()
         self._ledger.opened(route_id, self.peer.instance)
 
     def close(self, reason: str) -> None:
         """End the opening; what waits is lost, and what is under way is settled when the peer is back."""
+        if self.endpoints and self._subscribed and not self.arming.required:
+            self._ledger.missed.lost(self.context.now())
         self._end_intake()
         self._described = None
+        self._kept_there = ()
         self._lose("link lost", self._sorter.forget())
         self._ledger.drop("link lost", self._sending.clear())
         self._sorter.clear()
@@ -233,7 +256,7 @@ class OutgoingRoute(TopicRoute):
 
     def tick(self) -> None:
         now = self.context.now()
-        latched = self.is_latched  # it is silent for as long as it likes, unless an operator says how often it comes
+        latched = self.is_latched  # silent for as long as it likes, unless an operator expects a rate
         self._health.tick(
             Flow(
                 self.flowing and self._subscribed,
@@ -247,9 +270,53 @@ class OutgoingRoute(TopicRoute):
             ),
             now,
         )
+        self._tick_missed(now, latched=latched)
         super().tick()
         if self._intake is not None:
             self._intake.tick()
+
+    def _tick_missed(self, now: float, *, latched: bool) -> None:
+        """Learn the rate at which messages cross, or estimate how many are missed now."""
+        missed = self._ledger.missed
+        if missed.down:
+            missed.tick(now, published=self._misses)
+        elif self.flowing:
+            usual = None if latched else self.meter.usual_rate
+            rate, limit = usual or self.spec.expected_rate, self.limit.rate
+            missed.rate = min(rate, limit) if rate and limit else rate
+
+    @property
+    def _misses(self) -> bool:
+        """Whether somebody publishes the topic, and neither side has paused or refused it."""
+        if self.paused or self.refusal:
+            return False
+        own = self.context.announcements.own_publishers(self.topic, besides=self.peer.name)
+        return bool(own or self.context.ros.publishers(self.topic))
+
+    def _look_for_delay(self, now: float) -> None:
+        unreported = self._unreported.age(self._ledger.sent_now, self._ledger.reported_now, now)
+        self.delay = 0.0
+        if not self.flowing:
+            self.lateness.reset()
+            return
+        measured = None
+        if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY and not self.yielding.holds:
+            measured = self._told_delay[0]
+        least = (measured or 0.0) - (self.peer.clock_uncertainty or 0.0)
+        if self.transport.reliable:  # else what is not reported may be lost
+            least = max(least, delay_of_sender(unreported, self.peer.report_delay))
+        self.delay = max(0.0, least, self._sending.waits(now))
+        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured)
+
+    @property
+    def _under_way(self) -> float:
+        """S that a message and the report on it take, as far as is known."""
+        back = self.peer.report_delay
+        there = 0.0 if self._told_delay is None else self._told_delay[0]
+        return min(max(0.0, there, back) + back, _LONGEST_UNDER_WAY)
+
+    def _held_up_where(self) -> str:
+        return QUEUE if self._sending.waits(self.context.now()) >= self.lateness.seconds / 2 else WAY
 
     def admit(self, batch: Sequence[RawMessage]) -> Sequence[RawMessage]:
         """The messages to take now; those that would loop are lost, those whose source is not known yet are held."""
@@ -294,19 +361,21 @@ class OutgoingRoute(TopicRoute):
         """The peer said what arrived in the present opening."""
         self._report = report
         self.judged.take(report.verdict, self.context.now())
-        if not self._ledger.reported(report, self.context.now()):
+        if not self._ledger.reported(report, self.context.now(), self._under_way):
             self.notices.doubt(self.peer.instance, _LIMITED)
         if self._ledger.received_now:
             self.losses.arrived()
         if (report.type, report.type_hash) != self._resolver.hint:
             self._resolver.hint = MessageType(report.type, report.type_hash)
             self.advance()
+        if report.latency is not None and abs(report.latency) <= _LONGEST_DELAY:
+            self._told_delay = report.latency, self.context.now()
         self.latency.told(report.latency_p50, report.latency_p99, report.jitter)
 
     def ledger(self) -> Ledger:
         """Where the messages went, by the peer's last report."""
         lost_in_dds = self._intake.lost if self._intake else 0
-        return self._ledger.ledger(lost_in_dds, numbered=isinstance(self.transport, DatagramTransport))
+        return self._ledger.ledger(lost_in_dds)
 
     def news(self) -> SentReport | None:
         """The report that the peer has not been sent yet; None: it knows everything."""
@@ -326,8 +395,9 @@ class OutgoingRoute(TopicRoute):
             throttled=ledger.throttled,
             expired=ledger.expired,
             in_flight=ledger.in_flight,
-            dropped=ledger.dropped,
+            dropped=reported_drops(ledger),
             lost_in_dds=ledger.lost_in_dds,
+            missed_while_down=ledger.missed_while_down,
             publishers=len(self.endpoints),
             publisher_qos=self._resolver.publisher_qos,
             subscribed=self._subscribed,
@@ -339,6 +409,16 @@ class OutgoingRoute(TopicRoute):
     def _subscribed(self) -> bool:
         return self._intake is not None and self._intake.active and not self._intake.failure
 
+    @property
+    def has_kept(self) -> bool:
+        """Whether the peer has messages of a publisher that is still there."""
+        return bool(self._kept_there) and any(publisher_id(each.gid) in self._kept_there for each in self.endpoints)
+
+    @property
+    def silence_counts(self) -> bool:
+        """Whether silence counts, and there is no usual rate, by which `Health` judges a topic."""
+        return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
+
     def end_qos(self) -> tuple[Qos | None, Qos | None]:
         return self._resolver.publisher_qos, self._report.subscriber_qos if self._report else None
 
@@ -349,7 +429,7 @@ class OutgoingRoute(TopicRoute):
         unresolved = self._resolver.unresolved
         facts = facts_of(self)._replace(
             similar=self._resolver.similar,
-            breaking=self.losses.repeated,
+            breaking="" if self.peer.full_out is not None else self.losses.repeated,
             subscribe_failed=self._failure,
             unresolved=(unresolved.cause, self._resolver.why()) if unresolved and self.accepted else None,
             left_out=self.notices.warning,
@@ -357,6 +437,11 @@ class OutgoingRoute(TopicRoute):
             datagrams=self._datagrams(),
         )
         return self._health.added_to(facts)
+
+    @property
+    def arrived_share(self) -> float | None:
+        """The share of its datagrams that arrives, or None if it goes by none, or that is not known yet."""
+        return self.channel.arrived_share if isinstance(self.channel, DatagramSender) else None
 
     def _datagrams(self) -> int:
         """How many datagrams one of its messages takes; 0: it goes by none."""
@@ -388,9 +473,9 @@ class OutgoingRoute(TopicRoute):
             Stage("subscribed", False if failure else self._subscribed or None, failure),
             link_stage(self),
             accepted_stage(self),
-            Stage("sent", self._ledger.sent_now > 0 or None),
-            Stage("received", self._ledger.received_now > 0 or None),
-            Stage("published", self._ledger.delivered_now > 0 or None),
+            Stage("sent", self._ledger.sent_now > 0 or self.has_kept or None),
+            Stage("received", self._ledger.received_now > 0 or self.has_kept or None),
+            Stage("published", self._ledger.delivered_now > 0 or self.has_kept or None),
             Stage(
                 "subscriber seen",
                 (report is not None and report.subscribers > 0) or None,

@@ -10,8 +10,9 @@ from rsb_bridge.model.limits import KEPT_DEPTH
 from rsb_bridge.ros.api import Endpoint, RosError
 from rsb_bridge.ros.own_announcement import Origin
 from rsb_bridge.route.latched import LatchedFullError, LatchedTopic
+from rsb_bridge.route.publisher_qos import AUTO_DEPTH
 from rsb_bridge.route.type_budget import TypeUse
-from rsb_bridge.route.volatile import VolatileTopic
+from rsb_bridge.route.volatile import BURST_DEPTH, VolatileTopic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -24,13 +25,13 @@ if TYPE_CHECKING:
 
 
 class Subject(NamedTuple):
-    """What is published.
+    """A topic to publish.
 
     Attributes:
         topic: its name here.
         type_name: of its type.
         type_hash: of its type.
-        qos: of the publishers.
+        qos: of the publishers; of a volatile topic, a depth of 0 means that nobody has chosen one.
     """
 
     topic: str
@@ -82,13 +83,17 @@ class _Output:
         if subject.qos.latched:
             self.sink = LatchedTopic(context.loop, self._advertise, peer.budget.kept, depth, failed)
         else:
-            kept = KEPT_DEPTH if subject.qos.history == "keep_all" else depth
+            keeps_all = subject.qos.history == "keep_all"
+            burst = depth == 0 and not keeps_all and subject.qos.reliability == "reliable"
+            lasting = depth or AUTO_DEPTH
+            first = BURST_DEPTH if burst else lasting
             self.sink = VolatileTopic(
-                self._advertise(depth),
-                kept,
+                self._advertise(first),
+                KEPT_DEPTH if keeps_all else first,
                 peer.budget.unacknowledged,
                 context.now,
-                lambda: self._advertise(depth),
+                self._advertise,
+                lasting_depth=lasting if burst else None,
             )
 
     def set_origin(self, origin: Origin) -> None:
@@ -222,6 +227,11 @@ class Outputs:
             topic.opened()
             newest |= topic.newest()
         return newest
+
+    @property
+    def has_kept(self) -> bool:
+        """Whether messages of the sending side are kept."""
+        return any(topic.has_kept for topic in self._latched())
 
     def present(self, publishers: Collection[bytes]) -> None:
         """The sending side tells which of its publishers are there."""

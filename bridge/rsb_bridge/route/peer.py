@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.profiles import LinkProfile
     from rsb_bridge.route.pause import Revisions
     from rsb_bridge.route.peer_budget import PeerBudget
@@ -61,6 +62,21 @@ class Peer(Protocol):
         ...
 
     @property
+    def report_delay(self) -> float:
+        """Seconds that what the peer reports takes to get here, about."""
+        ...
+
+    @property
+    def full_out(self) -> Fullness | None:
+        """What the link carries from here, if it carries less than is asked of it, else None."""
+        ...
+
+    @property
+    def full_in(self) -> Fullness | None:
+        """What the link carries to here, likewise, as the peer says."""
+        ...
+
+    @property
     def down_reason(self) -> str:
         """Why it isn't linked, for an operator."""
         ...
@@ -80,6 +96,10 @@ class Peer(Protocol):
 
 class Owner(Peer, Protocol):
     """The link that a route belongs to."""
+
+    def report_soon(self, route: Route) -> None:
+        """Send a route's counts sooner than with the next second's report. May be called for every batch."""
+        ...
 
     def open_channel(self, route: Route) -> None:
         """Begin to open `route.channel`. For streams, a server waits for the client's instead."""

@@ -16,9 +16,9 @@ AUTO_DEPTH = 10
 
 
 def bounded(qos: Qos) -> Qos:
-    """What a publisher here keeps for late joiners and slow readers."""
+    """Return a QoS with what a publisher here keeps at most for late joiners and slow readers."""
     if not qos.latched:
-        return msgspec.structs.replace(qos, depth=min(qos.depth or AUTO_DEPTH, KEPT_DEPTH))
+        return msgspec.structs.replace(qos, depth=min(qos.depth, KEPT_DEPTH))
     depth = LATCHED_DEPTH if qos.history == "keep_all" else min(max(qos.depth, 1), LATCHED_DEPTH)
     return msgspec.structs.replace(qos, history="keep_last", depth=depth)
 

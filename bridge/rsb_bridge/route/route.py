@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 10.0
 _PROPOSED_WITHIN = 3.0
+_REFUSED_WITHIN = 5.0
+"""s in which a route that is tried again after a refusal is refused again, if it is."""
 
 
 class Route:
@@ -94,6 +96,7 @@ class Route:
         self.closed_ids: deque[int] = deque()
         self.closed_at = 0.0
         self.retry_at = 0.0
+        self._refused = ""  # the last refusal, until a later opening has gone better
         self._backoff = Backoff(_FIRST_PAUSE, _LONGEST_PAUSE)
         self.notices = Notices(self.log)
         self.limit = RateLimit(proposal.max_rate, self.local_topic, peer.budget.rates, self.log)
@@ -176,8 +179,15 @@ class Route:
 
     @property
     def refusal(self) -> str:
-        """Why it was refused; empty: it was not."""
+        """The reason why it was refused and is not open, or an empty string."""
         return self.life.refusal
+
+    @property
+    def standing_refusal(self) -> str:
+        """The refusal that an operator is shown: it stands while the route is tried again, until that goes better."""
+        if self.id and (self.life.ready or self.context.now() - self.opened_at >= _REFUSED_WITHIN):
+            self._refused = ""
+        return self.life.refusal or self._refused
 
     def open(self, route_id: int) -> None:
         """Begin a new opening on the present connection."""
@@ -217,6 +227,7 @@ class Route:
         """The route can't be; it is tried again later if it was proposed here."""
         self.notices.error(code, reason)
         self._end(reason)
+        self._refused = "" if code == EventCode.ROUTE_CLOSED else reason
 
     def _end(self, reason: str) -> None:
         """End the present opening for a reason that is shown; it is opened again later if it was proposed here."""

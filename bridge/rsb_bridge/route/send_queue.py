@@ -36,6 +36,11 @@ class SendQueue:
     def __len__(self) -> int:
         return len(self._queue)
 
+    @property
+    def oldest_since(self) -> float | None:
+        """When (s) the oldest message was added, or None if the queue is empty."""
+        return self._queue[0][2] if self._queue else None
+
     def add(self, messages: Sequence[Message], now: float, publisher: bytes = b"") -> None:
         """Append messages of one publisher, at `now` (s)."""
         self._queue.extend([(message, publisher, now) for message in messages])

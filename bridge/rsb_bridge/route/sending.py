@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING, Protocol
 
+from rsb_bridge.channel.receipts import Pace, pace_of
 from rsb_bridge.route.outbox import Outbox
 from rsb_bridge.route.peeking import Peekable, peeked
 from rsb_bridge.route.throttle import LatestLater, Throttle
@@ -116,6 +117,10 @@ class Sending:
         self._route.yielding.busy(False, self._context.now())
         return self._outbox.clear()
 
+    def waits(self, now: float) -> float:
+        """How long (s) messages wait here for their channel at `now` (s); those held back on purpose do not count."""
+        return 0.0 if self._route.yielding.holds else self._outbox.waits(now)
+
     def offer(self, batch: Sequence[RawMessage]) -> None:
         """Take messages from ROS, oldest first."""
         if self._route.peek_slot.wanted:
@@ -168,8 +173,8 @@ class Sending:
             if not holds and self._outbox.pass_on(messages, size, channel):
                 yielding.busy(channel.congested, now)
                 return
-            congested, profile = holds or channel.congested, self._route.peer.profile
-            limits = self._outbox.limits(self._route.qos, depth, congested=congested, profile=profile)
+            pace, profile = Pace.STOPPED if holds else pace_of(channel), self._route.peer.profile
+            limits = self._outbox.limits(self._route.qos, depth, pace, now, profile)
             self._outbox.add(messages, now, publisher, limits)
             self.flush()
 

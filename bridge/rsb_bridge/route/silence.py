@@ -62,16 +62,14 @@ class Silence:
         self._warned = False
 
     def tick(self, now: float, *, due: bool, cause: str) -> None:
-        """Once a second, at `now` (s): warn if nothing has come for too long, though messages are due.
+        """Warn if nothing has come for too long although messages are due; called once a second.
 
         Args:
             now: s.
             due: messages are.
             cause: of the route's state. One that says why nothing comes has been logged, and is not repeated.
         """
-        if not due:
-            self.rearm(now)
-        elif (number := self._watch.check(now)) and cause not in _EXPLAINS:
+        if due and (number := self._watch.check(now)) and cause not in _EXPLAINS:
             self._warned = True
             text = f"nothing for {self._watch.after * number:g} s (warning {number} of {self._watch.times})"
             if number == self._watch.times:

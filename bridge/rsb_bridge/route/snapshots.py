@@ -45,6 +45,7 @@ def snapshot_of(route: Route) -> partial[RouteSnapshot]:
         arming=route.arming.snapshot(now),
         allowed_rate=route.limit.allowed or None,
         pattern=route.pattern,
+        messages_total=route.meter.count,
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.route.lateness import Late, LateWatch
 from rsb_bridge.route.peeking import PeekSlot
 from rsb_bridge.route.route import Route
 from rsb_bridge.route.silence import Silence
@@ -31,6 +33,7 @@ class TopicRoute(Route):
         latency: of its messages, one way.
         silence: watches for it.
         peek_slot: takes the next message for whoever looks at the topic.
+        lateness: watches for messages that take too long.
         yielding: what its sending half leaves to others of the link.
     """
 
@@ -39,6 +42,8 @@ class TopicRoute(Route):
         self.qos: Qos | None = None
         self.latency = LatencyMeter()
         self.silence = Silence(self.log, context.now())
+        self.lateness = LateWatch()
+        self._flows_since = context.now()
         self.set_stale_after()
         self.peek_slot = PeekSlot()
         self.yielding = Yielding(context.now())
@@ -79,15 +84,45 @@ class TopicRoute(Route):
         self.silence.configure(self.spec, self.context.session)
 
     def _may_flow(self) -> None:
-        self.silence.rearm(self.context.now())
+        self._flows_since = self.context.now()
+        self.silence.rearm(self._flows_since)
+        self.lateness.reset()
+
+    @property
+    def late_after(self) -> float:
+        """S that messages may take, as the topic's entry and the session say now; 0: any time."""
+        own = self.spec.late_after
+        bound = self.context.session.late_after if own is None else own
+        if bound and self.qos is not None and self.qos.latched and self.limit.rate:
+            bound += 1 / self.limit.rate  # so long the newest message is held for the limit
+        return bound
+
+    def late(self) -> Late | None:
+        """How late messages are, or None if they are not."""
+        watch = self.lateness
+        if watch.since is None or not self.flowing:
+            return None
+        full = self.peer.full_out if self.outgoing else self.peer.full_in
+        return Late(watch.seconds, watch.usual, self._held_up_where(), full, watch.since)
+
+    def _held_up_where(self) -> str:
+        """Where messages are held up, as far as this half knows."""
+        return ""
+
+    def _look_for_delay(self, now: float) -> None:
+        """Have `lateness` look, at `now` (s)."""
+        raise NotImplementedError
 
     def tick(self) -> None:
         """Once a second: histories, stale warnings, and what has turned for the worse."""
+        self.latency.tick()
+        self._look_for_delay(self.context.now())
         super().tick()
         self.limit.set_profile_rate(self._profile_rate())
-        self.latency.tick()
-        cause = self.judged.shown(self.verdict()).verdict.cause
-        self.silence.tick(self.context.now(), due=self.flowing and not self.is_latched, cause=cause)
+        if not self.flowing:
+            self.silence.rearm(self.context.now())
+        shown = self.judged.shown(self.verdict()).verdict
+        self.silence.tick(self.context.now(), due=shown.state in (State.STALE, State.STOPPED), cause=shown.cause)
 
     def _profile_rate(self) -> float:
         """Hz that the link's profile allows a topic that says nothing of it, and may lose messages; 0: any."""
@@ -102,8 +137,27 @@ class TopicRoute(Route):
 
     @property
     def is_latched(self) -> bool:
-        """A latched topic is not stale when silent, unless its session entry says after how long it is."""
-        return not self.silence.own and self.qos is not None and self.qos.latched
+        """Whether it is latched, so that nothing need come after the first message."""
+        return self.qos is not None and self.qos.latched
+
+    @property
+    def came(self) -> bool:
+        """Whether messages have come in this opening, or the receiving side has kept some of a latched topic."""
+        return (self.meter.last is not None and self.meter.last >= self.opened_at) or self.has_kept
+
+    @property
+    def has_kept(self) -> bool:
+        """Whether the receiving side has messages of a latched topic from an earlier opening."""
+        raise NotImplementedError
+
+    @property
+    def silence_counts(self) -> bool:
+        """Whether this half judges silence by `stale_after`.
+
+        It does if the topic's entry sets that, or if messages came at a rhythm. A topic that is published on now and
+        then may be silent for as long as it likes.
+        """
+        return self.silence.own or (self.meter.regular and not self.is_latched)
 
     def _judge(self) -> Verdict:
         return judge(self.facts())

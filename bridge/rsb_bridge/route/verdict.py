@@ -10,13 +10,17 @@ from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first
 from rsb_bridge.model.verdict import FINE, LASTING, Cause, Verdict
 from rsb_bridge.route.gates import gated, no_path, rank, throttled
+from rsb_bridge.route.lateness import late_verdict
 from rsb_bridge.route.yielding import verdict_of, why
+from rsb_bridge.telemetry.watches import FAST_ABOVE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.qos import Qos
     from rsb_bridge.ros.api import Endpoint
+    from rsb_bridge.route.lateness import Late
     from rsb_bridge.route.yielding import Yielded
     from rsb_bridge.telemetry.watches import Loss
 
@@ -54,8 +58,9 @@ class Facts(NamedTuple):
         type_name: of its messages; empty: not known yet.
         qos: it is subscribed to and published with; None: not known yet.
         flowing: messages could cross now.
-        came: some have, since it was opened.
-        stale_since: s, of the last message, where that is longer ago than `stale_after`; else None.
+        came: some have since it was opened, or the receiving side has kept some of a latched topic.
+        came_before: some have in an earlier opening, and none in this one.
+        stale_since: s, of the last message, if silence counts and that is longer ago than `stale_after`, or None.
         stopped_since: s, of the last message, where its publishers have stopped; else None.
         slow_since: s, when it got slow; None: it is not.
         rate: Hz, of the messages that are sent.
@@ -66,6 +71,8 @@ class Facts(NamedTuple):
         limit: Hz that an operator allows it; 0: all.
         limited_by: who says so.
         yielded: what it leaves to topics with a higher priority; None: nothing.
+        late: how late its messages are; None: they are not.
+        full: what the link carries, if it carries less than is asked of it; None: it carries all.
     """
 
     sends: bool
@@ -90,6 +97,7 @@ class Facts(NamedTuple):
     qos: Qos | None = None
     flowing: bool = False
     came: bool = False
+    came_before: bool = False
     stale_since: float | None = None
     stopped_since: float | None = None
     slow_since: float | None = None
@@ -101,6 +109,8 @@ class Facts(NamedTuple):
     limit: float = 0.0
     limited_by: str = "set on purpose (max_rate)"
     yielded: Yielded | None = None
+    late: Late | None = None
+    full: Fullness | None = None
 
     @property
     def crowded_out(self) -> str:
@@ -148,17 +158,26 @@ def types_and_nodes(endpoints: Iterable[Endpoint]) -> str:
 
 
 def _stale(facts: Facts) -> Verdict | None:
-    if (since := facts.stale_since) is None:
+    if (since := facts.stale_since) is None or _stopped(facts) is not None:
         return None
     text = f"nothing for {LASTING}"
     if not facts.sends:
         return Verdict(State.STALE, Cause.SILENT, text, since)
+    cause, why = _why_silent(facts)
+    return Verdict(State.STALE, cause, f"{text}: {why}", since)
+
+
+def _why_silent(facts: Facts) -> tuple[Cause, str]:
+    """Explain that nothing is published. DDS lists one that died for up to 40 s, so whether it runs is unknown."""
+    ever = facts.came or facts.came_before
     if facts.endpoints:
-        silent = _plural(facts.endpoints, "is running, but publishes nothing", "are running, but publish nothing")
-        return Verdict(State.STALE, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
-    cause = Cause.PUBLISHER_GONE if facts.came else _nobody(facts)
-    nobody = no_publisher(facts.topic, facts.domain_id, facts.similar)
-    return Verdict(State.STALE, cause, f"{text}: {nobody}", since)
+        silent = ("has stopped publishing, or died", "have stopped publishing, or died")
+        if not ever:
+            silent = ("has published nothing yet", "have published nothing yet")
+        return Cause.PUBLISHER_SILENT, _plural(facts.endpoints, *silent)
+    if ever:
+        return Cause.PUBLISHER_GONE, f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    return _nobody(facts), no_publisher(facts.topic, facts.domain_id, facts.similar)
 
 
 def _nobody(facts: Facts) -> Cause:
@@ -172,10 +191,15 @@ def _waiting(facts: Facts) -> Verdict | None:
         text = no_publisher(facts.topic, facts.domain_id, facts.similar)
         return Verdict(State.WAITING, _nobody(facts), text)
     if facts.sends and facts.flowing:
-        text = _plural(facts.endpoints, "has published nothing yet", "have published nothing yet")
+        nothing = "published nothing since it was opened again" if facts.came_before else "published nothing yet"
+        text = _plural(facts.endpoints, f"has {nothing}", f"have {nothing}")
         return Verdict(State.WAITING, Cause.PUBLISHER_SILENT, text)
     text = "no message yet" if facts.flowing or not facts.waits_for else f"waiting: {facts.waits_for}"
     return Verdict(State.WAITING, Cause.NO_MESSAGE, text)
+
+
+def _late(facts: Facts) -> Verdict | None:
+    return late_verdict(facts.late) if facts.late is not None else None
 
 
 # --- the sending side
@@ -220,18 +244,31 @@ def _stopped(facts: Facts) -> Verdict | None:
     since = facts.stopped_since
     if since is None or facts.expected_rate is None:
         return None
-    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected"
-    if not facts.endpoints:
-        gone = f"{text}: {no_publisher(facts.topic, facts.domain_id)} any more"
-        return Verdict(State.STOPPED, Cause.PUBLISHER_GONE, gone, since)
-    silent = _plural(facts.endpoints, "has stopped publishing, or died", "have stopped publishing, or died")
-    return Verdict(State.STOPPED, Cause.PUBLISHER_SILENT, f"{text}: {silent}", since)
+    cause, why = _why_silent(facts)
+    text = f"nothing for {LASTING}, {facts.expected_rate:.3g} Hz expected: {why}"
+    return Verdict(State.STOPPED, cause, text, since)
+
+
+def _departed(facts: Facts) -> Verdict | None:
+    """A rule: the publisher has left, and nothing more was due."""
+    if not facts.sends or not facts.flowing or not facts.came or facts.endpoints:
+        return None
+    text = f"{no_publisher(facts.topic, facts.domain_id)} any more"
+    return Verdict(State.OK, Cause.PUBLISHER_GONE, text)
+
+
+def _steady_figure(rate: float) -> str:
+    """Format a rate that changes each second with as many digits as before: ``2.00``, ``20.3``."""
+    return f"{rate:#.3g}".rstrip(".")
 
 
 def _slow(facts: Facts) -> Verdict | None:
     if facts.slow_since is None or facts.expected_rate is None:
         return None
-    text = f"{facts.rate:.3g} Hz of {facts.expected_rate:.3g} expected, for {LASTING}"
+    rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
+    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits a little before it calls the topic fine
+        return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
+    text = f"{rates}, for {LASTING}"
     if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
         reason = f"DDS lost {facts.lost_in_dds:,} messages before they could be taken"
     else:
@@ -267,6 +304,9 @@ def _lossy(facts: Facts) -> Verdict | None:
             "messages; if none arrives, lower the MTU on both sides"
         )
     cause, why = _LOSSES.get(loss.cause, (Cause.LOSSY, f"lost on the way; {remedy}"))
+    if facts.full is not None and cause in (Cause.LOSSY, Cause.QUEUE_FULL):
+        why = f"the link is full ({facts.full.share}): set max_rate, compression: zstd or priority"
+        cause = Cause.QUEUE_FULL
     if loss.lost >= loss.of:
         text = f"none of the last {loss.of:,} messages arrived"
         return Verdict(State.DOWN, cause, f"{text}, for {LASTING}: {why}", loss.since)
@@ -311,8 +351,10 @@ _RULES: tuple[Callable[[Facts], Verdict | None], ...] = (
     _lossy,
     _stale,
     _stopped,
+    _late,
     _slow,
     _subscribers,
     _waiting,
+    _departed,
     throttled,
 )

@@ -3,6 +3,10 @@
 DDS keeps each message until every reliable subscription has acknowledged it, up to the publisher's depth. A program
 that is stopped acknowledges nothing until DDS gives it up, 20 s later. The memory of a message is used again for others
 of the same publisher, and never shrinks; it is freed with the publisher.
+
+Messages that waited while a process was frozen come in a burst, much faster than subscriptions acknowledge. A publisher
+that keeps few messages then overwrites some that a reliable subscription has missed and asks for again. So where nobody
+has chosen a depth, it keeps many, as long as no subscription leaves them unacknowledged for long.
 """
 
 from __future__ import annotations
@@ -18,6 +22,12 @@ if TYPE_CHECKING:
 
 FREE = 1 << 16
 """Bytes that each publisher may hold uncounted, so that topics of small messages go on whatever the others hold."""
+BURST_DEPTH = 2000
+"""Messages that a publisher keeps at first if nobody has chosen a depth."""
+_BURST_BYTES = 1 << 20
+"""Bytes of messages kept for a burst from which on DDS is asked more often whether they are acknowledged."""
+_BURST_TIME = 2.0
+"""Seconds for which more than that may be kept before the publisher is replaced by one that keeps few."""
 _MESSAGE_COST = 256  # bytes
 _ASKS_AGAIN_AFTER = 0.01
 """s, while subscribers take nothing: to ask DDS takes 100 µs then."""
@@ -42,7 +52,8 @@ class VolatileTopic:
         depth: messages that it keeps at most.
         budget: of the publisher's link; one topic takes no more of it than it leaves to the others.
         now: the clock that all timers use, in s.
-        renew: makes another publisher in this one's place; None: nothing does.
+        renew: makes another publisher of some depth in this one's place, or None if nothing does.
+        lasting_depth: messages that it keeps once a subscriber has turned out to be slow, or None if always `depth`.
     """
 
     def __init__(
@@ -51,13 +62,17 @@ class VolatileTopic:
         depth: int,
         budget: Budget,
         now: Callable[[], float],
-        renew: Callable[[], Publisher] | None = None,
+        renew: Callable[[int], Publisher] | None = None,
+        *,
+        lasting_depth: int | None = None,
     ) -> None:
         self._publisher = publisher
         self._depth = depth
         self._budget = budget
         self._now = now
         self._renew = renew
+        self._lasting_depth = depth if lasting_depth is None else lasting_depth
+        self._unacknowledged_since: float | None = None
         self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
         self._free: list[int] = []  # of memory that DDS uses next
         self._held = self._charged = self._held_when_asked = 0
@@ -76,12 +91,17 @@ class VolatileTopic:
             SlowSubscriberError: it would take too much memory.
         """
         size = len(content) + _MESSAGE_COST
-        if self._held + size - self._memory() > self._held_when_asked + FREE:
+        growth, deep = size - self._memory(), self._depth > self._lasting_depth
+        full = deep and growth > 0 and self._held + growth > max(_BURST_BYTES, self._lasting_depth * size)
+        if full or self._held + growth > self._held_when_asked + FREE:
             self._recycle()
+        since = self._unacknowledged_since
+        if full and since is not None and self._renew is not None and self._now() - since >= _BURST_TIME:
+            self._begin_anew(self._renew)
         try:
             self._take(size, self._memory())
         except SlowSubscriberError:
-            if self._waiting or not self._free or self._renew is None:
+            if self._renew is None or (not deep and (self._waiting or not self._free)):
                 raise
             self._begin_anew(self._renew)
             self._take(size, 0)
@@ -92,9 +112,10 @@ class VolatileTopic:
         self._publisher.close()
         self._forget_memory()
 
-    def _begin_anew(self, renew: Callable[[], Publisher]) -> None:
-        """Have a publisher without memory: all of this one's is free, but each piece is too small."""
-        former, self._publisher = self._publisher, renew()
+    def _begin_anew(self, renew: Callable[[int], Publisher]) -> None:
+        """Have a publisher without memory: each piece of this one's is too small, or kept for a slow subscriber."""
+        self._depth, self._unacknowledged_since = self._lasting_depth, None
+        former, self._publisher = self._publisher, renew(self._depth)
         former.close()
         self._forget_memory()
 
@@ -119,7 +140,10 @@ class VolatileTopic:
             self._free.extend(self._waiting)
             self._waiting.clear()
             self._held_when_asked = self._held
+            self._unacknowledged_since = None
         else:
+            if self._unacknowledged_since is None:
+                self._unacknowledged_since = now
             self._asks_at = now + _ASKS_AGAIN_AFTER
 
     def _take(self, size: int, memory: int) -> None:

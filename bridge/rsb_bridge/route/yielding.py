@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from rsb_bridge.model.fullness import rates_text
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import Cause, Verdict
 from rsb_bridge.route.throttle import Throttle
@@ -30,6 +31,8 @@ PER_MESSAGE = 60
 """Bytes that a message takes on the wire beside its content, about: header, seal and its part of the packets'."""
 _SHOWN = 5.0
 """s that a topic counts as thinned after the last message that was left out."""
+_LESS = 0.95
+"""A topic is thinned if less than this share of what it wants crosses; figures that differ by less look the same."""
 _FADES = 0.8
 """The part of the messages so far that still counts a second later, for the size of the average one."""
 
@@ -218,6 +221,8 @@ class Yielding:
         """What to tell an operator; None: nothing."""
         if self.share is None or self._now - self._thinned_at > _SHOWN:
             return None
+        if self._crossed.rate >= _LESS * self._wanted.rate:
+            return None  # it has recovered, though it was thinned a moment ago
         return Yielded(self.share, self._crossed.rate, self._wanted.rate, self._thins, self._since)
 
 
@@ -237,21 +242,13 @@ def verdict_of(yielded: Yielded) -> Verdict:
 def why(yielded: Yielded) -> str:
     """Why it yields."""
     share = yielded.share
-    return f"the link carries {_of(share.carried, share.asked)}, and {share.first} goes first"
+    return f"the link carries {rates_text(share.carried, share.asked)}, and {share.first} goes first"
 
 
 def _hertz(yielded: Yielded) -> str:
     """``4 of 30 Hz``."""
     rate, wanted = (f"{each:.0f}" if each >= 9.95 else f"{each:.2g}" for each in (yielded.rate, yielded.wanted))
     return f"{rate} of {wanted} Hz"
-
-
-def _of(part: float, whole: float) -> str:
-    """``1.1 of 3.0 MB/s``."""
-    for unit, name in ((1e6, "MB/s"), (1e3, "kB/s")):
-        if whole >= unit:
-            return f"{part / unit:.1f} of {whole / unit:.1f} {name}"
-    return f"{part:.0f} of {whole:.0f} B/s"
 
 
 class _Held:

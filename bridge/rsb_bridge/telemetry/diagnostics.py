@@ -65,6 +65,8 @@ def _of_route(route: RouteSnapshot) -> Iterator[tuple[str, object]]:
         yield "expired", route.ledger.expired
         for why, count in route.ledger.dropped.items():
             yield f"dropped: {why}", count
+        yield "unknown", route.ledger.unknown
+        yield "missed while down (estimate)", route.ledger.missed_while_down
     else:
         yield "asked", route.calls.asked
         yield "answered", route.calls.answered

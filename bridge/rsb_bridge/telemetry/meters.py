@@ -17,6 +17,8 @@ _EARLIEST, _LATEST = -1.0, 3600.0
 _LARGEST_FIGURE = 1e9  # s
 """s: plausible transit times, with the error of comparing clocks; on a slow radio link messages wait for minutes."""
 _PINGS = 16
+_DRIFT_RATE = 1e-4
+"""s a second by which two clocks drift apart, at 100 ppm."""
 _DRIFT = 2e-3
 """s: how far two clocks drift apart over as many pings, at 100 ppm."""
 
@@ -101,6 +103,11 @@ class RateMeter:
         return self._usual.rate
 
     @property
+    def regular(self) -> bool:
+        """Whether messages have come at a rhythm, so that silence means something."""
+        return self._usual.regular
+
+    @property
     def bytes_per_second(self) -> float:
         """Smoothed over about two seconds."""
         return self._smoothed.rate
@@ -151,14 +158,22 @@ class RateMeter:
 
 
 class LatencyMeter:
-    """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds."""
+    """One-way latency of a route and its jitter (RFC 3550 section 6.4.1), in seconds.
 
-    __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99")
+    Attributes:
+        p50: of the last samples; None: no figure.
+        p99: likewise.
+        jitter: likewise.
+        recent: the median of what came between the last two ticks; None: nothing did.
+    """
+
+    __slots__ = ("_fresh", "_samples", "_transit", "jitter", "p50", "p99", "recent")
 
     def __init__(self) -> None:
         self._samples: deque[float] = deque(maxlen=_LATENCIES)
         self._transit: float | None = None
-        self._fresh = False
+        self._fresh = 0  # samples since the last tick
+        self.recent: float | None = None
         self.p50: float | None = None
         self.p99: float | None = None
         self.jitter: float | None = None
@@ -171,14 +186,14 @@ class LatencyMeter:
         if not _EARLIEST < transit < _LATEST:
             self._samples.clear()
             self._transit = self.p50 = self.p99 = self.jitter = None
-            self._fresh = False
+            self._fresh = 0
             return
         if self._transit is not None:
             jitter = self.jitter or 0.0
             self.jitter = jitter + (abs(transit - self._transit) - jitter) / 16
         self._transit = transit
         self._samples.append(transit)
-        self._fresh = True
+        self._fresh += 1
 
     def told(self, p50: float | None, p99: float | None, jitter: float | None) -> None:
         """Take the figures of the other side, as far as they can be right."""
@@ -188,9 +203,12 @@ class LatencyMeter:
 
     def tick(self) -> None:
         """Work out the percentiles over the last samples."""
-        if self._fresh:
-            self._fresh = False
-            ordered = sorted(self._samples)
+        fresh, self._fresh, self.recent = self._fresh, 0, None
+        if fresh:
+            samples = [*self._samples]
+            newest = sorted(samples[-fresh:])
+            self.recent = newest[len(newest) // 2]
+            ordered = sorted(samples)
             self.p50 = ordered[len(ordered) // 2]
             self.p99 = ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
 
@@ -200,14 +218,17 @@ class ClockOffset:
 
     Attributes:
         rtt: s, of the last exchange; None: no exchange yet.
-        offset: s, of the exchange with the shortest round trip among the last; None: no exchange yet.
-        uncertainty: s: half that round trip, which bounds the error whatever the asymmetry of the path.
+        offset: s, of the exchange that says most: of the last ones and the best one before, the one with the least
+            uncertainty; None: no exchange yet.
+        uncertainty: s: half its round trip, which bounds the error whatever the asymmetry of the path, and how far the
+            clocks may have drifted apart since. So what is held up on the way for long is not taken for an offset.
     """
 
-    __slots__ = ("_samples", "offset", "rtt", "uncertainty")
+    __slots__ = ("_best", "_samples", "offset", "rtt", "uncertainty")
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, float]] = deque(maxlen=_PINGS)
+        self._samples: deque[tuple[float, float, int]] = deque(maxlen=_PINGS)  # round trip, offset, when it came back
+        self._best: tuple[float, float, int] | None = None
         self.rtt: float | None = None
         self.offset: float | None = None
         self.uncertainty: float | None = None
@@ -218,9 +239,17 @@ class ClockOffset:
         offset = ((received - sent) + (answered - back)) / 2e9
         if self._stepped(offset, self.rtt / 2):
             self._samples.clear()
-        self._samples.append((self.rtt, offset))
-        shortest, self.offset = min(self._samples)
-        self.uncertainty = shortest / 2
+            self._best = None
+        self._samples.append((self.rtt, offset, back))
+        shortest = min(self._samples)
+        self.uncertainty = shortest[0] / 2
+        if self._best is not None and self._best not in self._samples:
+            rtt, _, at = self._best
+            older = rtt / 2 + _DRIFT_RATE * abs(back - at) / 1e9
+            if older < self.uncertainty:
+                self.uncertainty, shortest = older, self._best
+        self._best = shortest
+        self.offset = shortest[1]
 
     def _stepped(self, offset: float, uncertainty: float) -> bool:
         """Whether one of the clocks was set: two exchanges contradict each other, each within its bounds."""

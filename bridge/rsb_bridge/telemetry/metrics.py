@@ -88,6 +88,9 @@ FAMILIES = tuple(
             "link_receive_bytes_total": "Wire bytes received, over all connections of the link.",
             "link_transmit_bytes_total": "Wire bytes sent, over all connections of the link.",
         },
+        (*_LINK, "direction"): {
+            "link_full": "1 while the link carries less than is asked of it, out or in.",
+        },
         (*_LINK, "state"): {"link_state": "Always 1; the state of the link."},
         (*_ROUTE, "state"): {"route_state": "Always 1; the state of the route."},
         _ROUTE: {
@@ -109,7 +112,9 @@ FAMILIES = tuple(
             "messages_delivered_total": "Messages published on the receiving side.",
             "messages_throttled_total": "Messages left out because an operator allows no more.",
             "messages_expired_total": "Messages given up incomplete.",
+            "messages_unknown_total": "Messages sent to a process that ended before it said whether they arrived.",
             "messages_lost_in_dds_total": "Messages lost before the bridge could take them.",
+            "messages_missed_while_down_total": "Messages published while the route was down, estimated.",
             "messages_jitter_seconds": "Variation of the latency (RFC 3550).",
             "messages_in_flight": "Messages whose end is not known yet.",
         },
@@ -252,7 +257,9 @@ def _counts_of(ledger: Ledger) -> dict[str, int]:
         "messages_delivered_total": ledger.delivered,
         "messages_throttled_total": ledger.throttled,
         "messages_expired_total": ledger.expired,
+        "messages_unknown_total": ledger.unknown,
         "messages_lost_in_dds_total": ledger.lost_in_dds,
+        "messages_missed_while_down_total": ledger.missed_while_down,
     }
 
 
@@ -272,6 +279,8 @@ def _of_link(labels: tuple[str, ...], link: LinkSnapshot, families: _Families) -
     families.add("link_since_timestamp_seconds", labels, link.since)
     families.add("link_encrypted", labels, link.encrypted)
     families.add("link_warning", labels, bool(link.warning))
+    for direction, full in (("out", link.full_out), ("in", link.full_in)):
+        families.add("link_full", (*labels, direction), full is not None)
     families.add("link_failed_attempts", labels, link.attempts)
     families.add("link_round_trip_seconds", labels, link.rtt)
     families.add("link_clock_offset_seconds", labels, link.clock_offset)

@@ -9,12 +9,13 @@ from collections import deque
 from typing import TYPE_CHECKING, Protocol
 
 from rsb_bridge.tasks import in_slices
+from rsb_bridge.telemetry.acknowledgements import Acknowledgements
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from rsb_bridge.model.clock import Clock
-    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import LinkSnapshot, RefusedClient, RouteSnapshot, Snapshot
     from rsb_bridge.telemetry.event_log import EventLog
 
 _AT_ONCE, _REFRESHES = 128, 4
@@ -57,16 +58,22 @@ class ShownBridge(Protocol):
         """All of them, up or down."""
         ...
 
+    def refused(self) -> tuple[RefusedClient, ...]:
+        """Return the clients that a server refuses, and that no link shows."""
+        ...
+
 
 class SnapshotPublisher:
     """Renews the snapshot, as long as anybody looks at it.
 
     Attributes:
         latest: the newest snapshot; replaced, never changed, so that any thread may read it.
+        acknowledged: the faults that operators know of.
     """
 
     def __init__(self, blank: Snapshot, events: EventLog, clock: Clock) -> None:
         self.latest = blank
+        self.acknowledged = Acknowledgements(clock)
         self._events = events
         self._clock = clock
         self._routes: dict[ShownRoute, RouteSnapshot] = {}
@@ -132,13 +139,17 @@ class SnapshotPublisher:
     def _publish(self, bridge: ShownBridge, *, running: bool) -> None:
         """Show what was renewed and is still there; what has come meanwhile follows in the next refresh."""
         self._links = {link: self._links[link] for link in bridge.links() if link in self._links}
+        now = self._clock.time_ns() / 1e9
+        shown = [self._routes[route] for route in _routes_of(bridge) if route in self._routes]
+        links, routes = self.acknowledged.mark(self._links.values(), shown, now)
         self.latest = dataclasses.replace(
             self.latest,
-            time=self._clock.time_ns() / 1e9,
+            time=now,
             running=running,
-            links=tuple(self._links.values()),
-            routes=tuple(self._routes[route] for route in _routes_of(bridge) if route in self._routes),
+            links=links,
+            routes=routes,
             last_event=self._events.last,
+            refused=bridge.refused(),
         )
 
 

@@ -9,6 +9,8 @@ _SAMPLES, _ENOUGH = 20, 15
 """Samples that are judged: at the most, and at the least."""
 _JUDGED_OVER = 3.0
 """Messages, and s: a rate is judged over the longer of both (`rsb_bridge.telemetry.meters`, `watches`)."""
+_RHYTHM_SAMPLES, _RHYTHM_STEADY = 5, 0.1
+"""Samples that show a rhythm before there are enough to learn its rate, and how steady so few have to be."""
 _STEADY = 0.15
 """Standard deviation, as a share of the rate, that the rate over so long may have; watches call less than 0.7 slow."""
 _LONGEST_GAP = 60.0
@@ -31,13 +33,15 @@ class UsualRate:
     A higher rate is learned within seconds. A lower one counts as slow first, and is learned after ten minutes.
 
     Attributes:
-        rate: Hz; None: it is not known yet, or there is none.
+        rate: Hz, or None if it is not known yet or there is none.
+        regular: messages come at a rhythm, though its rate may not be known yet; silence keeps it.
     """
 
-    __slots__ = ("_irregular", "_last", "_lower_for", "_samples", "_ticked", "rate")
+    __slots__ = ("_irregular", "_last", "_lower_for", "_samples", "_ticked", "rate", "regular")
 
     def __init__(self) -> None:
         self.rate: float | None = None
+        self.regular = False
         self._samples: deque[tuple[int, float]] = deque(maxlen=_SAMPLES)  # gaps, and the s they took together
         self._last: float | None = None
         self._ticked = 0.0
@@ -65,12 +69,13 @@ class UsualRate:
             gaps, seconds = gaps - 1, seconds - quiet
         self._samples.append((gaps, seconds))
         self._learn(last - previous)
+        self.regular = self.rate is not None or self._regular_rate(_RHYTHM_SAMPLES, _RHYTHM_STEADY) is not None
 
     def _longest_gap(self) -> float:
         return _LONGEST_GAP if self.rate is None else max(_QUIET, _QUIET_PERIODS / self.rate)
 
     def _learn(self, seconds: float) -> None:
-        rate = self._regular_rate()
+        rate = self._regular_rate(_ENOUGH, _STEADY)
         if rate is None:
             self._irregular += 1
             if self._irregular > _SAMPLES:  # and not for one outlier among the samples
@@ -89,9 +94,9 @@ class UsualRate:
                 return
         self._lower_for = 0.0
 
-    def _regular_rate(self) -> float | None:
-        """The rate of the last samples, if it is steady."""
-        if len(self._samples) < _ENOUGH:
+    def _regular_rate(self, enough: int, steady: float) -> float | None:
+        """Return the rate of the last samples, or None if they are fewer than `enough` or not as `steady`."""
+        if len(self._samples) < enough:
             return None
         gaps = sum([gaps for gaps, _ in self._samples])
         period = sum([seconds for _, seconds in self._samples]) / gaps
@@ -100,4 +105,4 @@ class UsualRate:
         variance = sum([(seconds - gaps * period) ** 2 / gaps for gaps, seconds in self._samples])
         variation = sqrt(variance / (len(self._samples) - 1)) / period  # of a single gap
         spread = variation / sqrt(max(_JUDGED_OVER, _JUDGED_OVER / period))
-        return 1 / period if spread <= _STEADY else None
+        return 1 / period if spread <= steady else None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping
 
-_SLOW_BELOW, _FAST_ABOVE = 0.7, 0.85
+_SLOW_BELOW, FAST_ABOVE = 0.7, 0.85
 """Shares of the expected rate: below the one a topic gets slow, above the other it no longer is."""
 _SLOW_AFTER, _FAST_AFTER = 5, 3
 """s."""
@@ -46,7 +46,7 @@ class SlowWatch:
             self.reset()
             return
         slow = self.since is not None
-        changes = rate >= _FAST_ABOVE * expected if slow else rate < _SLOW_BELOW * expected
+        changes = rate >= FAST_ABOVE * expected if slow else rate < _SLOW_BELOW * expected
         self._other = self._other + 1 if changes else 0
         if self._other >= (_FAST_AFTER if slow else _SLOW_AFTER):
             self.since = None if slow else now

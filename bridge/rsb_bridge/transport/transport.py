@@ -167,6 +167,11 @@ class StreamTransport(_Transport):
             OSError: there is no connection; `rsb_bridge.transport.streams.os_error_message` says why.
         """
 
+    @property
+    def problem(self) -> str:
+        """The reason why no peer can be reached at all, with the remedy, or an empty string."""
+        return ""
+
     def source_address(self, peer: Address) -> str:
         """The own address from which a new stream to `peer` would come now; empty: not known, or it can't change."""
         return ""

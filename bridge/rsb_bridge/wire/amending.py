@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from msgspec import UNSET, UnsetType
+
 from rsb_bridge.wire.fields import (
     Count,
     Hertz,
+    LateAfter,
     Name,
     Rank,
     RouteId,
@@ -19,7 +22,7 @@ class Amend(ControlMessageBase, frozen=True):
 
     The route's proposer decides: it tells what holds from now on. The other side asks it by the same message, and
     changes nothing before the proposer has answered. `who` is the operator who changes it; empty in an answer. Without
-    a `priority`, it is an older side's, and the route keeps the one it has.
+    a `priority` or a `late_after`, it is an older side's, and the route keeps the one it has.
     """
 
     route: RouteId
@@ -28,9 +31,10 @@ class Amend(ControlMessageBase, frozen=True):
     stale_after: StaleAfter | None = None
     who: Name = ""
     priority: Rank | None = None
+    late_after: LateAfter | UnsetType | None = UNSET
 
     def __post_init__(self) -> None:
-        check_limits(self.max_rate, self.expected_rate, self.stale_after)
+        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after)
 
 
 class Limit(ControlMessageBase, frozen=True):

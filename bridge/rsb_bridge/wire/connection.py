@@ -38,6 +38,7 @@ from rsb_bridge.wire.preamble import (
     take_frame,
 )
 from rsb_bridge.wire.preamble_stream import Phase, PreambleStream
+from rsb_bridge.wire.protocol_error import ForeignProtocolError
 from rsb_bridge.wire.sealing import Buffer, Sealer, SealError, SessionKeys, StreamOpener, Suite
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from rsb_bridge.wire.messages import ControlMessage, Hello, Welcome
     from rsb_bridge.wire.replay_cache import ReplayCache
 
+_NOT_CONFIRMED = "the client did not confirm the handshake"
 _CONTROL_HEADER = HEADER.pack(CONTROL, 0, 0, 0)
 
 
@@ -313,7 +315,10 @@ class ServerConnection(_Control):
     def _open_frames(self) -> None:
         if self._unconfirmed is not None:
             # Until here the peer may be anybody, so it gets no more room than a preamble frame has.
-            frame = take_frame(self._inbox)
+            try:
+                frame = take_frame(self._inbox)
+            except ForeignProtocolError:
+                raise ProtocolError(_NOT_CONFIRMED) from None
             if frame is None:
                 return
             self._confirm(frame, self._unconfirmed)
@@ -324,7 +329,7 @@ class ServerConnection(_Control):
         assert self._opener is not None
         header, sealed = frame[: HEADER.size], frame[HEADER.size :]
         if header != _CONTROL_HEADER or self._opener.open(sealed, header):
-            raise ProtocolError("the client did not confirm the handshake")
+            raise ProtocolError(_NOT_CONFIRMED)
         self._unconfirmed = None
         if isinstance(outcome, Refused):
             self._end(outcome)

@@ -83,9 +83,16 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The peer broke the format, or a seal is invalid. Send what is left to send, then close the stream."""
+    """The peer broke the format, or a seal is invalid. Send the remaining bytes, then close the stream.
+
+    Attributes:
+        reason: for an operator.
+        foreign: the protocol that the peer speaks instead, or an empty string if that is unknown; None if the peer is
+            an rsb-console.
+    """
 
     reason: str
+    foreign: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

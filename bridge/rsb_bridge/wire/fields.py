@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from msgspec import Meta
+from msgspec import Meta, UnsetType
 
 from rsb_bridge.cdr.description import DESCRIPTION_LIMIT
-from rsb_bridge.model.limits import PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
+from rsb_bridge.model.limits import LATE_AFTER, PORT, RATE, REASON_LENGTH, STALE_AFTER, TEXT_LENGTH
 from rsb_bridge.model.priority import HIGHEST, LOWEST
 from rsb_bridge.model.sources import HOP_LENGTH, MOST_BRIDGES, MOST_HOPS
 from rsb_bridge.model.text import UNPRINTABLE
@@ -31,6 +31,7 @@ Port: TypeAlias = Annotated[int, Meta(ge=0, le=int(PORT.high))]
 Seconds: TypeAlias = Annotated[float, Meta(ge=0, le=1e9)]
 Hertz: TypeAlias = Annotated[float, Meta(ge=0, le=RATE.high)]
 StaleAfter: TypeAlias = Annotated[float, Meta(ge=0, le=STALE_AFTER.high)]
+LateAfter: TypeAlias = Annotated[float, Meta(ge=0, le=LATE_AFTER.high)]
 Causes: TypeAlias = Annotated[dict[Name, int], Meta(max_length=32)]
 Rank: TypeAlias = Annotated[int, Meta(ge=LOWEST, le=HIGHEST)]
 Hop: TypeAlias = Annotated[str, Meta(min_length=1, max_length=HOP_LENGTH, pattern=PRINTABLE)]
@@ -51,7 +52,12 @@ Compression = Literal["none", "zstd"]
 RefuseCode = Literal["type_differs", "denied", "port_taken"]
 
 
-def check_limits(max_rate: float, expected_rate: float = 0.0, stale_after: float | None = None) -> None:
+def check_limits(
+    max_rate: float,
+    expected_rate: float = 0.0,
+    stale_after: float | None = None,
+    late_after: float | UnsetType | None = None,
+) -> None:
     """Check the limits of a route, which are 0 or in a range.
 
     Raises:
@@ -61,3 +67,5 @@ def check_limits(max_rate: float, expected_rate: float = 0.0, stale_after: float
         raise ValueError(f"a rate is 0 or {RATE} Hz")
     if stale_after and stale_after not in STALE_AFTER:
         raise ValueError(f"stale_after is 0 or {STALE_AFTER} s")
+    if late_after and late_after not in LATE_AFTER:
+        raise ValueError(f"late_after is 0 or {LATE_AFTER} s")

@@ -20,6 +20,7 @@ from rsb_bridge.wire.fields import (
     Count,
     Features,
     Hertz,
+    LateAfter,
     LinkId,
     MaybeHops,
     Name,
@@ -40,8 +41,10 @@ from rsb_bridge.wire.fields import (
 from rsb_bridge.wire.following import Follow, Followed
 from rsb_bridge.wire.message import ControlMessageBase as _Message
 from rsb_bridge.wire.questions import AskType, ListTopics, TopicList, TypeText
+from rsb_bridge.wire.receipts import Receipts
 from rsb_bridge.wire.records import (
     CallsReport,
+    FullRecord,
     LaneEntry,
     ReceivedReport,
     SentReport,
@@ -112,6 +115,7 @@ class Propose(_Message, frozen=True, kw_only=True):
         max_rate: Hz; 0: unlimited.
         expected_rate: Hz, shown to operators; 0: each side learns it.
         stale_after: s; 0: never warn; None: each side's own default.
+        late_after: s; 0: no message is late; None: each side's own default.
         paused: begin paused.
         pause_revision: of `paused`; see `Pause`.
         arm: the proposer's session wants it to be armed before anything crosses.
@@ -146,10 +150,11 @@ class Propose(_Message, frozen=True, kw_only=True):
     kind: Name = "topic"
     timeout: Seconds = 0.0
     priority: Rank = 0
+    late_after: LateAfter | None = None
 
     def __post_init__(self) -> None:
         check_qos(self.qos, depth_known=True)
-        check_limits(self.max_rate, self.expected_rate, self.stale_after)
+        check_limits(self.max_rate, self.expected_rate, self.stale_after, self.late_after)
         check_deadman(self.deadman)
 
 
@@ -316,11 +321,13 @@ class Report(_Message, frozen=True):
         sent: of the routes that it sends on.
         received: of those that it receives on.
         calls: of those that carry calls, either way.
+        full: how full the link is, from its sender to its receiver; None: as before.
     """
 
     sent: tuple[SentReport, ...]
     received: tuple[ReceivedReport, ...]
     calls: tuple[CallsReport, ...] = ()
+    full: FullRecord | None = None
 
 
 class Duplicate(_Message, frozen=True):
@@ -369,6 +376,7 @@ ControlMessage: TypeAlias = (
     | Ping
     | Pong
     | Report
+    | Receipts
     | ListTopics
     | TopicList
     | AskType

@@ -9,7 +9,9 @@ from typing import NamedTuple
 from rsb_bridge.model.fingerprints import FINGERPRINT_LENGTH, fingerprint_of, format_fingerprint
 from rsb_bridge.model.limits import NAME_BYTES
 from rsb_bridge.model.text import is_clean, sanitize_text
+from rsb_bridge.wire.foreign import recognise
 from rsb_bridge.wire.framing import LENGTH, PREAMBLE_LIMIT, ProtocolError
+from rsb_bridge.wire.protocol_error import ForeignProtocolError
 from rsb_bridge.wire.sealing import Suite
 
 VERSION = 2
@@ -129,13 +131,13 @@ def take_frame(stream: bytearray) -> bytes | None:
         The frame without its length; None while it is incomplete.
 
     Raises:
-        ProtocolError: no frame of the handshake is so long.
+        ForeignProtocolError: no frame of the handshake is so long.
     """
     if len(stream) < LENGTH.size:
         return None
     (length,) = LENGTH.unpack_from(stream)
     if length > PREAMBLE_LIMIT:
-        raise ProtocolError(f"a frame of {length:,} bytes instead of a handshake: the other side is not an rsb-console")
+        raise ForeignProtocolError(recognise(stream))
     if len(stream) < LENGTH.size + length:
         return None
     frame = bytes(stream[LENGTH.size : LENGTH.size + length])
@@ -179,11 +181,12 @@ def parse_preamble(frame: bytes) -> tuple[Kind, bytes]:
         The kind and its body.
 
     Raises:
-        ProtocolError: this is no preamble frame.
+        ForeignProtocolError: this is no preamble frame.
+        ProtocolError: its kind is unknown.
         Refusal: the peer speaks another version.
     """
     if len(frame) < PREFIX_LENGTH or not frame.startswith(MAGIC):
-        raise ProtocolError("the stream does not begin with a preamble: the other side is not an rsb-console")
+        raise ForeignProtocolError
     version, kind = frame[3], frame[4]
     if version != VERSION:
         older = "this side" if version > VERSION else "the peer"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rsb_bridge.wire.events import Event, Failed, Refused
 from rsb_bridge.wire.framing import ProtocolError, pack_frame
 from rsb_bridge.wire.preamble import Kind, Refusal, RefusalCode, parse_preamble, parse_refuse, refuse_frame, take_frame
+from rsb_bridge.wire.protocol_error import ForeignProtocolError
 from rsb_bridge.wire.sealing import SealError
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ class PreambleStream(ABC):
         except (ProtocolError, SealError) as error:
             if self._is(Phase.PREAMBLE):
                 self._refuse(RefusalCode.BAD_FORMAT, str(error))
-            self._end(Failed(str(error)))
+            foreign = error.protocol if isinstance(error, ForeignProtocolError) else None
+            self._end(Failed(str(error), foreign))
         return self._events
 
     def data_to_send(self) -> bytes:

@@ -13,3 +13,16 @@ class ProtocolError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(sanitize_text(message))
+
+
+class ForeignProtocolError(ProtocolError):
+    """The peer is not an rsb-console.
+
+    Attributes:
+        protocol: the name of the protocol that it speaks instead, or an empty string if that is unknown.
+    """
+
+    def __init__(self, protocol: str = "") -> None:
+        spoken = f" (it speaks {protocol})" if protocol else ""
+        super().__init__(f"the other side is not an rsb-console{spoken}")
+        self.protocol = protocol

@@ -53,8 +53,9 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
         in_flight: not accounted for yet.
-        dropped: by cause.
+        dropped: by cause; ``unknown``: sent, and the receiver ended before it said whether they arrived.
         lost_in_dds: lost before they could be taken.
+        missed_while_down: published while the route was down, estimated; no part of `offered`.
         publishers: on its topic.
         publisher_qos: what they offer together; None: there are none.
         subscribed: messages are being taken.
@@ -70,6 +71,7 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     in_flight: int = 0
     dropped: Causes = {}
     lost_in_dds: int = 0
+    missed_while_down: int = 0
     publishers: int = 0
     publisher_qos: Qos | None = None
     subscribed: bool = False
@@ -95,7 +97,8 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         subscriber_qos: what they ask for together; None: there are none.
         type: the topic's type in the receiver's graph, while the sender has described none.
         type_hash: likewise.
-        latency_p50: s, one way, corrected by the clock offset; None: no figure.
+        latency: s, of the messages of the last second, one way, corrected by the clock offset; None: no figure.
+        latency_p50: s, likewise, of the last messages.
         latency_p99: likewise.
         jitter: s (RFC 3550, 6.4.1); None: no figure.
         verdict: what the receiving side makes of the route; None: nothing to say.
@@ -113,6 +116,7 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     subscriber_qos: Qos | None = None
     type: Name = ""
     type_hash: Name = ""
+    latency: float | None = None
     latency_p50: float | None = None
     latency_p99: float | None = None
     jitter: float | None = None
@@ -121,6 +125,20 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
     def __post_init__(self) -> None:
         check_qos(self.subscriber_qos)
+
+
+class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What a link carries in the direction in which a report goes (`rsb_bridge.model.fullness.Fullness`).
+
+    Attributes:
+        carried: bytes/s that arrive.
+        asked: bytes/s that the sender's topics want; 0: the link is not full any more.
+        topics: those that want the most, by their names on the receiving side.
+    """
+
+    carried: float = 0.0
+    asked: float = 0.0
+    topics: NodeNames = ()
 
 
 class LaneEntry(msgspec.Struct, frozen=True, omit_defaults=True):

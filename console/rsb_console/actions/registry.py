@@ -71,6 +71,10 @@ ACTIONS: tuple[Action, ...] = (
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
     Action("pause", "p", "pause", "Pause or resume the topic or the service",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True),
+    Action("acknowledge", "i", "acknowledge", "Acknowledge the fault until it changes, or undo that",
+           Group.OPERATE, changes=True, needs_topic=True, also="known, silence, mute, ack, ignore"),
+    Action("undo", "u", "undo", "Take back the last change of this console, after a question",
+           Group.OPERATE, changes=True, in_footer=True, also="revert, put back, restore a removed topic"),
     Action("arm", "A", "arm", "Arm what has to be armed, or disarm it",
            Group.OPERATE, changes=True, needs_topic=True, in_footer=True, also="deadman, safety, enable"),
     Action("call", "C", "call", "Call the service or action by hand; of a node: set a parameter",
@@ -79,7 +83,7 @@ ACTIONS: tuple[Action, ...] = (
            Group.VIEW, needs_topic=True, in_footer=True),
     Action("message", "v", "message", "View a topic's latest message", Group.VIEW, needs_topic=True),
     Action("back", "escape", "back", "Close what is open, or drop the filter", Group.VIEW),
-    Action("filter", "slash", "filter", "Filter: text, or state: kind: robot: type: via: why:; ! inverts",
+    Action("filter", "slash", "filter", "Filter: terms, !terms; state: kind: robot: type: via: why:",
            Group.VIEW, in_footer=True),
     Action("next_match", "n", "next", "Next match; without a filter, next fault", Group.VIEW),
     Action("previous_match", "N", "previous", "Previous match; without a filter, previous fault", Group.VIEW),
@@ -87,7 +91,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("sort_left", "less_than_sign", "sort", "Sort by the column to the left", Group.VIEW),
     Action("sort_right", "greater_than_sign", "sort", "Sort by the column to the right", Group.VIEW),
     Action("reverse", "s", "reverse", "Reverse the order", Group.VIEW),
-    Action("group", "u", "group", "Keep together what is of one robot", Group.VIEW),
+    Action("group", "B", "group", "Keep together what is of one robot", Group.VIEW),
     Action("freeze", "space", "freeze", "Freeze the view; the bridge goes on", Group.VIEW),
     Action("faster", "plus", "faster", "Refresh more often", Group.VIEW),
     Action("slower", "minus", "slower", "Refresh less often", Group.VIEW),
@@ -117,6 +121,8 @@ ACTIONS: tuple[Action, ...] = (
     Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
     Action("mouse", "m", "mouse", "Give the mouse to the terminal, or take it back", Group.CONSOLE),
+    Action("bell_on_fault", "B", "bell", "Ring the terminal's bell when a fault begins, or do not",
+           Group.CONSOLE, also="sound, alarm, beep, notify"),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
     Action("quit", "q", "quit", "Quit; the bridge stops, unless it runs in another process",
@@ -126,7 +132,7 @@ ACTIONS: tuple[Action, ...] = (
 _CONSOLE_ACTIONS = {action.id: action for action in ACTIONS}
 _ON_FLEET = {
     "back": "Drop the filter, the marks",
-    "filter": "Filter: text, or state: robot: group: why:; ! inverts",
+    "filter": "Filter: terms, !terms; state: robot: group: why:",
     "next_match": "Next match; without a filter, next fault",
     "previous_match": "Previous match; without a filter, previous fault",
     "faults": "Show only robots with something wrong",
@@ -151,7 +157,8 @@ FLEET_ACTIONS: tuple[Action, ...] = (
     Action("dismiss", "d", "dismiss", "Forget the robots that have gone", Group.FLEET, in_footer=True),
     *(replace(_CONSOLE_ACTIONS[name], help=text) for name, text in _ON_FLEET.items()),
     *(action for action in ACTIONS
-      if action.group is Group.MOVE or (action.group is Group.CONSOLE and action.id not in _ON_FLEET)),
+      if action.group is Group.MOVE
+      or (action.group is Group.CONSOLE and action.id not in (*_ON_FLEET, "bell_on_fault"))),
 )  # fmt: skip
 
 BY_ID = {action.id: action for action in (*FLEET_ACTIONS, *ACTIONS)}

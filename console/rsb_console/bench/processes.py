@@ -7,19 +7,18 @@ import json
 import os
 import socket
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from rsb_console.bench.ends import BenchError
+from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _CPUCLOCK_SCHED = 2  # clock_getcpuclockid(3), as Linux makes the id of a process's clock
 _STOPS_WITHIN = 6.0
-_CHILD = "rsb_console.bench.child"
 
 
 class ChildError(BenchError):
@@ -29,8 +28,8 @@ class ChildError(BenchError):
 class Process:
     """A Python process that answers lines of commands with lines of JSON.
 
-    It is in a process group of its own, so that a Ctrl-C reaches only this one, which ends it; and where this one is
-    killed, the kernel ends it.
+    It is in a process group of its own, so that a Ctrl-C reaches only this one, which ends it. It also ends where this
+    one is killed.
     """
 
     def __init__(
@@ -52,12 +51,11 @@ class Process:
         self._name = " ".join(command[:3])
         with contextlib.ExitStack() as files:
             output = files.enter_context(log.open("wb")) if log else None
-            self._child = subprocess.Popen(  # noqa: S603 -- our own programs
-                [sys.executable, "-m", _CHILD, str(os.getpid()), *command[1:]],
+            self._child = ChildProcess(
+                *command[1:],
                 stdin=subprocess.PIPE,
                 stdout=output or subprocess.PIPE,
                 stderr=output or subprocess.DEVNULL,
-                text=True,
                 env=environment,
                 cwd=folder,
                 start_new_session=True,

@@ -28,6 +28,7 @@ exit codes, of every command:
   2    wrong usage: bad arguments, a name that does not exist, a session file with mistakes
   3    not here: no such bridge runs, or a key file is missing (check)
   4    the session runs on this machine already
+  129  the terminal has gone
   130  interrupted (Ctrl-C)
   143  terminated"""
 
@@ -39,10 +40,13 @@ once for all, where the files of the package are not in the shell's own folders:
   echo 'rsb-console completion fish | source' >> ~/.config/fish/config.fish"""
 
 
+_DEBUG = "show a failure's traceback"
+
+
 def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     """The parser, and the names of the commands. What it parses has the function to run as `command`."""
     debug = _CommandParser(add_help=False)
-    debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help="show a failure's traceback")
+    debug.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
     parser = argparse.ArgumentParser(
         prog="rsb-console",
         description="Bridge ROS 2 topics, services and actions over encrypted sockets, and watch them flow.",
@@ -95,7 +99,18 @@ def parser_and_commands() -> tuple[argparse.ArgumentParser, list[str]]:
     script = command("completion", lazily("script", "completion"), summary, _COMPLETION)
     script.add_argument("shell", metavar="SHELL", choices=("bash", "zsh", "fish"), help="bash, zsh or fish")
     _complete(subparsers, "yaml_files")
+    for added in subparsers.choices.values():
+        _add_debug(added)
     return parser, list(subparsers.choices)
+
+
+def _add_debug(parser: argparse.ArgumentParser) -> None:
+    """Have a command's own commands take --debug, too, as `client list` does."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for nested in action.choices.values():
+                nested.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=_DEBUG)
+                _add_debug(nested)
 
 
 def _complete(action: argparse.Action, completer: str) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import shlex
 from typing import TYPE_CHECKING
 
 import msgspec
 
+from rsb_bridge.config.fault_command import command_words
 from rsb_bridge.config.file_form import LISTS, NOUNS
 from rsb_bridge.config.rights_table import listings
 from rsb_bridge.config.topic_rules import transport_of
@@ -31,6 +33,8 @@ def summary(session: Session) -> Iterator[str]:
     yield f"encryption {'on' if session.use_encryption else 'OFF'}, {_prefix(session)}"
     if session.profile is not None:
         yield f"profile {session.profile}: {described(PROFILES[session.profile])}"
+    if session.on_fault is not None:
+        yield f"on a fault, {shlex.join(command_words(session.on_fault))} is run"
     for topic in session.topics:
         yield f"  {_route(topic, session, profile_of(session.profile))}"
     for client in session.clients:
@@ -139,6 +143,8 @@ def _details(topic: Topic, compression: Compression) -> Iterator[str]:
         yield f"expected {topic.expected_rate:g} Hz"
     if topic.stale_after is not None:
         yield f"stale after {topic.stale_after:g} s" if topic.stale_after else "never stale"
+    if topic.late_after is not None:
+        yield f"late after {topic.late_after:g} s" if topic.late_after else "never late"
     if topic.paused:
         yield "paused"
     if topic.arm:

@@ -52,6 +52,7 @@ def run(name: str, arguments: Namespace) -> int:
 
 def _add(arguments: Namespace) -> int:
     path = _session_path(arguments)
+    clients.check_address(arguments.name, arguments.address)
     output: Path | None = arguments.output
     if output is not None and output.exists():
         raise ClientError(f"{output} exists already: name another file for the robot's session")
@@ -84,6 +85,7 @@ def _rekey(arguments: Namespace) -> int:
         return _begin_rotation(arguments, path)
     if arguments.finish:
         return _finish_rotation(arguments, path)
+    clients.check_address(arguments.name, arguments.address)
     changed = clients.rekey_client(path, arguments.name)
     told = _tell(
         arguments,
@@ -150,6 +152,7 @@ def _rotated(arguments: Namespace, changed: Changed, told: str, what: str, steps
 
 
 def _show(arguments: Namespace) -> int:
+    clients.check_address(arguments.name, arguments.address)
     file = clients.open_server(_session_path(arguments))
     client = client_named(file.session, arguments.name)
     key_at = clients.key_path_of(file, client)
@@ -225,7 +228,7 @@ _NOT_RUNNING = "no server of this file runs here; it counts from the next start"
 
 
 def _session_path(arguments: Namespace) -> Path:
-    """The session file: the one that is named, or that of the server that runs here.
+    """Return the session file by its path, by the name of its bridge, or of the only server that runs here.
 
     Raises:
         UsageError: it cannot be told which.
@@ -233,14 +236,29 @@ def _session_path(arguments: Namespace) -> Path:
     """
     if arguments.session is not None:
         path: Path = arguments.session
-        return path
+        return path if path.exists() else _file_of(str(path)) or path
     try:
-        bridge = chosen_bridge(arguments)
+        bridge = _only_server(arguments) or chosen_bridge(arguments)
     except NoBridgeError as error:
         raise NoBridgeError(f"{error}: name the server's session file") from None
     if bridge.info is None or bridge.info.file is None:
         raise UsageError(f"{bridge.name} runs a session that is in no file: name the session file")
     return Path(bridge.info.file)
+
+
+def _file_of(name: str) -> Path | None:
+    """Return the session file of the bridge of that name that runs here, or None if no such bridge runs."""
+    named = (each for each in running_bridges() if each.name == name and each.info is not None and each.info.file)
+    bridge = next(named, None)
+    return Path(bridge.info.file) if bridge is not None and bridge.info is not None and bridge.info.file else None
+
+
+def _only_server(arguments: Namespace) -> RunningBridge | None:
+    """Return the server that is meant where the arguments name no bridge and one server runs here, or None."""
+    if arguments.bridge is not None or arguments.control is not None:
+        return None
+    servers = [each for each in running_bridges() if each.info is not None and each.info.role == "server"]
+    return servers[0] if len(servers) == 1 else None
 
 
 def _server_of(path: Path, control: Path | None) -> RunningBridge | None:

@@ -14,6 +14,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from rsb_bridge.config.advice import advise, uninstalled_types
+from rsb_bridge.config.fault_command import fault_command_warnings
 from rsb_bridge.config.keys import (
     Key,
     KeyFileError,
@@ -115,7 +116,7 @@ def check(arguments: Namespace) -> int:
     keys = dict(_keys(session, path))
     for line in _key_lines(session, keys):
         print_line(line)
-    for warning in _warnings(session, keys):
+    for warning in chain(_warnings(session, keys), fault_command_warnings(session, path)):
         print_line(f"warning: {warning}")
     if problem := _shared_keys(session, keys):
         print_error(f"the bridge does not start: {problem}")

@@ -10,11 +10,12 @@ from rsb_bridge.config.session_file import load
 from rsb_bridge.control.identity import identify
 from rsb_bridge.model.operators import acting
 from rsb_console.app import ConsoleApp
-from rsb_console.command.shell import FAILURE, OK, print_error
+from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
 from rsb_console.terminal.driver import prefers_ascii, terminal_to_itself
 from rsb_console.terminal.shutdown import ShutdownReason, crash_path, output_path, shut_down_on_signals
 
 if TYPE_CHECKING:
+    from contextlib import ExitStack
     from pathlib import Path
 
     from rsb_bridge.api import EngineApi
@@ -39,6 +40,7 @@ def run_console(
     session: Session | None = None,
     mouse: bool = True,
     temporary: bool = False,
+    resources: ExitStack | None = None,
 ) -> int:
     """Open the console, and return when both it and the engine have ended.
 
@@ -52,10 +54,11 @@ def run_console(
         attach_to: the control socket of a bridge to attach to, or what attaches to one; None: none.
         session: runs if there is no `path`.
         mouse: take the mouse from the terminal.
-        temporary: the session file is deleted when the console ends, as the demo's is.
+        temporary: the session file is deleted when the session ends, as the demo's is.
+        resources: closed when that session ends, or None.
 
     Returns:
-        The exit code: 0, or 1 after a crash of the app.
+        The exit code: 0, 1 after a crash of the app, or 129 if the terminal has gone.
 
     Raises:
         SessionError: the session file has mistakes.
@@ -69,6 +72,7 @@ def run_console(
         serve=partial(_serve, control),
         attach_to=attach_to,
         temporary=temporary,
+        resources=resources,
     )
     run_app(app, mouse=mouse)
     return _finish(app, on_hangup)
@@ -107,7 +111,7 @@ def _finish(app: ConsoleApp, on_hangup: str) -> int:
     """Stop the engine, or bridge on without the app. Returns the exit code."""
     crashed = app.shutdown_reason is ShutdownReason.CRASH
     hung_up = app.shutdown_reason is ShutdownReason.HANGUP
-    code = FAILURE if crashed else OK
+    code = FAILURE if crashed else HUNG_UP if hung_up else OK
     if crashed:
         print_error(f"the console has crashed; please report {crash_path()}")
     if app.engine is not None and not app.attached_to and (crashed or (hung_up and on_hangup == "continue")):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from typing import TYPE_CHECKING
 
@@ -26,11 +27,12 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
         The exit code; headless, 0 only if every topic crossed.
     """
     try:
-        with Signals(ignore_hangup=False, has_terminal=True) as signals, running_demo() as demo:
+        with Signals(ignore_hangup=False, has_terminal=True) as signals, contextlib.ExitStack() as resources:
+            demo = resources.enter_context(running_demo())
             if signals.caught:
                 return INTERRUPTED
             if ui:
-                return _in_console(demo)
+                return _in_console(demo, resources)
             code = _headless(demo, signals, seconds)
     except EngineError as error:
         print_error(str(error))
@@ -38,10 +40,18 @@ def run_demo(*, ui: bool, seconds: float | None) -> int:
     return code or _print_counts(demo)
 
 
-def _in_console(demo: Demo) -> int:
+def _in_console(demo: Demo, resources: contextlib.ExitStack) -> int:
     from rsb_console.command.console import run_console  # noqa: PLC0415 -- needs Textual
 
-    return run_console(demo.path, readonly=False, ascii_only=False, theme=None, on_hangup="stop", temporary=True)
+    return run_console(
+        demo.path,
+        readonly=False,
+        ascii_only=False,
+        theme=None,
+        on_hangup="stop",
+        temporary=True,
+        resources=resources,
+    )
 
 
 def _headless(demo: Demo, signals: Signals, seconds: float | None) -> int:

@@ -19,7 +19,7 @@ from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.bench.ends import BenchError
 from rsb_console.bench.fleet import WITH_BATTERY, fleet, listening
 from rsb_console.command.headless import Signals
-from rsb_console.command.shell import FAILURE, INTERRUPTED, OK, print_error, print_line
+from rsb_console.command.shell import FAILURE, HUNG_UP, INTERRUPTED, OK, print_error, print_line
 from rsb_console.fleet.fleet import Fleet
 from rsb_console.fleet.memory import Memory
 from rsb_console.fleet.servers import ServerFleet
@@ -41,6 +41,7 @@ _AWAY, _THERE = 10.0, 20.0
 """s for which the robot that comes and goes is away, and there."""
 _LOOK_EVERY = 0.2
 _FAULTY = "/scan"
+_AFTER_QUIT = "All simulated robots end."
 
 
 def run_fleet_demo(robots: int, *, ui: bool, seconds: float | None) -> int:
@@ -111,7 +112,7 @@ def _on_screen(running: Simulated, signals: Signals) -> int:
             return INTERRUPTED
         troubling = aside.submit(trouble, running, over.is_set)
         try:
-            code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True)
+            code = run_fleet(shown, readonly=False, ascii_only=False, theme=None, mouse=True, after_quit=_AFTER_QUIT)
         finally:
             over.set()
         troubling.result()
@@ -128,7 +129,7 @@ def _headless(running: Simulated, signals: Signals, seconds: float | None) -> in
     with seen(running) as shown:
         trouble(running, lambda: bool(signals.caught) or (ends is not None and time.monotonic() >= ends))
         _print_summary(_heard(shown))
-    return OK
+    return HUNG_UP if signals.hung_up else OK
 
 
 def _troubled(names: Sequence[str]) -> tuple[str, str]:

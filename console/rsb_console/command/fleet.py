@@ -127,8 +127,13 @@ def _print(arguments: Namespace) -> int:
     if not robots and arguments.fleet is not None:
         raise NoBridgeError(f"no engine has announced itself in the fleet {fleet.sources[0].name!r}")
     wrong = [robot for robot in robots if robot.summary.state.is_wrong]
-    states = [robot.summary.state for robot in robots]
-    summary = {"robots": len(robots), "states": {state: states.count(state) for state in RobotState}}
+    states = [robot.summary.state for robot in robots if not robot.is_server]
+    servers = len(robots) - len(states)
+    summary = {
+        "robots": len(states),
+        "servers": servers,
+        "states": {state: states.count(state) for state in RobotState},
+    }
     print_line(json_line({"ok": not wrong, "time": time.time(), "summary": summary, "robots": [*map(_report, robots)]}))
     return FAILURE if wrong else OK
 
@@ -197,6 +202,8 @@ def _parsed(words: Sequence[str]) -> Namespace:
         raise UsageError("events --follow does not end: follow one robot's server at a time")
     if words[0] == "echo" and not parsed.once and parsed.count is None:
         raise UsageError("echo does not end: give --once, or --count N")
+    if words[0] in ("hz", "bw") and parsed.count is None and parsed.lasts is None:
+        raise UsageError(f"{words[0]} does not end: give --count N, or --for N")
     if words[0] in ("echo", "wait") and parsed.timeout is None:
         raise UsageError(f"{words[0]} may wait for ever: give --timeout N")
     if any(getattr(parsed, name, None) for name in ("bridge", "control", "fleet", "link")):

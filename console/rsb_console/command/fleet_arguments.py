@@ -64,8 +64,8 @@ exit codes:
      it cannot be done on one
 {_NO_SERVER}"""
 ALLOWED = (
-    "status", "topics", "add", "edit", "remove", "pause", "resume", "disarm", "retry", "events", "echo", "wait", "call",
-    "param",
+    "status", "topics", "add", "edit", "remove", "pause", "resume", "ack", "disarm", "retry", "events", "echo", "hz",
+    "bw", "info", "wait", "call", "param",
 )  # fmt: skip
 """Commands that `exec` runs."""
 
@@ -83,7 +83,7 @@ def add_fleet_commands(
     commands = fleet.add_subparsers(metavar="COMMAND", parser_class=_FleetParser)
     forget = _add(commands, complete, "dismiss", "forget robots that were there, and are known no more", _DISMISS)
     complete(forget.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
-    listed = f"{', '.join(ALLOWED[:7])},\n{', '.join(ALLOWED[7:])}"
+    listed = f"{', '.join(ALLOWED[:8])},\n{', '.join(ALLOWED[8:])}"
     run = _add(commands, complete, "exec", "run a command for some robots", _EXEC.replace("{commands}", listed))
     complete(run.add_argument("names", metavar="NAME", nargs="*", help="robots"), "robots")
     run.usage = "rsb-console fleet exec [NAME ...] [--group GROUP] [--all] [--fleet FILE] [--json] -- COMMAND ..."

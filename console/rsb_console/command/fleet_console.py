@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rsb_console.command.console import run_app
-from rsb_console.command.shell import FAILURE, OK, print_error
-from rsb_console.fleet_app import FleetApp, RobotApp
+from rsb_console.command.shell import FAILURE, HUNG_UP, OK, print_error
+from rsb_console.fleet_app import BRIDGES_GO_ON, FleetApp, RobotApp
 from rsb_console.terminal.driver import prefers_ascii
 from rsb_console.terminal.shutdown import ShutdownReason, crash_path
 from rsb_console.widgets.fleet import FleetView
@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from rsb_console.terminal_app import TerminalApp
 
 
-def run_fleet(fleet: Fleet, *, readonly: bool, ascii_only: bool, theme: str | None, mouse: bool) -> int:
+def run_fleet(
+    fleet: Fleet,
+    *,
+    readonly: bool,
+    ascii_only: bool,
+    theme: str | None,
+    mouse: bool,
+    after_quit: str = BRIDGES_GO_ON,
+) -> int:
     """Show the fleet, and the robots that the operator opens, until they quit.
 
     Args:
@@ -27,13 +35,14 @@ def run_fleet(fleet: Fleet, *, readonly: bool, ascii_only: bool, theme: str | No
         ascii_only: draw only ASCII, whatever the terminal can do.
         theme: its name; None: the one that suits the terminal.
         mouse: take the mouse from the terminal.
+        after_quit: says whether the bridges go on when the operator quits.
 
     Returns:
-        The exit code: 0, or 1 after a crash.
+        The exit code: 0, 1 after a crash, or 129 if the terminal has gone.
     """
     view, ascii_only = FleetView(), ascii_only or prefers_ascii(os.environ)
     while True:
-        app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme)
+        app = FleetApp(fleet, view, readonly=readonly, ascii_only=ascii_only, theme=theme, after_quit=after_quit)
         robot = run_app(app, mouse=mouse)
         if robot is None or app.shutdown_reason is not ShutdownReason.QUIT:
             return _code(app)
@@ -57,4 +66,4 @@ def _code(app: TerminalApp[Any]) -> int:
     if app.shutdown_reason is ShutdownReason.CRASH:
         print_error(f"the console has crashed; please report {crash_path()}")
         return FAILURE
-    return OK
+    return HUNG_UP if app.shutdown_reason is ShutdownReason.HANGUP else OK

@@ -19,8 +19,8 @@ from rsb_bridge.model.operators import acting
 from rsb_bridge.model.snapshot import Event, Level
 from rsb_bridge.model.text import plural
 from rsb_console.command.log_writer import LogWriter
-from rsb_console.command.reports import json_event, json_status, text_event, text_status
-from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, OK, keep_output_clean, print_error
+from rsb_console.command.reports import StatusLines, json_event, json_status, text_event
+from rsb_console.command.shell import ALREADY_RUNNING, FAILURE, HUNG_UP, OK, keep_output_clean, print_error
 from rsb_console.command.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ def bridge_until_told(
         supervisor: is told how the engine is; None: nobody is.
     """
     format_event = json_event if log_format == "json" else text_event
-    status = json_status if log_format == "json" else text_status
+    status = json_status if log_format == "json" else StatusLines().text
     writer = LogWriter(sys.stdout.fileno(), lambda lost, reason: format_event(_lines_lost(lost, reason)))
 
     def log(events: Iterable[Event]) -> None:
@@ -159,7 +159,7 @@ def bridge_until_told(
     engine.stop(_STOPS_WITHIN)
     log(engine.events(seen))
     writer.close(_WRITTEN_WITHIN)
-    return FAILURE if failed else OK
+    return FAILURE if failed else HUNG_UP if signals.hung_up else OK
 
 
 def _has_terminal() -> bool:
@@ -241,6 +241,11 @@ class Signals:
         for number, handler in self._before.items():
             ends = number == signal.SIGINT and self.caught  # the process ends: one more would change its exit code
             signal.signal(number, signal.SIG_IGN if ends else handler)
+
+    @property
+    def hung_up(self) -> bool:
+        """Whether the end of the terminal is what ends the bridge."""
+        return self.caught == signal.SIGHUP.name
 
     def _ignores_hangup(self) -> bool:
         return self._ignore_hangup or signal.getsignal(signal.SIGHUP) is signal.SIG_IGN  # nohup(1) has it ignored

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rsb_bridge.model.health import link_is_wrong, pattern_is_wrong, route_is_wrong, route_waits
+from rsb_bridge.model.health import (
+    link_is_wrong,
+    link_needs_attention,
+    pattern_is_wrong,
+    pattern_needs_attention,
+    route_is_wrong,
+    route_needs_attention,
+    route_waits,
+)
 from rsb_bridge.model.snapshot import State
 from rsb_console.command.reports import link_fault, of_links_that_are_up, pattern_text, patterns_of, rate_text
 
@@ -13,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def wrong(now: Snapshot) -> list[str]:
-    """What is wrong, each in a sentence: links first; the topics of a link that is down are not named again.
+    """List what is wrong and not acknowledged, each in a sentence, links first, and a link's loss once.
 
     What nobody has begun to use is not wrong: a link or a topic that waits for its first connection or message, and a
     topic without a subscriber. Nor is what an operator wants: a pause, a limit, a
@@ -21,9 +29,19 @@ def wrong(now: Snapshot) -> list[str]:
     """
     if not now.running:
         return ["the bridge is stopped"]
-    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link_is_wrong(link)]
-    patterns = [pattern_text(each) for each in patterns_of(now) if pattern_is_wrong(each)]
-    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if route_is_wrong(route)]
+    links = [f"link {link.name} {link_fault(link)}" for link in now.links if link_needs_attention(link)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if pattern_needs_attention(each)]
+    return links + patterns + [rate_text(route) for route in of_links_that_are_up(now) if route_needs_attention(route)]
+
+
+def acknowledged(now: Snapshot) -> list[str]:
+    """List what is wrong and acknowledged, each in a sentence."""
+    if not now.running:
+        return []
+    links = [f"link {each.name} {link_fault(each)}" for each in now.links if each.acknowledged and link_is_wrong(each)]
+    patterns = [pattern_text(each) for each in patterns_of(now) if each.acknowledged and pattern_is_wrong(each)]
+    routes = [route for route in of_links_that_are_up(now) if route.acknowledged and route_is_wrong(route)]
+    return links + patterns + [rate_text(route) for route in routes]
 
 
 def waiting(now: Snapshot) -> list[str]:

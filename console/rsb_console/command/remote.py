@@ -7,30 +7,39 @@ import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from rsb_bridge.api import EngineError
+from rsb_bridge.control.bridges import running_bridges
+from rsb_bridge.control.client import RemoteEngine
+from rsb_bridge.control.folders import ControlError
+from rsb_bridge.model.health import state_counts
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.command.adding import add, edit
 from rsb_console.command.arming import arm, disarm
 from rsb_console.command.echo import echo
-from rsb_console.command.health import waiting, wrong
+from rsb_console.command.figures import BW, HZ, print_figures
+from rsb_console.command.health import acknowledged, waiting, wrong
+from rsb_console.command.info import print_info
 from rsb_console.command.reports import (
     clock,
     faults_first,
     json_event,
     json_line,
+    known_by,
     links_of,
     made_by,
     of_links_that_are_up,
     pattern_text,
     patterns_of,
     rate_text,
+    refused_text,
     route_of,
     status_of,
     text_event,
     topics_of_link_that_is_down,
     why_down,
 )
-from rsb_console.command.shell import FAILURE, OK, print_error, print_line
+from rsb_console.command.shell import FAILURE, NOT_RUNNING, OK, print_error, print_line
 from rsb_console.command.target import (
     ANSWERED_WITHIN,
     attached,
@@ -48,7 +57,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable
 
-    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.control.bridges import RunningBridge
     from rsb_bridge.model.snapshot import Snapshot, TopicInfo
 
 _LOOK_EVERY = 0.1
@@ -64,36 +73,92 @@ def run(name: str, arguments: Namespace) -> int:
 
 
 def _status(arguments: Namespace) -> int:
+    several = _all_bridges(arguments)
+    if several:
+        return _status_of_all(several, arguments)
     with attached(arguments, read_only=True) as engine:
-        now, bridge = engine.snapshot(), engine.bridge
-        faults, waits = wrong(now), waiting(now)
-        if arguments.json:
-            about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
-            print_line(
-                json_line({"ok": not faults, "wrong": faults, "waiting": waits, **about, "address": now.address,
-                           "domain_id": now.domain_id, "running": now.running, "time": now.time, **status_of(now)})
-            )  # fmt: skip
+        faults, lines, figures = _status_of(engine)
+    if arguments.json:
+        print_line(json_line(figures))
+    for line in () if arguments.json else lines:
+        print_line(line)
+    return FAILURE if faults else OK
+
+
+def _all_bridges(arguments: Namespace) -> list[RunningBridge]:
+    """Return all bridges of this machine if there are several and the arguments name none; else nothing."""
+    if arguments.bridge is not None or arguments.control is not None or getattr(arguments, "fleet", None) is not None:
+        return []
+    if getattr(arguments, "attach", None) is not None:
+        return []
+    found = running_bridges()
+    return found if len(found) > 1 else []
+
+
+def _status_of_all(bridges: list[RunningBridge], arguments: Namespace) -> int:
+    """Print how each bridge is. Returns the worst of their exit codes."""
+    codes: list[int] = []
+    figures: list[dict[str, object]] = []
+    for bridge in bridges:
+        try:
+            if bridge.info is None:
+                raise ControlError(bridge.problem)
+            engine = RemoteEngine(bridge.path, read_only=True)
+            try:
+                engine.start()
+                faults, lines, of_bridge = _status_of(engine)
+            finally:
+                engine.stop()
+        except (ControlError, EngineError, TimeoutError) as error:
+            codes.append(NOT_RUNNING)
+            lines = [f"{bridge.name}: pid {bridge.pid}, {bridge.path}", f"  {str(error) or 'it does not answer'}"]
+            of_bridge = {"ok": False, "name": bridge.name, "pid": bridge.pid, "error": str(error)}
         else:
-            print_line(f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}")
-            print_line(f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""))
-            print_line(f"  {_in_short(now, faults, waits)}")
-            for link in now.links:
-                where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
-                print_line(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}")
-                if waits_for_link := topics_of_link_that_is_down(now, link):
-                    print_line(f"    {waits_for_link}")
-            for route in faults_first(of_links_that_are_up(now)):
-                print_line(f"  {rate_text(route)}{made_by(route)}")
-            for pattern in patterns_of(now):
-                print_line(f"  {pattern_text(pattern)}")
-        return FAILURE if faults else OK
+            codes.append(FAILURE if faults else OK)
+        figures.append(of_bridge)
+        for line in () if arguments.json else lines:
+            print_line(line)
+    if arguments.json:
+        print_line(json_line({"ok": not any(codes), "bridges": figures}))
+    return max(codes)
 
 
-def _in_short(now: Snapshot, faults: list[str], waits: list[str]) -> str:
-    """What the exit code says, and how much waits."""
+def _status_of(engine: RemoteEngine) -> tuple[list[str], list[str], dict[str, object]]:
+    """Return what is wrong with a bridge, how it is in lines, and the same as data."""
+    now, bridge = engine.snapshot(), engine.bridge
+    faults, known, waits = wrong(now), acknowledged(now), waiting(now)
+    about = {key: getattr(bridge, key) for key in ("name", "role", "pid", "started", "file", "program")}
+    figures = {"ok": not faults, "wrong": faults, "acknowledged": known, "waiting": waits, **about,
+               "address": now.address, "domain_id": now.domain_id,
+               "running": now.running, "time": now.time, **status_of(now)}  # fmt: skip
+    lines = [
+        f"{bridge.name}: {bridge.role}, {now.address}, domain {now.domain_id}, pid {bridge.pid}",
+        f"  since {clock(bridge.started)}" + (f", {bridge.file}" if bridge.file else ""),
+        f"  {_in_short(now, faults, known, waits)}",
+    ]
+    for link in now.links:
+        where, fault = link.peer and f" {link.peer}", why_down(link) or link.warning
+        lines.append(f"  link {link.name} {link.state.upper()}{where}{fault and f': {fault}'}{known_by(link)}")
+        if waits_for_link := topics_of_link_that_is_down(now, link):
+            lines.append(f"    {waits_for_link}")
+    lines += [f"  {refused_text(client)}" for client in now.refused]
+    shown = faults_first(of_links_that_are_up(now))
+    lines += [f"  {rate_text(route)}{made_by(route)}{known_by(route)}" for route in shown]
+    lines += [f"  {pattern_text(pattern)}{known_by(pattern)}" for pattern in patterns_of(now)]
+    return faults, lines, figures
+
+
+def _in_short(now: Snapshot, faults: list[str], known: list[str], waits: list[str]) -> str:
+    """Say how much is wrong, acknowledged, and waiting."""
     if not now.running:
         return "STOPPED"
     parts = [f"{len(faults)} {plural(len(faults), 'thing')} wrong" if faults else "nothing is wrong"]
+    if unheard := state_counts(now.routes).get(State.UNHEARD):
+        parts.append(f"{unheard} unheard")
+    if known:
+        parts.append(f"{len(known)} acknowledged")
+    if refused := len(now.refused):
+        parts.append(f"{refused} {plural(refused, 'client')} refused")
     if waits:
         parts.append(f"{len(waits)} {'waits' if len(waits) == 1 else 'wait'}")
     return ", ".join(parts)
@@ -160,6 +225,14 @@ def _echo(arguments: Namespace) -> int:
     return failed(arguments, f"no more messages of {arguments.topic} within {arguments.timeout:g} s{why}", FAILURE)
 
 
+def _hz(arguments: Namespace) -> int:
+    return print_figures(HZ, arguments)
+
+
+def _bw(arguments: Namespace) -> int:
+    return print_figures(BW, arguments)
+
+
 # --- changing
 
 
@@ -177,6 +250,15 @@ def _pause(arguments: Namespace, *, paused: bool = True) -> int:
 
 def _resume(arguments: Namespace) -> int:
     return _pause(arguments, paused=False)
+
+
+def _ack(arguments: Namespace) -> int:
+    with attached(arguments) as engine:
+        if arguments.topic in {link.name for link in engine.snapshot().links}:
+            result(engine.acknowledge("", not arguments.undo, link=arguments.topic))
+        else:
+            result(engine.acknowledge(chosen(engine, arguments).key, not arguments.undo))
+        return done(arguments)
 
 
 def _retry(arguments: Namespace) -> int:
@@ -229,6 +311,7 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "remove": _remove,
     "pause": _pause,
     "resume": _resume,
+    "ack": _ack,
     "arm": arm,
     "disarm": disarm,
     "retry": _retry,
@@ -237,5 +320,8 @@ COMMANDS: dict[str, Callable[[Namespace], int]] = {
     "events": _events,
     "wait": wait,
     "echo": _echo,
+    "hz": _hz,
+    "bw": _bw,
+    "info": print_info,
     "stop": _stop,
 }

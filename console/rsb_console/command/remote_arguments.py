@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from rsb_console.command.values import above_0, count, timeout
+from rsb_console.command.values import above_0, count, timeout, window_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Complete: TypeAlias = "Callable[[argparse.Action, str], None]"
 TOPIC_KEYS = (
     "type=, protocol=, port=, qos=, remote_topic=, compression=, max_rate=, priority=, expected_rate=, stale_after=, "
-    "paused=, arm=, deadman=, except="
+    "late_after=, paused=, arm=, deadman=, except="
 )
 CALL_KEYS = (
     "type=, timeout=, protocol=, port=, remote_service= (remote_action=, remote_node=), compression=, max_rate=, "
@@ -45,11 +45,20 @@ exit codes:
 {NO_BRIDGE}"""
 _EXIT_STATUS = f"""\
 A topic or a link that waits for its first message or connection is not wrong, nor
-is a topic that is paused or not armed, or to which nobody subscribes.
+is a topic that is paused or not armed, or to which nobody subscribes, nor a fault
+that is acknowledged (`ack`).
 
 exit codes:
   0  nothing is wrong
   1  something is wrong: it is named
+{NO_BRIDGE}"""
+_EXIT_ACK = f"""\
+An acknowledged fault stays listed, but `status` does not count it as wrong, until
+its state or its cause changes.
+
+exit codes:
+  0  done
+  1  the bridge refused, or did not answer: there is no fault, say
 {NO_BRIDGE}"""
 _EXIT_RELOAD = f"""\
 exit codes:
@@ -71,6 +80,23 @@ Messages are decoded where one of the sides knows the type.
 exit codes:
   0  the messages are printed
   1  they have not come within the time
+{NO_BRIDGE}"""
+_EXIT_FIGURES = f"""\
+The figures are the bridge's own, {{where}}.
+
+exit codes:
+  0  the figures are printed
+  1  no message came while they were taken
+{NO_BRIDGE}
+  130  interrupted by Ctrl-C"""
+_EXIT_HZ = _EXIT_FIGURES.format(
+    where="counted where it sends messages over the link, or\npublishes the messages of the other side"
+)
+_EXIT_BW = _EXIT_FIGURES.format(where="of payload before compression, as for hz")
+_EXIT_INFO = f"""\
+exit codes:
+  0  it is printed, even if it has a fault
+  1  the bridge did not answer
 {NO_BRIDGE}"""
 _ADD = f"""\
 for example:
@@ -153,6 +179,7 @@ def add_remote_commands(
         ("resume", "carry what is paused again"),
     ):
         route_arguments(remote(name, summary, about_topic=True), complete)
+    _ack_arguments(remote("ack", "acknowledge a fault, until it changes", _EXIT_ACK, about_topic=True), complete)
     arm = remote("arm", "arm what has to be armed, for as long as this runs", _EXIT_ARM, about_topic=True)
     route_arguments(arm, complete)
     route_arguments(remote("disarm", "disarm a topic or service, whoever armed it", about_topic=True), complete)
@@ -162,6 +189,12 @@ def add_remote_commands(
     remote("restart", "close the links on both sides and open them again")
     reload = remote("reload", "read the session file again, and change only what differs", _EXIT_RELOAD)
     reload.add_argument("--dry-run", action="store_true", help="only print what would change")
+    _add_looking(remote, complete)
+    remote("stop", "end a running bridge, and wait until it has ended")
+
+
+def _add_looking(remote: Callable[..., argparse.ArgumentParser], complete: Complete) -> None:
+    """Add the commands that print what happens, for as long as somebody wants to see it."""
     events = remote("events", "print what a running bridge has reported")
     events.add_argument("--follow", action="store_true", help="go on with what it reports from now on")
     report = remote("report", "print what happened in the last hours, even of a bridge that has ended")
@@ -172,7 +205,17 @@ def add_remote_commands(
     _wait_arguments(wait, complete)
     echo = remote("echo", "print a topic's messages, two a second at most", _EXIT_ECHO, about_topic=True)
     _echo_arguments(echo, complete)
-    remote("stop", "end a running bridge, and wait until it has ended")
+    for name, summary, more in (
+        ("hz", "print a topic's rate, once a second", _EXIT_HZ),
+        ("bw", "print a topic's bytes a second and the size of its messages", _EXIT_BW),
+    ):
+        _figures_arguments(remote(name, summary, more, about_topic=True), complete)
+    route_arguments(remote("info", "print all about one topic or service", _EXIT_INFO, about_topic=True), complete)
+
+
+def _ack_arguments(ack: argparse.ArgumentParser, complete: Complete) -> None:
+    route_arguments(ack, complete, metavar="TOPIC|LINK")
+    ack.add_argument("--undo", action="store_true", help="have it count again")
 
 
 def _wait_arguments(wait: argparse.ArgumentParser, complete: Complete) -> None:
@@ -191,6 +234,14 @@ def _echo_arguments(echo: argparse.ArgumentParser, complete: Complete) -> None:
     echo.add_argument("--timeout", type=timeout, metavar="N", help="give up after N s; default: never")
     echo.add_argument("--no-arr", dest="arrays", action="store_false", help="leave out the elements of arrays")
     echo.add_argument("--full-length", action="store_true", help="print all elements of arrays, not only the first 128")
+
+
+def _figures_arguments(parser: argparse.ArgumentParser, complete: Complete) -> None:
+    route_arguments(parser, complete, kinds=("topic",))
+    parser.add_argument("--count", type=count, metavar="N", help="stop after N times; default: until interrupted")
+    parser.add_argument("--for", dest="lasts", type=above_0, metavar="N", help="stop after N s; default: never")
+    window = "take the figures over the last N s, at most 120 (%(default)s)"
+    parser.add_argument("--window", type=window_seconds, default=10, metavar="N", help=window)
 
 
 _OVER = "a fleet file: the bridge is one of that fleet, reached over Zenoh"
@@ -229,14 +280,17 @@ def add_client_commands(command: AddCommand, complete: Complete) -> None:
             its_name = parser.add_argument("name", metavar="NAME", help="the client's")
             if name != "add":
                 complete(its_name, "links")
-        which = "the server's file; default: that of the bridge that runs here"
+        which = "the server's file, or its bridge's name; default: the server that runs here"
         complete(parser.add_argument("session", type=Path, metavar="SESSION", nargs="?", help=which), "yaml_files")
         complete(parser.add_argument("--bridge", metavar="BRIDGE", help="where several bridges run"), "bridge_names")
         parser.add_argument("--control", type=Path, metavar="PATH", help="the bridge's control socket")
         parser.add_argument("--json", action="store_true", help="for programs")
         if hands_out:
             parser.add_argument(
-                "--address", default="", metavar="ADDRESS", help="the server's, as the client reaches it"
+                "--address",
+                default="",
+                metavar="ADDRESS",
+                help="the server's, as the client reaches it; :PORT if it differs",
             )
             output = "for the client's session file; default: standard output"
             parser.add_argument("-o", "--output", type=Path, metavar="FILE", help=output)

@@ -7,7 +7,7 @@ import math
 import time
 from collections import Counter
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import join_first, plural
@@ -17,10 +17,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rsb_bridge.model.calls import CallsSnapshot
+    from rsb_bridge.model.fullness import Fullness
     from rsb_bridge.model.session import Kind
-    from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RouteSnapshot, Snapshot
+    from rsb_bridge.model.snapshot import Event, LinkSnapshot, PatternSnapshot, RefusedClient, RouteSnapshot, Snapshot
 
 _SHOWN_IN_STATUS = 8
+_TOLD_AGAIN_AFTER = 60.0
+"""s after which a status line repeats a cause that has not changed."""
+_Told: TypeAlias = tuple[str, ...]
+_Item: TypeAlias = tuple[_Told, str, str, str]
+"""What it is about, its state and cause, the whole text, and the text without the cause; an empty one is left out."""
 _COUNTED: dict[Kind, str] = {
     "topic": "{} topic",
     "service": "{} service",
@@ -42,15 +48,56 @@ def text_event(event: Event) -> str:
 
 def text_status(snapshot: Snapshot) -> str:
     """One line: how many peers are linked, how many topics flow, the traffic, and the first faults and topics."""
-    received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
-    sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
-    parts = [
-        *_counts(snapshot),
-        f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
-        *_some([f"{link.name} {link_fault(link)}" for link in snapshot.links if link.reason or link.warning]),
-        *_some([rate_text(route) for route in faults_first(of_links_that_are_up(snapshot))]),
-    ]
-    return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
+    return StatusLines().text(snapshot)
+
+
+class StatusLines:
+    """Status lines in a row, for people: they give a cause when it begins or changes, and then once a minute."""
+
+    def __init__(self) -> None:
+        self._told: dict[_Told, tuple[str, float]] = {}
+
+    def text(self, snapshot: Snapshot) -> str:
+        """Return the next line, as `text_status` describes it."""
+        received = sum(link.rx_bytes_per_second for link in snapshot.links) / 1000
+        sent = sum(link.tx_bytes_per_second for link in snapshot.links) / 1000
+        parts = [
+            *_counts(snapshot),
+            f"RX {received:.1f} kB/s TX {sent:.1f} kB/s",
+            *self._news(
+                snapshot.time,
+                [
+                    (("link", link.name), f"{link.state} {link.cause}", f"{link.name} {link_fault(link)}",
+                     f"{link.name} {link.state.upper()}")
+                    for link in snapshot.links if link.reason or link.warning
+                ],
+                [
+                    (("refused", client.name, client.host), client.cause, refused_text(client), "")
+                    for client in snapshot.refused
+                ],
+                [
+                    (("route", route.key), f"{route.state} {route.cause} {route.from_peer}", rate_text(route),
+                     rate_text(route, why=False))
+                    for route in faults_first(of_links_that_are_up(snapshot))
+                ],
+            ),
+        ]  # fmt: skip
+        return f"{clock(snapshot.time)} status  {' | '.join(parts)}"
+
+    def _news(self, now: float, *groups: list[_Item]) -> list[str]:
+        """Return what to print of each group, in whole where it is new or was last told a minute ago."""
+        told, self._told = self._told, {}
+        parts: list[str] = []
+        for group in groups:
+            texts = []
+            for number, (key, how, text, brief) in enumerate(group):
+                before, at = told.get(key, ("", 0.0))
+                is_known = before == how and 0 <= now - at < _TOLD_AGAIN_AFTER
+                if number < _SHOWN_IN_STATUS or is_known:  # else it had no room in the line
+                    self._told[key] = (how, at if is_known else now)
+                texts.append(brief if is_known else text)
+            parts += _some([text for text in texts if text])
+        return parts
 
 
 def _some(parts: list[str]) -> list[str]:
@@ -111,21 +158,36 @@ def _of_kinds(routes: Sequence[RouteSnapshot]) -> str:
 
 def faults_first(routes: Sequence[RouteSnapshot]) -> list[RouteSnapshot]:
     """The line has room for some topics only, and faults must be among them."""
-    return sorted(routes, key=lambda route: route.state.rank)
+    return sorted(routes, key=lambda route: (_comes_late(route), route.state.rank))
 
 
-def rate_text(route: RouteSnapshot) -> str:
-    """A topic in a few words: its rate, or why it has none; of what is called, its calls."""
+def _comes_late(route: RouteSnapshot) -> bool:
+    """Whether a route comes after all faults: it has none, or an acknowledged one."""
+    return route.acknowledged is not None or route.state.severity == 0
+
+
+def known_by(of: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+    """Say who has acknowledged a fault, or nothing."""
+    return "" if of.acknowledged is None else f" [acknowledged by {of.acknowledged.by}, {clock(of.acknowledged.at)}]"
+
+
+def rate_text(route: RouteSnapshot, *, why: bool = True) -> str:
+    """Say in a few words how a topic is: its rate, or why it has none; of what is called, its calls.
+
+    Args:
+        route: the topic's.
+        why: give the reason; else only the state.
+    """
     arrow = "→" if route.outgoing else "←"
     armed = f" ARMED ({route.arming.by}):" if route.arming is not None and route.arming.armed else ""
     failed = _failed_calls(route.calls) if route.calls is not None else _dropped(route)
     kind = "" if route.spec.kind == "topic" else f"{route.spec.kind} "
-    return f"{arrow} {kind}{route.topic}{armed} {_how(route)}{failed and f' ({failed})'}"
+    return f"{arrow} {kind}{route.topic}{armed} {_how(route, why=why)}{failed and f' ({failed})'}"
 
 
 def _dropped(route: RouteSnapshot) -> str:
-    dropped = route.ledger.dropped_total
-    return f"{dropped} dropped" if dropped else ""
+    counts = {"dropped": route.ledger.dropped_total, "unknown": route.ledger.unknown}
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def _failed_calls(calls: CallsSnapshot) -> str:
@@ -134,7 +196,7 @@ def _failed_calls(calls: CallsSnapshot) -> str:
     return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
-def _how(route: RouteSnapshot) -> str:
+def _how(route: RouteSnapshot, *, why: bool) -> str:
     """The rate and what is wrong all the same, or the reason why there is no rate."""
     rate = f"{route.rate:.1f} Hz"
     if route.calls is not None:
@@ -142,7 +204,7 @@ def _how(route: RouteSnapshot) -> str:
     how = rate if route.state is State.OK else route.state.upper()
     if route.state is not State.OK and route.state.flows:
         how += f" {rate}"
-    return how + (f": {route.reason}" if route.reason else "")
+    return how + (f": {route.reason}" if why and route.reason else "")
 
 
 def json_line(content: dict[str, object]) -> str:
@@ -176,7 +238,16 @@ def json_status(snapshot: Snapshot) -> str:
 
 def status_of(snapshot: Snapshot) -> dict[str, object]:
     """The figures for a monitor, without what only the console draws (histories, the details of stages)."""
-    return {"links": links_of(snapshot), "routes": [route_of(route) for route in snapshot.routes]}
+    return {
+        "links": links_of(snapshot),
+        "refused": [asdict(client) | {"since": round(client.since, 3)} for client in snapshot.refused],
+        "routes": [route_of(route) for route in snapshot.routes],
+    }
+
+
+def refused_text(client: RefusedClient) -> str:
+    """Format a refused client, with the remedy."""
+    return f"refused {client.name or 'a client'} at {client.host} since {clock(client.since)}: {client.reason}"
 
 
 def links_of(snapshot: Snapshot) -> dict[str, object]:
@@ -187,14 +258,23 @@ def links_of(snapshot: Snapshot) -> dict[str, object]:
             "cause": link.cause,
             "reason": link.reason or link.warning,
             "since": round(link.since, 3),
+            "full": {
+                way: _full(each) for way, each in (("out", link.full_out), ("in", link.full_in)) if each is not None
+            },
             "peer": link.peer,
             "rtt": link.rtt,
             "fingerprint": link.fingerprint,
             "next_fingerprint": link.next_fingerprint,
+            "acknowledged": None if link.acknowledged is None else asdict(link.acknowledged),
             "patterns": [pattern_of(pattern) for pattern in link.patterns],
         }
         for link in snapshot.links
     }
+
+
+def _full(full: Fullness) -> dict[str, object]:
+    """How full a link is one way."""
+    return {"carried": round(full.carried), "asked": round(full.asked), "topics": full.topics}
 
 
 def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
@@ -209,6 +289,7 @@ def pattern_of(pattern: PatternSnapshot) -> dict[str, object]:
         "routes": pattern.routes,
         "gone": pattern.gone,
         "beyond": pattern.beyond,
+        "acknowledged": None if pattern.acknowledged is None else asdict(pattern.acknowledged),
     }
 
 
@@ -252,6 +333,7 @@ def route_of(route: RouteSnapshot) -> dict[str, object]:
         "subscribers": route.subscribers,
         "max_rate": route.max_rate,
         "arming": None if route.arming is None else asdict(route.arming),
+        "acknowledged": None if route.acknowledged is None else asdict(route.acknowledged),
         "missing": [stage.name for stage in route.stages if not stage.done],
         "rate": round(route.rate, 3),
         "bytes_per_second": round(route.bytes_per_second),

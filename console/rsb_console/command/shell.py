@@ -7,7 +7,7 @@ import os
 import resource
 import sys
 
-OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 130, 143
+OK, FAILURE, USAGE, NOT_RUNNING, ALREADY_RUNNING, HUNG_UP, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 129, 130, 143
 NO_KEY = 3
 """``check``: the session has no mistake, but a key that it needs is not here."""
 _MOST_DESCRIPTORS = 65_536  # some systems' hard limit is a billion, and some programs go through all that they may have

@@ -6,7 +6,7 @@ import contextlib
 from functools import partial
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
-from rsb_bridge.api import EngineError
+from rsb_bridge.api import EngineError, InvalidRequestError
 from rsb_bridge.config.keys import KeyFileError
 from rsb_bridge.config.topic_rules import A_KIND
 from rsb_bridge.config.yaml_text import SessionError
@@ -67,6 +67,8 @@ def reported(work: Callable[[Namespace], T], arguments: Namespace) -> T | int:
         return failed(arguments, str(error), USAGE)
     except (NoBridgeError, ControlError) as error:
         return failed(arguments, str(error), NOT_RUNNING)
+    except InvalidRequestError as error:
+        return failed(arguments, str(error), USAGE)
     except EngineError as error:
         return failed(arguments, str(error), FAILURE)
     except TimeoutError:
@@ -214,6 +216,11 @@ def chosen_route(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot:
         raise UsageError(f"{arguments.topic} is bridged as {only}, and not as {_either(kinds)}")
     known = [route.topic for route in now.routes if route.spec.kind in kinds]
     raise UsageError(f"{arguments.topic} is not bridged{suggestion(arguments.topic, known)}")
+
+
+def other_side(engine: RemoteEngine, route: RouteSnapshot) -> str:
+    """Name the side that a route leads to: a client's link has the client's own name."""
+    return "the server" if engine.bridge.role == "client" else route.link
 
 
 def chosen(engine: RemoteEngine, arguments: Namespace) -> RouteSnapshot | PatternSnapshot:

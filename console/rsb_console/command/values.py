@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+_REMEMBERED = 120  # seconds
+
 
 def seconds(text: str) -> float:
     """Parse a time.
@@ -54,6 +56,17 @@ def count(text: str) -> int:
     if parsed < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
     return parsed
+
+
+def window_seconds(text: str) -> int:
+    """Parse a span that the engine remembers second by second.
+
+    Raises:
+        argparse.ArgumentTypeError: it is not a whole number from 1 to 120.
+    """
+    if not (text.isascii() and text.isdigit()) or not 1 <= int(text[:4]) <= _REMEMBERED:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of seconds from 1 to {_REMEMBERED}")
+    return int(text)
 
 
 def _above_0(text: str, what: str) -> float:

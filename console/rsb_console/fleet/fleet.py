@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from rsb_bridge.model.names import natural_order
-from rsb_bridge.model.robot_summary import RobotState, RobotSummary
+from rsb_bridge.model.robot_summary import RobotState, RobotSummary, told_once
 from rsb_bridge.model.text import join_first
 from rsb_console.fleet.memory import Remembered
 
@@ -49,6 +49,11 @@ class Robot(NamedTuple):
     def key(self) -> str:
         """Tells it from all others, also of other sources."""
         return f"{self.source.name}/{self.summary.name}"
+
+    @property
+    def is_server(self) -> bool:
+        """Whether it is a server's own bridge, as on a control PC: it is shown, and no robot."""
+        return self.summary.role == "server"
 
     @property
     def order(self) -> tuple[object, ...]:
@@ -105,11 +110,11 @@ class Fleet:
         return sorted(found, key=lambda robot: (robot.summary.state.rank, robot.order))
 
     def _of(self, source: FleetSource) -> list[Robot]:
-        robots = [Robot(source, self._with_memory(source, summary)) for summary in source.robots()]
-        names = {robot.summary.name for robot in robots}
-        return robots + [
-            Robot(source, _gone(each), gone=True) for each in self._memory.of(source.name) if each.name not in names
-        ]
+        present = [self._with_memory(source, summary) for summary in source.robots()]
+        names = {summary.name for summary in present}
+        gone = [_gone(each) for each in self._memory.of(source.name) if each.name not in names]
+        told = told_once([*present, *gone])
+        return [Robot(source, summary, gone=number >= len(present)) for number, summary in enumerate(told)]
 
     def _with_memory(self, source: FleetSource, summary: RobotSummary) -> RobotSummary:
         """A robot that waits for its first connection is missing, if it was there before its server began."""

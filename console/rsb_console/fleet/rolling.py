@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.config.difference import changes
@@ -15,13 +15,41 @@ if TYPE_CHECKING:
 
     from rsb_bridge.api import EngineApi
     from rsb_bridge.model.robot_summary import RobotSummary
-    from rsb_bridge.model.session import Topic
+    from rsb_bridge.model.session import Session, Topic
+    from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.fleet.fleet import Fleet, Robot
 
 ANSWERED_WITHIN = 60.0
 PATIENCE = 30.0
 """s beyond the time to settle that a robot has to get as well as before."""
 _LOOK_EVERY = 0.5
+
+
+class Bridged(NamedTuple):
+    """A topic that a robot has.
+
+    Attributes:
+        robot: its name.
+        route: the topic's.
+        session: of the bridge that was asked.
+    """
+
+    robot: str
+    route: RouteSnapshot
+    session: Session
+
+
+def bridged_by(robot: Robot) -> list[Bridged]:
+    """Ask a robot for its topics, services and the like; may take some seconds.
+
+    Raises:
+        EngineError: it does not answer.
+    """
+    engine = robot.source.open(robot.summary.name, read_only=True)
+    try:
+        return [Bridged(robot.summary.name, route, engine.session) for route in engine.snapshot().routes]
+    finally:
+        engine.stop()
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from rsb_bridge.model.text import plural
 from rsb_bridge.model.verdict import LinkCause
 
 if TYPE_CHECKING:
+    from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import LinkSnapshot
 
 
@@ -91,6 +92,12 @@ def age(seconds: float) -> str:
     return f"{seconds:.0f}s"
 
 
+def age_since(since: float, now: float) -> str:
+    """Format the time from `since` to `now` (s) as `age`, in whole seconds: ``4s``, ``31s``, ``12m``."""
+    seconds = max(0, math.floor(now) - math.floor(since))
+    return f"{seconds}s" if seconds < 100 else age(seconds)
+
+
 def clock(seconds: float) -> str:
     """Format a duration as hours, minutes and seconds: ``00:12:04``."""
     whole = max(0, int(seconds))
@@ -109,11 +116,19 @@ def retry(number: int, seconds: float | None) -> str:
     return f"retry {number} in {math.ceil(seconds)} s" if seconds else f"retry {number} now"
 
 
-def next_attempt(link: LinkSnapshot) -> str:
-    """Format when a link is tried again, or when its client asks whether it may come back."""
-    if link.cause == LinkCause.SHUT_DOWN and link.retry_in is not None:
-        return f"asks again in {math.ceil(link.retry_in)} s"
-    return retry(link.attempts + 1, link.retry_in)
+def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
+    """Format when a link is tried again, or when its client asks whether it may come back.
+
+    Args:
+        link: that link.
+        now: s, to have the seconds change at the same moment as in `age_since`, or None.
+    """
+    seconds = link.retry_in
+    if seconds and now is not None:
+        seconds = max(1, math.floor(now + seconds) - math.floor(now))
+    if link.cause == LinkCause.SHUT_DOWN and seconds is not None:
+        return f"asks again in {math.ceil(seconds)} s"
+    return retry(link.attempts + 1, seconds)
 
 
 def counted(count: int, what: str) -> str:
@@ -124,3 +139,21 @@ def counted(count: int, what: str) -> str:
 def time_of_day(epoch: float) -> str:
     """Format a time (s since the epoch) as local time of day: ``02:31:07``."""
     return time.strftime("%H:%M:%S", time.localtime(epoch))
+
+
+def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
+    """Format a QoS as pieces of a list: ``reliable,`` ``volatile,`` ``last 10``.
+
+    Args:
+        qos: to format. A depth of 0 means that the bridge chooses it: from the topic's rate, or on a latched topic from
+            what its publishers keep.
+        depth_known: False leaves out history and depth.
+    """
+    parts = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
+    if depth_known:
+        parts.append("all" if qos.history == "keep_all" else f"last {qos.depth}" if qos.depth else "auto depth")
+    if qos.deadline:
+        parts.append(f"deadline {span(qos.deadline)}")
+    if qos.lifespan:
+        parts.append(f"lifespan {span(qos.lifespan)}")
+    return [f"{each}," for each in parts[:-1]] + parts[-1:]

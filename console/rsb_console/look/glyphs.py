@@ -25,6 +25,7 @@ STATE_SIGN = {
     State.WAITING: "◌",
     State.UNHEARD: "◇",
     State.SLOW: "≈",
+    State.LATE: "◔",
     State.STOPPED: "■",
     State.STALE: "▲",
     State.DOWN: "✗",
@@ -34,6 +35,8 @@ STATE_WORD = {state: state.upper() for state in State} | {
     State.WAITING: "WAIT",
 }
 ARMED, ARMED_WORD = "◆", "ARMED"
+KNOWN, KNOWN_WORD = "a", "ack"
+"""Of a fault that an operator has acknowledged."""
 OUT, IN = "→", "←"
 DONE, FAILED, UNKNOWN, UNDER_WAY = "✓", "✗", "·", "▸"
 BARS = " ▁▂▃▄▅▆▇█"
@@ -97,7 +100,7 @@ def _ascii_braille(dots: int) -> str:
 _LOOKALIKES = {
     "o": "●◐○⭘", "?": "◌", "!": "▲", "=": "‖═▅⇄", "x": "✗×", "v": "✓✔↓▼▾", ".": "·▃", ">": "→▸▶⇧", "<": "←◀",
     "^": "↑⌃⎋", "_": "▁▂␣", "-": "▄─━–—▔▀", "+": "▆┌┐└┘├┤┬┴┼╭╮╯╰", "*": "▇•◆◉", "#": "█■□", "%": "◇", "~": "…⏎≈",
-    "|": "│┃║▌▐▕▎▏▊▋▍▉", "/": "⊘", "u": "µ", "'": "’", '"': "“”",
+    "|": "│┃║▌▐▕▎▏▊▋▍▉", "/": "⊘", "@": "◔", "u": "µ", "'": "’", '"': "“”",
 }  # fmt: skip
 ASCII: dict[int, str] = {ord(char): sign for sign, chars in _LOOKALIKES.items() for char in chars}
 ASCII |= {0x2800 + dots: _ascii_braille(dots) for dots in range(256)}

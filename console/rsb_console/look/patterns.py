@@ -65,5 +65,6 @@ def _row(pattern: PatternSnapshot, *, is_client: bool) -> PatternRow:
         age=None,
         history=(),
         last_error="",
+        acknowledged=pattern.acknowledged,
         routes=pattern.routes,
     )

@@ -8,10 +8,21 @@ from typing import TYPE_CHECKING
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.snapshot import State
 from rsb_console.look.patterns import PatternRow
+from rsb_console.session.changes import (
+    Added,
+    CannotUndoError,
+    Edited,
+    Paused,
+    Removed,
+    find_entry,
+    named_by_client,
+    patterns_of,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Callable
 
+    from rsb_bridge.api import EngineApi
     from rsb_bridge.model.snapshot import RouteSnapshot
     from rsb_console.console import Console
     from rsb_console.screens.topic import Draft
@@ -39,6 +50,17 @@ def _removal(route: RouteSnapshot) -> str:
     return "It stops crossing at once"
 
 
+def _last_event(engine: EngineApi) -> int:
+    events = engine.events()
+    return events[-1].number if events else 0
+
+
+def _name_here(engine: EngineApi, key: str, name: str) -> str:
+    """The name of a new route on this side; as it was given, while the route is not seen yet."""
+    found = find_entry(engine.snapshot(), key)
+    return name if found is None else found.topic
+
+
 class BridgeOperations:
     """Methods named after their actions, each run as a worker.
 
@@ -50,12 +72,29 @@ class BridgeOperations:
     def __init__(self, console: Console, selected: Callable[[], RouteSnapshot | None]) -> None:
         self._console = console
         self._selected = selected
+        self._undoing = False
 
     async def pause(self) -> None:
         """Pause the topic under the cursor, or resume it."""
         engine, route = self._console.engine, self._selected()
+        if engine is None or route is None:
+            return
+        paused = route.state is not State.PAUSED
+        mixed = isinstance(route, PatternRow) and any(
+            each.spec.paused is paused
+            for each in self._console.snapshot().routes
+            if each.pattern == route.spec.topic
+            and (each.link, each.spec.kind, each.spec.direction) == (route.link, route.spec.kind, route.spec.direction)
+        )
+        change = Paused(route.link, route.topic, _last_event(engine), key=route.key, paused=paused, mixed=mixed)
+        if await self._console.command(engine.pause(route.key, paused)) and route.spec.paused is not paused:
+            self._console.changes.add(change)
+
+    async def acknowledge(self) -> None:
+        """Acknowledge the fault of the topic under the cursor, or have it count again."""
+        engine, route = self._console.engine, self._selected()
         if engine is not None and route is not None:
-            await self._console.command(engine.pause(route.key, route.state is not State.PAUSED))
+            await self._console.command(engine.acknowledge(route.key, route.acknowledged is None))
 
     async def arm(self) -> None:
         """Arm the topic under the cursor, after a question; disarm it at once, whoever armed it."""
@@ -90,8 +129,14 @@ class BridgeOperations:
         if engine is None:
             return
 
-        def add(draft: Draft) -> Awaitable[object]:
-            return asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
+        async def add(draft: Draft) -> None:
+            now, since = engine.snapshot(), _last_event(engine)
+            key = await asyncio.wrap_future(engine.add_topic(draft.topic, draft.link))
+            link = draft.link or now.links[0].name
+            spec = named_by_client(draft.topic, now, link)
+            self._console.changes.add(
+                Added(link, _name_here(engine, key, draft.topic.topic), since, key=key, spec=spec)
+            )
 
         draft = await self._console.ask(TopicScreen(engine, add))
         if draft is not None:
@@ -106,8 +151,16 @@ class BridgeOperations:
             return
 
         async def edit(draft: Draft) -> None:
-            if draft.topic != route.spec:
-                await asyncio.wrap_future(engine.edit_topic(route.key, draft.topic))
+            if draft.topic == route.spec:
+                return
+            now, since, new = engine.snapshot(), _last_event(engine), draft.topic
+            key = await asyncio.wrap_future(engine.edit_topic(route.key, new))
+            if new.topic != route.spec.topic and not new.is_pattern:
+                new = named_by_client(new, now, route.link)
+            name = _name_here(engine, key, route.topic)
+            self._console.changes.add(
+                Edited(route.link, name, since, key=key, old=route.spec, new=new, pattern=route.pattern)
+            )
 
         if await self._console.ask(TopicScreen(engine, edit, route)) is not None:
             self._console.pull()
@@ -122,8 +175,45 @@ class BridgeOperations:
         message = f"{_removal(route)}, on both sides of the link with {self._console.peer_of(route)}."
         if route.pattern:
             message += f" {route.pattern} leaves it out from then on (except)."
-        if await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
-            await self._console.command(engine.remove_topic(route.key))
+        if not await self._console.ask(ConfirmScreen(f"Remove {route.topic}?", message, "Remove")):
+            return
+        now, since = self._console.snapshot(), _last_event(engine)
+        patterns = tuple((row.key, row.spec) for row in patterns_of(now, route.link, route.spec))
+        route = find_entry(now, route.key) or route  # as it was when the operator agreed
+        change = Removed(
+            route.link, route.topic, since, key=route.key, spec=route.spec, pattern=route.pattern, patterns=patterns
+        )
+        if await self._console.command(engine.remove_topic(route.key)):
+            self._console.changes.add(change)
+
+    async def undo(self) -> None:
+        """Take back the last change of this console, after a question that says what this does."""
+        from rsb_console.screens.undo import UndoScreen  # noqa: PLC0415 -- keeps the start short
+
+        engine, changes = self._console.engine, self._console.changes
+        change = changes.last
+        if engine is None or self._undoing:
+            return
+        if change is None:
+            self._console.notify("nothing to undo: nothing was changed on this console", timeout=4)
+            return
+        self._undoing = True
+        try:
+            undo = change.undo(self._console.snapshot(), engine.events())
+            if not await self._console.ask(UndoScreen(undo)):
+                return
+            undo = change.undo(self._console.snapshot(), engine.events())  # it may have changed meanwhile
+            await undo.act(engine)
+        except CannotUndoError as problem:
+            changes.drop(change)
+            self._console.notify(str(problem), title="Not undone", severity="warning", markup=False, timeout=15)
+        except EngineError as error:
+            self._console.notify(str(error), title="Not undone", severity="error", markup=False, timeout=15)
+        else:
+            changes.drop(change)
+            self._console.pull()
+        finally:
+            self._undoing = False
 
     async def reload(self) -> None:
         """Have the session file read again, after showing what differs."""

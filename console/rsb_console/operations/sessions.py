@@ -32,7 +32,7 @@ class SessionOperations:
         self._reload = reload
 
     async def confirm_end(self, title: str, yes: str) -> bool:
-        """Whether the session may end: asks while it is linked, or has changes that are not saved.
+        """Whether the session may end: asks while a bridge is shown, or changes are not saved.
 
         Args:
             title: of the question.
@@ -46,6 +46,8 @@ class SessionOperations:
             reasons.append(f"The bridge {self._console.attached_to} goes on; only this console leaves it.")
         elif self._console.linked:
             reasons.append("The bridge stops: no topic crosses any more.")
+        elif self._console.snapshot().running:
+            reasons.append("The bridge stops: nothing can link to it any more.")
         if engine is not None and saved is not None:
             changes = unsaved(saved, engine.session)
             if changes and (path is None or file_of(path, engine.session) is None):
@@ -76,13 +78,15 @@ class SessionOperations:
         return [each for each in await asyncio.to_thread(running_bridges) if each.pid != os.getpid()]
 
     async def attach_instead(self, running: RunningBridge) -> None:
-        """Offer to attach to the bridge that runs a session already; watching only, do it."""
-        from rsb_console.screens.confirm import ConfirmScreen  # noqa: PLC0415 -- keeps the start short
+        """Offer to attach to the bridge that runs a session already, or all ways to begin; watching only, attach."""
+        from rsb_console.screens.confirm import OfferScreen  # noqa: PLC0415 -- keeps the start short
 
         message = f"{running}\n\nA second bridge of one session would take the link away from the first."
         title = f"{running.name} already runs here. Attach to it?"
-        if self._console.readonly or await self._console.ask(ConfirmScreen(title, message, "Attach")):
+        if self._console.readonly or await self._console.ask(OfferScreen(title, message, "Attach")):
             await self._console.attach(running.path)
+        else:
+            await self.welcome()
 
     async def _begin(self, choice: str) -> None:
         """Do what was chosen in a dialog: an action, or the path of a session file or of a control socket."""

@@ -10,11 +10,12 @@ from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Static
 
-from rsb_bridge.config.clients import ClientError, with_client
+from rsb_bridge.config.clients import ClientError, client_named, with_client
 from rsb_bridge.config.grants import GrantError, typed_grants
 from rsb_bridge.config.keys import KeyFileError, fingerprint
 from rsb_bridge.config.session_file import SessionError, validate
 from rsb_bridge.model.session import Client, Grant
+from rsb_console.screens.client_changes import ClientAdded, ClientRemoved
 from rsb_console.screens.confirm import ConfirmScreen
 from rsb_console.screens.form import FormScreen
 from rsb_console.session import clients
@@ -63,7 +64,11 @@ async def add_client(console: Console) -> None:
     except (ClientError, KeyFileError, SessionError) as error:
         console.notify(str(error), title="Not added", severity="error", markup=False, timeout=15)
         return
-    await console.command(console.engine.add_client(changed.client))
+    if await console.command(console.engine.add_client(changed.client)):
+        console.changes.add(
+            ClientAdded(client.name, client.name, 0, console=console, path=path, listed=changed.client,
+                        running=changed.client)
+        )  # fmt: skip
     _remember(console, changed, is_known=is_known)
     await console.ask(HandoutScreen(f"{client.name} is added", (changed,)))
 
@@ -81,11 +86,16 @@ async def remove_client(console: Console, name: str) -> None:
         return
     is_known = console.file is not None and not is_changed(console.file)
     try:
+        running = client_named(console.engine.session, name)
         changed = clients.remove_client(path, name)
     except (ClientError, SessionError) as error:
         console.notify(str(error), title="Not removed", severity="error", markup=False, timeout=15)
         return
-    await console.command(console.engine.remove_client(name), f"{name}: removed")
+    if await console.command(console.engine.remove_client(name), f"{name}: removed"):
+        console.changes.add(
+            ClientRemoved(name, name, 0, console=console, path=path, listed=changed.client, running=running,
+                          key_at=changed.key_path)
+        )  # fmt: skip
     _remember(console, changed, is_known=is_known)
 
 

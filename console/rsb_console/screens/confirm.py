@@ -1,4 +1,4 @@
-"""A question before something that cannot be taken back; the focus is on No."""
+"""Questions: before something that cannot be taken back, and offers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from textual.widgets import Button, Static
 if TYPE_CHECKING:
     from textual import events
     from textual.app import ComposeResult
+    from textual.widgets._button import ButtonVariant
 
 _AROUND = 8
 """Lines of the dialog that are not its message: frame, buttons, keys, and the empty ones between."""
@@ -26,7 +27,9 @@ _SCROLL = {
 
 
 class ConfirmScreen(ModalScreen[bool]):
-    """Yes or No; escape is No. A message for which the screen has no room scrolls; the buttons stay in sight.
+    """Yes or No, with the focus on No; escape is No.
+
+    A message for which the screen has no room scrolls; the buttons stay in sight.
 
     Args:
         title: what is about to happen: ``Remove /scan?``.
@@ -42,6 +45,7 @@ class ConfirmScreen(ModalScreen[bool]):
     ]
     AUTO_FOCUS = "#no"
     SHAPE = ""
+    VARIANT: ClassVar[ButtonVariant] = "error"
     KEYS, SCROLL_KEYS = "y yes   n no   ← → ⏎ choose", "   ↑ ↓ scroll"
 
     def __init__(self, title: str, message: str, yes: str) -> None:
@@ -80,7 +84,7 @@ class ConfirmScreen(ModalScreen[bool]):
         yield Static(self._message, markup=False)
 
     def compose_buttons(self) -> ComposeResult:
-        yield Button(self._yes, id="yes", variant="error", compact=True)
+        yield Button(self._yes, id="yes", variant=self.VARIANT, compact=True)
         yield Button("No", id="no", compact=True)
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
@@ -88,3 +92,10 @@ class ConfirmScreen(ModalScreen[bool]):
 
     def action_answer(self, answer: bool) -> None:
         self.dismiss(answer)
+
+
+class OfferScreen(ConfirmScreen):
+    """A question whose Yes loses nothing, so that the focus is on it."""
+
+    AUTO_FOCUS = "#yes"
+    VARIANT = "primary"

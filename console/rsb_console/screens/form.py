@@ -69,8 +69,17 @@ class FormScreen(ModalScreen[T | None]):
     def on_field_changed(self) -> None:
         self.check()
 
-    def on_field_submitted(self) -> None:
-        self.submit()
+    def on_field_submitted(self, event: Field.Submitted) -> None:
+        """Go to the next field that needs a value, or submit."""
+        self.check()
+        following = self.form.empty_after(event.field)
+        if following is None:
+            self.submit()
+        else:
+            self.form.input_guard.cancel()
+            following.touched = True
+            following.control.focus()
+            self.check()
 
     def check(self) -> None:
         """Say what is wrong with what stands there now."""

@@ -13,8 +13,10 @@ from textual.screen import ModalScreen
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.verdict import LinkCause
 from rsb_console.look import formats
-from rsb_console.look.glyphs import STATE_SIGN, STATE_WORD
+from rsb_console.look.glyphs import KNOWN_WORD, STATE_SIGN, STATE_WORD
 from rsb_console.terminal.input_queue import DIALOG
+from rsb_console.widgets.columns import state_order
+from rsb_console.widgets.detail_parts import known_by
 from rsb_console.widgets.dialog import Dialog
 from rsb_console.widgets.faults import link_fault
 from rsb_console.widgets.lines import Line, LiveLines, fit
@@ -44,9 +46,11 @@ class LinksTable(SelectableList):
         self._links: dict[str, LinkSnapshot] = {}
 
     def show(self, snapshot: Snapshot) -> None:
-        order = list(State)
         self._now = snapshot
-        worst_first = sorted(snapshot.links, key=lambda link: (order.index(link.state), link.name))
+        worst_first = sorted(
+            snapshot.links,
+            key=lambda link: (state_order(link.state, acknowledged=link.acknowledged is not None), link.name),
+        )
         self._links = {link.name: link for link in worst_first}
         self.show_keys(list(self._links))
 
@@ -69,7 +73,9 @@ class LinksTable(SelectableList):
         )
         return (
             ("▌" if self.is_cursor(index) else " ", "key"),
-            (f"{STATE_SIGN[state]} {STATE_WORD[state]:<6}", state.value),
+            (f"{STATE_SIGN[state]} {STATE_WORD[state]:<6}", state.value)
+            if link.acknowledged is None
+            else (f"{KNOWN_WORD} {STATE_WORD[state]:<4}", "dim"),
             *name,
             (f"{formats.clock(self._now.time - link.since):>9}", "dim"),
             (figures, ""),
@@ -110,6 +116,8 @@ def _detail(link: LinkSnapshot, width: int, *, server: bool) -> Iterator[Line]:
         fault = "; ".join(filter(None, (link_fault(link, server=server), formats.next_attempt(link))))
         for number, line in enumerate(textwrap.wrap(fault, max(20, width - LABEL))):
             yield (_label("" if number else "why"), (line, "stale" if link.warning else link.state.value))
+    if link.acknowledged is not None:
+        yield (_label("known"), (known_by(link.acknowledged), "dim"))
     domain = "" if link.peer_domain is None else f"domain {link.peer_domain}"
     version = f"  rsb-console {link.peer_version}" if link.peer_version else ""
     yield (_label("peer"), (link.peer, ""), (f"  {domain}{version}", "dim"))
@@ -178,6 +186,7 @@ class LinksScreen(ModalScreen[None]):
         Binding("escape,q", "dismiss", show=False),
         Binding("enter", "open", show=False),
         Binding("r", "retry", show=False),
+        Binding("i", "acknowledge", show=False),
         Binding("a", "add_client", show=False),
         Binding("d", "remove_client", show=False),
     ]
@@ -190,7 +199,7 @@ class LinksScreen(ModalScreen[None]):
     def compose(self) -> ComposeResult:
         """The table, and more about the link under the cursor."""
         clients = "a add a client   d remove it   " if self._is_server else ""
-        keys = "" if self.console.readonly else f"{clients}r try again now   "
+        keys = "" if self.console.readonly else f"{clients}r try again now   i acknowledge   "
         yield Dialog("Links", self.table, self.detail, keys=f"⏎ detail   {keys}esc close")
 
     def on_mount(self) -> None:
@@ -223,6 +232,13 @@ class LinksScreen(ModalScreen[None]):
             lets_in = self._is_server and link.cause == LinkCause.SHUT_DOWN
             done = "it may come back" if lets_in else "trying again"
             await self.console.command(engine.retry(link.name), f"{link.name}: {done}")
+
+    @work
+    async def action_acknowledge(self) -> None:
+        """Acknowledge the fault of the link under the cursor, or have it count again."""
+        link, engine = self.table.selected, self.console.engine
+        if link is not None and engine is not None and not self.console.readonly:
+            await self.console.command(engine.acknowledge("", link.acknowledged is None, link=link.name))
 
     @property
     def _is_server(self) -> bool:

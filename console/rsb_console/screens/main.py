@@ -105,7 +105,7 @@ class MainScreen(Screen[None]):
         self._link_counts = (*state_counts(snapshot.links, FAULTS), *warning_count(snapshot.links))
         height, only = self.app.size.height, self.topics.faults_only
         keys = MoreKeys(self._key("links"), f"{self._key('detail')} on one" if only else self._key("faults"))
-        self.faults.show(faults_of(snapshot), max(3, height // (2 if only else 4)), keys)
+        self.faults.show(faults_of(snapshot), max(3, height // (2 if only else 4)), keys, snapshot.time)
         self._held += new_events
         if self._frozen_since is None:
             self.log_pane.add(self._held)
@@ -168,7 +168,8 @@ class MainScreen(Screen[None]):
         route = self.selected
         can = () if route is None else (route.arming is not None, is_armed(route), route.lanes)
         reads_log, here = self.log_pane.has_focus, self.app.screen is self
-        depends_on = (here, reads_log, self.console.engine is None, can, *counts.values())
+        undoes = len(self.console.changes)
+        depends_on = (here, reads_log, self.console.engine is None, can, undoes, *counts.values())
         if depends_on == self._keys_shown_for:
             return
         self._keys_shown_for = depends_on
@@ -187,7 +188,7 @@ class MainScreen(Screen[None]):
                     counts.get(action.id, ()),
                 )
                 for action in ACTIONS
-                if action.in_footer and self.check_action(action.id, ())
+                if action.in_footer and self.check_action(action.id, ()) and (undoes or action.id != "undo")
             ]
         )
 

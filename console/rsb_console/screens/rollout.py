@@ -8,18 +8,21 @@ import time
 from enum import Enum, auto
 from typing import TYPE_CHECKING, ClassVar
 
-from textual import work
+from textual import on, work
 from textual.binding import Binding
 from textual.screen import ModalScreen
-from textual.widgets import Input, Static
+from textual.widgets import Static
 
 from rsb_bridge.api import EngineError
 from rsb_bridge.model.text import join_first
-from rsb_console.fleet.rolling import Rollout
+from rsb_console.fleet.rolling import Rollout, bridged_by
 from rsb_console.fleet.words import report, said, way_back
 from rsb_console.look import formats
 from rsb_console.look.glyphs import DONE, FAILED, UNDER_WAY
+from rsb_console.screens.change_field import ChangeField, change_of
 from rsb_console.widgets.dialog import Dialog
+from rsb_console.widgets.form import Field, Spec
+from rsb_console.widgets.picker import PickField
 from rsb_console.widgets.scrolled import ScrolledLines
 
 if TYPE_CHECKING:
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
 
     from rsb_console.console import ConsoleShell
     from rsb_console.fleet.fleet import Fleet, Robot
-    from rsb_console.fleet.rolling import Outcome, Step
+    from rsb_console.fleet.rolling import Bridged, Outcome, Step
     from rsb_console.widgets.lines import Line
 
 SETTLE = 10.0
@@ -48,7 +51,7 @@ class Phase(Enum):
 
 
 _KEYS = {
-    Phase.TYPING: "⏎ show what it would change   esc close",
+    Phase.TYPING: "↑ ↓ ⏎ pick   ⏎ on a whole change: show what it would do   esc close",
     Phase.PLANNING: "looking …   esc close",
     Phase.ASKING: "y change them, one after the other   esc back",
     Phase.RUNNING: "esc stop after this robot",
@@ -72,7 +75,7 @@ class RolloutScreen(ModalScreen[None]):
         Binding("y", "apply", show=False),
         Binding("u", "undo", show=False),
     ]
-    AUTO_FOCUS = "#change"
+    AUTO_FOCUS = "ChangeField Input"
 
     def __init__(self, console: ConsoleShell, fleet: Fleet, robots: Sequence[Robot], settle: float = SETTLE) -> None:
         super().__init__()
@@ -85,17 +88,39 @@ class RolloutScreen(ModalScreen[None]):
         self._below: list[str] = []
         self._gone = threading.Event()
         self._lines = ScrolledLines(id="rollout")
+        self._change = ChangeField(Spec("change", "Change", "", blank="/camera max_rate=5", edited=True))
 
     def compose(self) -> ComposeResult:
         names = join_first([robot.summary.name for robot in self._robots], _NAMED)
         yield Dialog(
             f"Edit a topic of {formats.counted(len(self._robots), 'robot')}",
             Static(names, classes="hint", markup=False),
-            Input(id="change", placeholder="/camera max_rate=5", compact=True),
+            self._change,
             Static("", id="problem", classes="problem", markup=False),
             self._lines,
             keys=_KEYS[Phase.TYPING],
         )
+
+    def on_mount(self) -> None:
+        """Ask the robots what they have, to pick from."""
+        self._change.offer()
+        self._ask()
+
+    @work(exclusive=True, group="ask", exit_on_error=False)
+    async def _ask(self) -> None:
+        found: list[Bridged] = []
+        silent: list[str] = []
+        for number, robot in enumerate(self._robots, 1):
+            try:
+                found += await asyncio.to_thread(bridged_by, robot)
+            except EngineError:
+                silent.append(robot.summary.name)
+            if self._gone.is_set():
+                return
+            self._change.know(found, waiting=number < len(self._robots))
+            asked = f"asked {number} of {len(self._robots)} robots" if number < len(self._robots) else ""
+            not_reached = f"no answer from {join_first(silent, _NAMED)}" if silent else ""
+            self._change.note.set_text("; ".join(filter(None, (asked, not_reached))))
 
     def on_unmount(self) -> None:
         """Whatever still waits for a robot ends."""
@@ -110,23 +135,31 @@ class RolloutScreen(ModalScreen[None]):
         can_undo = phase is Phase.ENDED and self.outcome is not None and bool(self.outcome.changed)
         failed = can_undo and self.outcome is not None and bool(self.outcome.failed or self.outcome.left)
         self.query_one(".keys", Static).update(_CAN_UNDO if failed else _KEYS[phase])
+        self._change.list.display = phase is Phase.TYPING
         self._show()
 
-    def on_input_submitted(self, event: Input.Submitted) -> None:
-        """Show what it would change."""
+    @on(Field.Changed)
+    def _typed(self, event: Field.Changed) -> None:
+        """Offer what can follow, and say what is wrong with the values so far."""
+        if not isinstance(event, PickField.Picked):
+            event.stop()
+            self._change.offer()
+            self._say(self._change.mistake())
+
+    @on(PickField.Picked)
+    def _picked(self, event: PickField.Picked) -> None:
+        """Continue the change with a picked suggestion; show the effect of a whole change."""
         event.stop()
         if self.phase is not Phase.TYPING:
             return
-        words = event.value.split()
-        topics = [word for word in words if word.startswith("/")]
-        keys = [word for word in words if "=" in word and not word.startswith("/")]
-        if len(topics) != 1 or not keys or len(words) != len(keys) + 1:
+        if event.suggestion is not None:
+            self._change.put(event.suggestion)
+            return
+        if (change := change_of(self._change.value)) is None:
             self._say("a topic and what to change, for example: /camera max_rate=5")
             return
         self._say("")
-        self._rollout = Rollout(
-            self._fleet, self._robots, topics[0], keys, self._settle, now=time.monotonic, sleep=self._sleep
-        )
+        self._rollout = Rollout(self._fleet, self._robots, *change, self._settle, now=time.monotonic, sleep=self._sleep)
         self._plan(self._rollout)
 
     def _say(self, problem: str) -> None:
@@ -191,7 +224,7 @@ class RolloutScreen(ModalScreen[None]):
                 self._rollout.cancelled = True
         elif self.phase is Phase.ASKING:
             self.steps = []
-            self.set_focus(self.query_one("#change"))
+            self.set_focus(self._change.control)
             self._enter(Phase.TYPING)
         else:
             self.dismiss()

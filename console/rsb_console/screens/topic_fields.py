@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 KINDS: tuple[Kind, ...] = ("topic", "service", "action", "parameters")
 ORDER = (
     "topic", "kind", "direction", "provider", "excepts", "type", "qos", "remote_topic", "timeout", "protocol", "port",
-    "max_rate", "priority", "expected_rate", "stale_after", "compression", "arm", "deadman", "paused",
+    "max_rate", "priority", "expected_rate", "stale_after", "late_after", "compression", "arm", "deadman", "paused",
 )  # fmt: skip
 """The keys of all fields, in the order in which an operator thinks of them."""
 _LABELS: dict[Kind, str] = {"topic": "Topic", "service": "Service", "action": "Action", "parameters": "Node"}
@@ -152,6 +152,8 @@ def _how(session: Session, kind: Kind, begun: str | None) -> Iterator[Spec]:
         )
         yield Spec("expected_rate", "Expected rate", "Hz, shown beside the real rate. Empty: learned.", blank="learned")
         yield Spec("stale_after", "Stale after", "Seconds without a message before a warning; 0: never.", blank=after)
+        late = f"{session.late_after:g} s"
+        yield Spec("late_after", "Late after", "Seconds that a message may take; 0: any time.", blank=late)
         worth = "zstd is worth it for maps and clouds, and on slow links."
     else:
         yield Spec("max_rate", "Max rate", "Calls a second; those beyond it are refused. Empty: no limit.", blank="all")

@@ -82,7 +82,7 @@ class WelcomeScreen(ModalScreen[str]):
         Binding("escape", "dismiss('')", show=False),
         Binding("question_mark,f1", "app.help", show=False),
         *(Binding(key, f"dismiss('{choice}')", show=False) for choice, (key, _, _) in CHOICES.items()),
-        *(Binding(str(number), f"recent({number})", show=False) for number in range(1, RECENT + 1)),
+        *(Binding(str(number), f"select_recent({number})", show=False) for number in range(1, RECENT + 1)),
     ]
 
     def __init__(self, running: Sequence[RunningBridge], *, readonly: bool) -> None:
@@ -109,7 +109,7 @@ class WelcomeScreen(ModalScreen[str]):
         """A second click chooses."""
         self.action_choose()
 
-    def action_recent(self, number: int) -> None:
-        """A recent session by its number."""
+    def action_select_recent(self, number: int) -> None:
+        """Put the cursor on a recent session. Enter starts it: one key must not start a bridge."""
         if number <= len(self._recent):
-            self.dismiss(str(self._recent[number - 1]))
+            self.menu.move_to(self.menu.keys.index(str(self._recent[number - 1])))

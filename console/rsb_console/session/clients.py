@@ -15,6 +15,7 @@ from rsb_bridge.config.files import give_owner
 from rsb_bridge.config.keys import Key, KeyFileError, key_files_by_client, key_path, read_key, write_key
 from rsb_bridge.config.session_file import SessionFile, dump, edited_text, load_file, save
 from rsb_bridge.config.shared_keys import shared_key_problem
+from rsb_bridge.config.validation import validate
 from rsb_bridge.model.session import Client, Session, ZenohSettings
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 _ANY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 (looked for, not bound)
 _FAR_AWAY = (("192.0.2.1", socket.AF_INET), ("2001:db8::1", socket.AF_INET6))  # RFC 5737, RFC 3849: nobody's
+_WITH_PORT = re.compile(r"(?:\[(?P<bracketed>[^]]+)\]|(?P<host>[^:\[\]]+)):(?P<port>\d+)")
 _NOT_IN_FILE_NAMES = re.compile(r"[^\w.-]+")
 
 
@@ -203,25 +205,58 @@ def handed_out(file: SessionFile) -> list[Changed]:
     return [Changed(file, client, key_at, fingerprint_or_problem(key_at)[0]) for client, key_at in places]
 
 
+def split_address(address: str) -> tuple[str, int | None]:
+    """Split an address that may have a port behind it, as ``10.0.0.20:49152`` or ``[::1]:49152``.
+
+    Returns:
+        The address alone, and the port or None.
+    """
+    found = _WITH_PORT.fullmatch(address)
+    if found is None:
+        return address, None
+    return found["host"] or found["bracketed"], int(found["port"])
+
+
+def check_address(name: str, address: str) -> None:
+    """Check what `--address` says, before anything is written.
+
+    Args:
+        name: the client's.
+        address: of the server, as the client reaches it, or empty.
+
+    Raises:
+        ClientError: no client can connect to that.
+    """
+    if not address:
+        return
+    host, port = split_address(address)
+    trial = Session(name=name, role="client", server_ip=host, server_port=1024 if port is None else port)
+    for problem in validate(trial):
+        if problem.location in ("server_ip", "server_port"):
+            raise ClientError(f"--address {address}: {problem.message}")
+
+
 def robot_file(session: Session, client: Client, address: str = "") -> str:
-    """The text of a client's own session file.
+    """Return the text of a client's own session file.
 
     Args:
         session: the server's.
         client: for whom.
-        address: of the server, as the client reaches it; empty: the one that the server binds, or a guess.
+        address: of the server, as the client reaches it, perhaps with its port; if empty, the one that the server
+            binds, or a guess.
     """
+    address, port = split_address(address)
     guessed = not address and session.server_ip in _ANY_ADDRESS
     key_file = client.key_file or session.key_file
     robot = Session(
         name=client.name,
         role="client",
         server_ip=address or (own_address() if guessed else session.server_ip),
-        server_port=session.server_port,
+        server_port=session.server_port if port is None else port,
         bluetooth_address=session.bluetooth_address,
         use_encryption=session.use_encryption,
         key_file=key_file.rpartition("/")[2] if key_file is not None and session.use_encryption else None,
-        zenoh=_of_client(session.zenoh, address) if session.zenoh is not None else None,
+        zenoh=_of_client(session.zenoh, address, port) if session.zenoh is not None else None,
     )
     lines = dump(robot).splitlines()
     if guessed:
@@ -232,12 +267,12 @@ def robot_file(session: Session, client: Client, address: str = "") -> str:
     return "".join(f"{line}\n" for line in (head, *lines, topics))
 
 
-def _of_client(zenoh: ZenohSettings, address: str) -> ZenohSettings:
+def _of_client(zenoh: ZenohSettings, address: str, port: int | None) -> ZenohSettings:
     """How a client reaches its server's Zenoh network: by the same routers, or else where the server listens."""
     if zenoh.connect or not zenoh.listen:
         return msgspec.structs.replace(zenoh, listen=())
     protocol, _, place = zenoh.listen[0].partition("/")
-    endpoint = f"{protocol}/{address or own_address()}:{place.rpartition(':')[2]}"
+    endpoint = f"{protocol}/{address or own_address()}:{place.rpartition(':')[2] if port is None else port}"
     return msgspec.structs.replace(zenoh, connect=(endpoint,), listen=())
 
 

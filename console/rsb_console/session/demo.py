@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import itertools
 import json
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -23,12 +23,14 @@ from rsb_bridge.model.codes import EventCode
 from rsb_bridge.model.session import Session, Topic
 from rsb_bridge.ros.api import RosError
 from rsb_bridge.ros.middleware import check_middleware
+from rsb_console.child import ChildProcess
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _HOST = "127.0.0.1"
 _FIRST_DOMAIN, _DOMAIN_PAIRS = 64, 19
+_started = itertools.count()
 _READY_WITHIN = 15.0  # s; after that the console shows that the bridge waits for the robot
 # The robot also has /battery_state, for the operator to add.
 _TOPICS = (
@@ -59,10 +61,15 @@ class SimulatedPart:
 
     @classmethod
     def start(cls, part: str, domain: int, folder: Path) -> SimulatedPart:
-        command = [sys.executable, "-m", "rsb_bridge.ros.simulation", part, str(domain)]
         with (folder / f"{part}.log").open("w") as log:  # Fast DDS writes to standard error
-            process = subprocess.Popen(  # noqa: S603
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, process_group=0
+            process = ChildProcess(
+                "rsb_bridge.ros.simulation",
+                part,
+                str(domain),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                process_group=0,
             )
         self = cls(process)
         threading.Thread(target=self._read, name=f"demo-{part}", daemon=True).start()
@@ -113,7 +120,8 @@ def running_demo() -> Iterator[Demo]:
     need_ros()
     # Other ROS programs must neither hear the demo nor disturb it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    robot_domain = own_domain()
+    # A demo that takes over from another begins before the other has ended.
+    robot_domain = own_domain(next(_started))
     desk_domain = robot_domain + 1
     with tempfile.TemporaryDirectory(prefix="rsb-demo-") as name, contextlib.ExitStack() as stack:
         folder = Path(name)
@@ -134,11 +142,10 @@ def running_demo() -> Iterator[Demo]:
 def _bridge_process(path: Path) -> Iterator[None]:
     """Run the robot's side of the bridge as on a robot, and wait until it listens, for `_READY_WITHIN` at the most."""
     options = ["--no-ui", "--log-format", "json", "--control", str(path.with_suffix(".sock"))]
-    command = [sys.executable, "-m", "rsb_console", "run", *options, str(path)]
     log_path = path.parent / "robot.log"
     with log_path.open("w") as log:
-        process = subprocess.Popen(  # noqa: S603
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=0
+        process = ChildProcess(
+            "rsb_console", "run", *options, str(path), stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=0
         )
     try:
         deadline = time.monotonic() + _READY_WITHIN
@@ -156,9 +163,13 @@ def _bridge_process(path: Path) -> Iterator[None]:
             process.wait()
 
 
-def own_domain() -> int:
-    """A ROS domain of this process's demo; the next one is its own, too."""
-    return _FIRST_DOMAIN + 2 * (os.getpid() % _DOMAIN_PAIRS)
+def own_domain(before: int = 0) -> int:
+    """The first of two ROS domains for a demo of this process.
+
+    Args:
+        before: how many demos this process has started before.
+    """
+    return _FIRST_DOMAIN + 2 * ((os.getpid() + before) % _DOMAIN_PAIRS)
 
 
 def need_ros() -> None:

@@ -17,7 +17,7 @@ from textual.command import CommandPalette
 from textual.worker import Worker, get_current_worker
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from textual.app import App
     from textual.message import Message
@@ -28,6 +28,9 @@ DIALOG: Final = "dialog"
 """Group of the workers of a screen that may open a dialog."""
 PATIENCE = 5.0  # s; input waits no longer for what the input before it has set off
 _LOOK_EVERY = 0.005  # s
+
+
+_queues: WeakKeyDictionary[App[Any], InputQueue] = WeakKeyDictionary()
 
 
 class InputQueue:
@@ -50,6 +53,12 @@ class InputQueue:
         self._dialogs: WeakKeyDictionary[Worker[Any], Screen[Any]] = WeakKeyDictionary()
         self._abandoned: WeakSet[Worker[Any]] = WeakSet()
         """Workers that input no longer waits for."""
+        _queues[app] = self
+
+    @classmethod
+    def of(cls, app: App[Any]) -> InputQueue:
+        """Return the queue of an app."""
+        return _queues[app]
 
     def takes(self, event: Message) -> bool:
         """Whether the queue takes an event of the app, which comes to the app again when it is the event's turn."""
@@ -65,9 +74,17 @@ class InputQueue:
         if self._task is None and self._app._pending_message is None and self._has_settled():
             return False
         self._waiting.append(event)
-        if self._task is None:
-            self._task = asyncio.create_task(self._deliver())
+        self._begin()
         return True
+
+    def insert(self, inputs: Iterable[Message]) -> None:
+        """Have `inputs` handled before all input that waits."""
+        self._waiting.extendleft(reversed([*inputs]))
+        self._begin()
+
+    def _begin(self) -> None:
+        if self._task is None and self._waiting:
+            self._task = asyncio.create_task(self._deliver())
 
     def waits_for(self, dialog: Screen[Any]) -> None:
         """The current worker waits for the answer of `dialog`."""

@@ -1,4 +1,4 @@
-"""One of a few options, on one line, chosen with the arrow keys."""
+"""One of a few options, on one line, chosen with the arrow keys or by typing its name."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ from textual.message import Message
 from textual.reactive import reactive
 from textual.widget import Widget
 
+from rsb_console.terminal.input_queue import InputQueue
+from rsb_console.widgets.field_input import fields_of
+from rsb_console.widgets.input_guard import InputGuard
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from textual import events
+
+_SAME_WORD = 1.0
+"""s after which a typed letter begins another word."""
 
 
 class Choice(Widget, can_focus=True):
@@ -23,11 +30,14 @@ class Choice(Widget, can_focus=True):
     Args:
         options: value and label of each; at least one.
         value: the one that is chosen at first; empty: the first.
+
+    Attributes:
+        input_guard: the form's.
     """
 
     BINDINGS: ClassVar = [
-        Binding("left,h", "choose(-1)", show=False),
-        Binding("right,l,space", "choose(1)", show=False),
+        Binding("left", "choose(-1)", show=False),
+        Binding("right,space", "choose(1)", show=False),
         Binding("enter", "submit", show=False),
     ]
     COMPONENT_CLASSES: ClassVar[set[str]] = {"choice--chosen", "choice--other"}
@@ -40,8 +50,25 @@ class Choice(Widget, can_focus=True):
     class Submitted(Message):
         """Enter was pressed."""
 
+    class Mistyped(Message):
+        """A text was typed that no option begins with.
+
+        Attributes:
+            text: all of it.
+            choice: where.
+        """
+
+        def __init__(self, text: str, choice: Choice) -> None:
+            super().__init__()
+            self.text = text
+            self.choice = choice
+
     def __init__(self, options: Sequence[tuple[str, str]], value: str = "") -> None:
         super().__init__()
+        self.input_guard = InputGuard()
+        self._typed = ""
+        self._typed_at = 0.0
+        self._before = ""
         self._options = tuple(options)
         self.set_reactive(Choice.value, value or self._options[0][0])
 
@@ -63,6 +90,47 @@ class Choice(Widget, can_focus=True):
     def action_choose(self, step: int) -> None:
         """Choose the option `step` places on, round the end."""
         self.value = self._options[(self._at + step) % len(self._options)][0]
+
+    def on_key(self, event: events.Key) -> None:
+        """Choose the option whose name is typed."""
+        if self.input_guard.covers(event):
+            return  # the form stops it
+        if event.character is None or not event.is_printable or event.character.isspace():
+            self._typed = ""
+            return
+        event.stop()
+        event.prevent_default()
+        if event.time - self._typed_at > _SAME_WORD:
+            self._typed = ""
+        self._typed_at = event.time
+        self._type(event.character)
+
+    def on_paste(self, event: events.Paste) -> None:
+        event.stop()
+        if self.input_guard.covers(event):
+            return
+        if "\t" in event.text:
+            InputQueue.of(self.app).insert(fields_of(event.text))
+        elif event.text.isspace():
+            self.action_choose(len(event.text))
+        else:
+            self._typed = ""
+            self._type(event.text)
+
+    def on_blur(self) -> None:
+        self._typed = ""
+
+    def _type(self, text: str) -> None:
+        typed = self._typed + text
+        named = [value for value, label in self._options if _begins((value, label), typed)]
+        if not self._typed:
+            self._before = self.value
+        if named:
+            self._typed = typed
+            self.value = self.value if self.value in named else named[0]
+        else:
+            self._typed, self.value = "", self._before
+            self.post_message(self.Mistyped(typed, self))
 
     def action_submit(self) -> None:
         """As enter in any other field."""
@@ -87,3 +155,7 @@ class Choice(Widget, can_focus=True):
             if event.x < edge:
                 self.value = value
                 return
+
+
+def _begins(names: tuple[str, ...], typed: str) -> bool:
+    return any(name.casefold().startswith(typed.casefold()) for name in names)

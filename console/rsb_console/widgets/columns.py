@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rsb_bridge.model.snapshot import State
 from rsb_bridge.model.text import plural
 from rsb_console.look import formats
-from rsb_console.look.glyphs import ARMED, ARMED_WORD, IN, OUT, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look.glyphs import ARMED, ARMED_WORD, IN, KNOWN, KNOWN_WORD, OUT, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.look.kinds import SHORT
 from rsb_console.look.patterns import PatternRow
 
@@ -57,11 +57,24 @@ class Column(Generic[R]):
         return width >= (self.from_width if self.beside_calls is None else self.beside_calls)
 
 
+def state_order(state: State, *, acknowledged: bool) -> float:
+    """The place of a state, the worst first; acknowledged faults come after all others."""
+    return State.WAITING.rank - 0.5 if acknowledged else state.rank
+
+
+def _by_state(route: RouteSnapshot) -> tuple[float, int, str]:
+    return state_order(route.state, acknowledged=route.acknowledged is not None), route.state.rank, route.topic
+
+
 def _state(route: RouteSnapshot) -> str:
+    if route.acknowledged is not None:
+        return f"{KNOWN_WORD} {STATE_WORD[route.state]}"
     return f"{_sign(route)} {ARMED_WORD if is_armed(route) and route.state is State.OK else STATE_WORD[route.state]}"
 
 
 def _sign(route: RouteSnapshot) -> str:
+    if route.acknowledged is not None:
+        return KNOWN
     return ARMED if is_armed(route) else STATE_SIGN[route.state]
 
 
@@ -119,8 +132,8 @@ def _last_failure(route: RouteSnapshot) -> str:
 
 
 COLUMNS: tuple[Column[RouteSnapshot], ...] = (
-    Column("STATE", 10, _state, lambda r: (r.state.rank, r.topic), right=False, from_width=WIDE),
-    Column("", 2, _sign, lambda r: (r.state.rank, r.topic), right=False),
+    Column("STATE", 10, _state, _by_state, right=False, from_width=WIDE),
+    Column("", 2, _sign, _by_state, right=False),
     Column(
         "KIND",
         4,

@@ -15,7 +15,6 @@ from rsb_console.widgets.lines import Line, LiveLines, fit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from rsb_bridge.model.qos import Qos
     from rsb_bridge.model.snapshot import Ledger, RouteSnapshot
 
 
@@ -114,8 +113,8 @@ def _topic_lines(route: RouteSnapshot, peer: str, width: int) -> Iterator[Line]:
 
 
 def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
-    """The ledger. The share delivered is of what neither a limit (Hz) leaves out on purpose nor is still under way."""
-    due = ledger.offered - ledger.throttled - ledger.in_flight
+    """The ledger. The share delivered leaves out what is throttled (by a limit, in Hz), unknown or in flight."""
+    due = ledger.offered - ledger.throttled - ledger.unknown - ledger.in_flight
     rows = [
         ("offered", ledger.offered, "", ""),
         ("delivered", ledger.delivered, "", parts.share(ledger.delivered, due)),
@@ -124,7 +123,9 @@ def _ledger(ledger: Ledger, limit: float | None) -> Iterator[Line]:
         ("in flight", ledger.in_flight, "", ""),
         ("dropped", ledger.dropped_total, "down", ""),
         *((f"  {cause}", count, "down", "") for cause, count in ledger.dropped.items() if count),
+        *([("unknown", ledger.unknown, "stale", "  the other side died")] if ledger.unknown else []),
         ("lost in DDS", ledger.lost_in_dds, "stale", ""),
+        *([("missed while down", ledger.missed_while_down, "stale", "  estimate")] if ledger.missed_while_down else []),
     ]
     yield from parts.ledger("Ledger", rows)
 
@@ -138,7 +139,7 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
     if route.jitter is not None:
         yield from parts.figure("jitter", [formats.span(route.jitter)], width)
     if route.qos is not None:
-        yield from parts.figure("QoS", qos_parts(route.qos), width)
+        yield from parts.figure("QoS", formats.qos_parts(route.qos), width)
     ends = (
         ("publishers", "offer", route.publishers, route.publisher_qos),
         ("subscribers", "ask for", route.subscribers, route.subscriber_qos),
@@ -146,26 +147,8 @@ def _figures(route: RouteSnapshot, width: int) -> Iterator[Line]:
     for name, verb, nodes, qos in ends:
         if qos is not None:
             who = [f"{node}," for node in nodes]
-            yield from parts.figure(name, [*who, verb, *qos_parts(qos, depth_known=False)], width)
+            yield from parts.figure(name, [*who, verb, *formats.qos_parts(qos, depth_known=False)], width)
     if route.type_hash:
         yield parts.labelled("type hash", route.type_hash)  # cut: its beginning is enough to tell two hashes apart
     if route.last_error:
         yield from parts.figure("last error", route.last_error.split(), width)
-
-
-def qos_parts(qos: Qos, *, depth_known: bool = True) -> list[str]:
-    """Format a QoS as pieces of a list: ``reliable,`` ``volatile,`` ``last 10``.
-
-    Args:
-        qos: to format. A depth of 0 means that the bridge chooses it: from the topic's rate, or on a latched topic from
-            what its publishers keep.
-        depth_known: False leaves out history and depth.
-    """
-    parts = [qos.reliability.replace("_", " "), qos.durability.replace("_", " ")]
-    if depth_known:
-        parts.append("all" if qos.history == "keep_all" else f"last {qos.depth}" if qos.depth else "auto depth")
-    if qos.deadline:
-        parts.append(f"deadline {formats.span(qos.deadline)}")
-    if qos.lifespan:
-        parts.append(f"lifespan {formats.span(qos.lifespan)}")
-    return [f"{each}," for each in parts[:-1]] + parts[-1:]

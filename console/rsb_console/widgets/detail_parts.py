@@ -23,7 +23,7 @@ from rsb_console.widgets.lines import Line, width_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from rsb_bridge.model.snapshot import ArmingSnapshot, RouteSnapshot, Stage
+    from rsb_bridge.model.snapshot import Acknowledgement, ArmingSnapshot, RouteSnapshot, Stage
 
 PLOT_HEIGHT = 4
 LABEL = 11  # cells of a figure's name
@@ -47,9 +47,16 @@ def heading(route: RouteSnapshot, last: str, width: int) -> Iterator[Line]:
         left = "" if arming.left is None else f" {arming.left:.0f} s"
         yield ((f" {ARMED} {ARMED_WORD}{left} ", "armed"),)
         yield from wrapped(f"{arming.by}, {_until(arming)}", width, "")
+    if route.acknowledged is not None:
+        yield from wrapped(known_by(route.acknowledged), width, "dim")
     failed = next((stage.detail for stage in route.stages if not stage.done), "")
     if route.reason and route.reason != failed:
         yield from wrapped(route.reason, width, look)
+
+
+def known_by(record: Acknowledgement) -> str:
+    """Say who has acknowledged a fault, and when."""
+    return f"acknowledged by {record.by} at {formats.time_of_day(record.at)}, until it changes"
 
 
 def _until(arming: ArmingSnapshot) -> str:
@@ -57,6 +64,13 @@ def _until(arming: ArmingSnapshot) -> str:
     if not arming.deadman:
         return "until it is disarmed, the link drops or that console ends"
     return f"until no key is pressed on that console for {arming.deadman:g} s"
+
+
+def carrier_of(route: RouteSnapshot) -> str:
+    """Return the transport, with its port or channel where it has one: a Zenoh network has none."""
+    if not route.port:
+        return route.transport.upper()
+    return f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
 
 
 def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
@@ -68,7 +82,7 @@ def crossing(route: RouteSnapshot, way: str, width: int) -> Iterator[Line]:
         width: of the pane, cells.
     """
     yield ((f" {_type(route)}", "strong" if route.type_name else "dim"),)
-    carrier = f"{route.transport.upper()} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+    carrier = carrier_of(route)
     towards: Line = ((f" {way}", ""), (f"  {carrier}", "dim"))
     yield from (towards,) if width_of(towards) <= width else (towards[:1], ((f"   {carrier}", "dim"),))
     if route.remote_topic and route.remote_topic != route.topic:

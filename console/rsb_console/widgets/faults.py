@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 _NAMED = 3
 _OWN_NAME = "\0"
+_DURATION = re.compile(r"\b\d+ (?:s|min|h)\b")
+"""How long something has lasted, which differs by a moment between topics that failed together."""
+_KEEPS_HEIGHT = 10.0
+"""s that a fault keeps the lines that it has needed, as a figure with a digit more or less changes where it wraps."""
 _SHOWN_WHILE_WAITING = (Cause.TYPE_UNKNOWN, Cause.SIMILAR_NAME)
 """Causes for which a waiting topic is shown here. One that merely has no publisher yet is not."""
 
@@ -36,7 +41,8 @@ class Fault:
         name: the link's, or the topic's.
         cause: in words.
         of_link: it is a link's.
-        others: names of those that have the same cause, but for their names.
+        others: names of those that have the same cause, but for their names and for how long.
+        measured: the cause has figures that change all the time, so that no other one has the same for long.
     """
 
     sign: str
@@ -46,6 +52,12 @@ class Fault:
     cause: str
     of_link: bool
     others: tuple[str, ...] = ()
+    measured: bool = False
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Identity of the fault, which stays when its words change."""
+        return self.sign, self.robot, self.name
 
     @property
     def text(self) -> str:
@@ -73,6 +85,8 @@ class FaultLines(LiveLines):
         self._lines: list[Line] = []
         self._most = 0
         self._keys = MoreKeys("", "")
+        self._heights = Heights()
+        self._now = 0.0
 
     @property
     def line_count(self) -> int:
@@ -81,15 +95,16 @@ class FaultLines(LiveLines):
     def line(self, index: int) -> Line:
         return self._lines[index]
 
-    def show(self, faults: list[Fault], most: int, keys: MoreKeys) -> None:
+    def show(self, faults: list[Fault], most: int, keys: MoreKeys, now: float) -> None:
         """Show as many of `faults` as fit.
 
         Args:
             faults: the worst first.
             most: lines that there is room for.
             keys: that show what there is no room for.
+            now: s, the time of the snapshot.
         """
-        self._faults, self._most, self._keys = faults, most, keys
+        self._faults, self._most, self._keys, self._now = faults, most, keys, now
         self._lay_out(self.app.size.width)
         self.sync()
 
@@ -98,11 +113,41 @@ class FaultLines(LiveLines):
         super().on_resize()
 
     def _lay_out(self, width: int) -> None:
-        self._lines = fault_lines(self._faults, width, self._most, self._keys)
+        self._heights.look(self._faults[: self._most], width, self._now)
+        self._lines = fault_lines(self._faults, width, self._most, self._keys, self._heights)
         self.styles.height = len(self._lines)
 
 
-def fault_lines(faults: list[Fault], width: int, most: int, keys: MoreKeys) -> list[Line]:
+class Heights:
+    """The lines that each fault takes, which stay as many while its figures change."""
+
+    def __init__(self) -> None:
+        self._width = 0
+        self._needed: dict[tuple[str, str, str], tuple[int, float]] = {}
+
+    def look(self, faults: list[Fault], width: int, now: float) -> None:
+        """Note how many lines faults need.
+
+        Args:
+            faults: all that are shown.
+            width: cells.
+            now: s.
+        """
+        before = self._needed if width == self._width else {}
+        self._width, self._needed = width, {}
+        for fault in faults:
+            needs = len(_wrapped(fault, width))
+            had, at = before.get(fault.key, (0, now))
+            self._needed[fault.key] = (had, at) if had > needs and 0.0 <= now - at < _KEEPS_HEIGHT else (needs, now)
+
+    def of(self, fault: Fault) -> int:
+        """Return how many lines a fault takes, or 0 if it has not been looked at."""
+        return self._needed.get(fault.key, (0, 0.0))[0]
+
+
+def fault_lines(
+    faults: list[Fault], width: int, most: int, keys: MoreKeys, heights: Heights | None = None
+) -> list[Line]:
     """As many faults as fit, each whole; the first one is cut if it takes too many lines by itself.
 
     Args:
@@ -110,8 +155,9 @@ def fault_lines(faults: list[Fault], width: int, most: int, keys: MoreKeys) -> l
         width: cells.
         most: lines.
         keys: that show what there is no room for.
+        heights: lines that each fault takes at least, or None.
     """
-    wrapped = [_wrapped(fault, width) for fault in faults[:most]]
+    wrapped = [_wrapped(fault, width, heights.of(fault) if heights else 0) for fault in faults[:most]]
     if len(faults) <= most and sum(map(len, wrapped)) <= most:
         return [line for lines in wrapped for line in lines]
     room = most - (len(faults) > 1)  # the last line says how many more there are
@@ -125,8 +171,9 @@ def fault_lines(faults: list[Fault], width: int, most: int, keys: MoreKeys) -> l
     return [*shown, fit(((f"   {_how_many_more(left_out, keys)}", "dim"),), width)] if left_out else shown
 
 
-def _wrapped(fault: Fault, width: int) -> list[Line]:
+def _wrapped(fault: Fault, width: int, least: int = 0) -> list[Line]:
     texts = textwrap.wrap(fault.text, max(10, width - 4))
+    texts += [""] * (least - len(texts))
     return [((f" {' ' if number else fault.sign} ", fault.look), (text, "")) for number, text in enumerate(texts)]
 
 
@@ -147,9 +194,10 @@ def faults_of(snapshot: Snapshot) -> list[Fault]:
     if not snapshot.running:
         return []
     alike: dict[tuple[str, str, str, bool], list[Fault]] = {}
-    found = (*_link_faults(snapshot), *_topic_faults(snapshot))
+    found = (*_link_faults(snapshot), *_refused_clients(snapshot), *_topic_faults(snapshot))
     for fault in sorted(found, key=lambda fault: fault.look == State.WAITING.value):
-        key = fault.sign, fault.robot, fault.cause.replace(fault.name, _OWN_NAME), fault.of_link
+        cause = _DURATION.sub("", fault.cause.replace(fault.name, _OWN_NAME))
+        key = fault.sign, fault.robot, fault.name if fault.measured else cause, fault.of_link
         alike.setdefault(key, []).append(fault)
     return [replace(first, others=tuple(other.name for other in others)) for first, *others in alike.values()]
 
@@ -158,6 +206,8 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
     """A single link that waits is told of in the header."""
     single = len(snapshot.links) == 1
     for link in sorted(snapshot.links, key=lambda link: (link.state.rank, link.name)):
+        if link.acknowledged is not None:
+            continue
         cause = link_fault(link, server=snapshot.role == "server")
         if link.state is State.OK and link.warning:
             yield Fault("!", State.SLOW.value, "", link.name, cause, of_link=True)
@@ -165,17 +215,26 @@ def _link_faults(snapshot: Snapshot) -> Iterator[Fault]:
             yield Fault(STATE_SIGN[link.state], link.state.value, "", link.name, cause, of_link=True)
 
 
+def _refused_clients(snapshot: Snapshot) -> Iterator[Fault]:
+    for client in snapshot.refused:
+        name = f"{client.name or 'a client'} at {client.host}"
+        yield Fault("!", State.SLOW.value, "", name, client.reason, of_link=True)
+
+
 def _topic_faults(snapshot: Snapshot) -> Iterator[Fault]:
     several = len(snapshot.links) > 1
     for route in sorted((*snapshot.routes, *pattern_rows(snapshot)), key=lambda route: (route.state.rank, route.topic)):
         if _needs_words(route):
             robot = route.link if several else ""
-            yield Fault(STATE_SIGN[route.state], route.state.value, robot, route.topic, _reason(route), of_link=False)
+            sign, measured = STATE_SIGN[route.state], route.state is State.SLOW or route.cause == Cause.LOSSY
+            yield Fault(sign, route.state.value, robot, route.topic, _reason(route), of_link=False, measured=measured)
 
 
 def _needs_words(route: RouteSnapshot) -> bool:
     """Whether a topic has a fault of its own, or waits for something that an operator can remedy."""
-    if route.state in {State.OK, State.PAUSED, State.DISARMED} or route.cause == Cause.LINK_DOWN:
+    if route.acknowledged is not None or route.cause == Cause.LINK_DOWN:
+        return False
+    if route.state in {State.OK, State.PAUSED, State.DISARMED}:
         return False
     return route.state is not State.WAITING or route.cause in _SHOWN_WHILE_WAITING
 
@@ -190,7 +249,7 @@ def link_fault(link: LinkSnapshot, *, server: bool) -> str:
     since = formats.time_of_day(link.since)[:5]
     if link.state is State.OK:
         return link.warning
-    if not server or link.cause not in (LinkCause.LOST, LinkCause.CLOSED, LinkCause.NOT_YET):
+    if not server or link.cause not in (LinkCause.LOST, LinkCause.SILENT, LinkCause.CLOSED, LinkCause.NOT_YET):
         return link.reason
     seen = f"last seen at {link.peer}: {link.reason}" if link.peer else "not seen yet"
     return f"missing since {since}, {seen}"

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from textual import events
 from textual.widgets import Input
 
+from rsb_console.terminal.input_queue import InputQueue
 from rsb_console.widgets.input_guard import InputGuard
 
 if TYPE_CHECKING:
-    from textual import events
+    from collections.abc import Iterator
+
+    from textual.message import Message
 
 
 class FieldInput(Input):
@@ -48,6 +52,18 @@ class FieldInput(Input):
             await self.action_submit()
 
     def _on_paste(self, event: events.Paste) -> None:
-        if self.input_guard.covers(event):
+        covered = self.input_guard.covers(event)
+        if covered or "\t" in event.text:
             event.stop()
             event.prevent_default()
+        if not covered and "\t" in event.text:
+            InputQueue.of(self.app).insert(fields_of(event.text))
+
+
+def fields_of(pasted: str) -> Iterator[Message]:
+    """Split a pasted text into fields. A tab in it goes to the next field, as a typed one does."""
+    for number, part in enumerate(pasted.split("\t")):
+        if number:
+            yield events.Key("tab", "\t")
+        if part:
+            yield events.Paste(part)

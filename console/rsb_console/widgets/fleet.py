@@ -263,7 +263,7 @@ class FleetTable(SelectableList):
         marked = sum(row.robot.key in self.view.marked for row in rows)
         pieces = [
             (f"{_FOLDED if group in self.view.folded else _UNFOLDED} {group or 'no group'}", "strong"),
-            (f"  {formats.counted(len(rows), 'robot')}", "dim"),
+            (f"  {formats.counted(sum(not row.robot.is_server for row in rows), 'robot')}", "dim"),
             *state_counts(row.robot for row in rows),
         ]
         if marked:
@@ -310,7 +310,9 @@ class FleetStatus(LiveLines):
         robots = [row.robot for row in table.rows.values()]
         names = ", ".join(source.name for source in fleet.sources)
         # Over Zenoh a server is a line, too: what crosses its links is counted where its clients are.
-        clients = [robot.summary for robot in robots if robot.summary.role != "server"]
+        servers = [robot for robot in robots if robot.is_server]
+        robots = [robot for robot in robots if not robot.is_server]
+        clients = [robot.summary for robot in robots]
         rx = sum(summary.bytes_from_robot for summary in clients)
         tx = sum(summary.bytes_to_robot for summary in clients)
         first: Line = (
@@ -319,6 +321,7 @@ class FleetStatus(LiveLines):
             (f" {names} ", "strong"),
             (f" {formats.counted(len(robots), 'robot')}", ""),
             *state_counts(robots),
+            *(((f" │ {formats.counted(len(servers), 'server')}", ""), *state_counts(servers)) if servers else ()),
             *(
                 ((f" │ from {formats.byte_rate(rx)} │ to {formats.byte_rate(tx)}", "dim"),)
                 if self.width >= ROOMY

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rsb_bridge.model.robot_summary import RobotState
 from rsb_console.look import formats
-from rsb_console.look.glyphs import sparkline
+from rsb_console.look.glyphs import KNOWN, KNOWN_WORD, sparkline
 from rsb_console.widgets.columns import HISTORY, WIDE, Column, filled
 
 if TYPE_CHECKING:
@@ -19,14 +19,20 @@ ROBOT_SIGN = {
     RobotState.MISSING: "✗",
     RobotState.FAULT: "■",
     RobotState.WARN: "▲",
+    RobotState.ACKNOWLEDGED: KNOWN,
     RobotState.WAITING: "◌",
     RobotState.OK: "●",
 }
-ROBOT_WORD = {state: state.upper() for state in RobotState} | {RobotState.OK: "ok", RobotState.WAITING: "WAIT"}
+ROBOT_WORD = {state: state.upper() for state in RobotState} | {
+    RobotState.ACKNOWLEDGED: KNOWN_WORD,
+    RobotState.OK: "ok",
+    RobotState.WAITING: "WAIT",
+}
 ROBOT_LOOK = {
     RobotState.MISSING: "down",
     RobotState.FAULT: "stale",
     RobotState.WARN: "slow",
+    RobotState.ACKNOWLEDGED: "dim",
     RobotState.WAITING: "waiting",
     RobotState.OK: "ok",
 }
@@ -57,6 +63,13 @@ def messages(row: Row) -> float:
 def is_there(row: Row) -> bool:
     """Whether its rates have a meaning."""
     return row.robot.summary.links_up > 0
+
+
+def why(row: Row) -> str:
+    """Say what is wrong, and how many other faults are acknowledged."""
+    summary = row.robot.summary
+    beside = summary.acknowledged if summary.state is not RobotState.ACKNOWLEDGED else 0
+    return f"{summary.why} (+{beside} {KNOWN_WORD})" if beside else summary.why
 
 
 def _since(row: Row) -> float:
@@ -91,7 +104,8 @@ COLUMNS: tuple[Column[Row], ...] = (
         right=False, from_width=WIDE,
     ),
     Column("", 1, lambda r: ROBOT_SIGN[r.robot.summary.state], _by_state, right=False),
-    Column("ROBOT", 0, lambda r: r.robot.summary.name, lambda r: r.robot.order, right=False),
+    Column("ROBOT", 0, lambda r: f"{r.robot.summary.name}{' (server)' * r.robot.is_server}", lambda r: r.robot.order,
+           right=False),
     Column("SERVER", 10, lambda r: r.robot.source.name, lambda r: (r.robot.source.name, r.robot.order), right=False,
            from_width=60),
     Column("GROUP", 10, lambda r: r.robot.summary.group, lambda r: (r.robot.summary.group, r.robot.order),
@@ -111,7 +125,7 @@ COLUMNS: tuple[Column[Row], ...] = (
            lambda r: -sum(r.rates), right=False, from_width=80),
     Column("VERSION", 8, lambda r: r.robot.summary.version, lambda r: (r.robot.summary.version, r.robot.order),
            right=False, from_width=112),
-    Column("WHY", 40, lambda r: r.robot.summary.why, lambda r: (not r.robot.summary.why, r.robot.summary.why),
+    Column("WHY", 40, why, lambda r: (not r.robot.summary.why, r.robot.summary.why),
            right=False, from_width=150),
 )  # fmt: skip
 STATE, SIGN, NAME, SERVER, GROUP, LOSS, BATTERY, HISTORY_COLUMN = (

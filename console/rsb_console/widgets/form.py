@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 from textual import on
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.events import Paste
 from textual.message import Message
 from textual.widgets import Input, Static
 
+from rsb_console.terminal.input_queue import InputQueue
 from rsb_console.widgets.choice import Choice
 from rsb_console.widgets.field_input import FieldInput
 from rsb_console.widgets.input_guard import InputGuard
@@ -71,6 +73,7 @@ class Field(Vertical):
         problem: what is wrong with the value.
         note: what else is to be known of it.
         touched: the operator has typed or chosen here; mistakes are shown only then.
+        position: in the form, from the top.
     """
 
     class Changed(Message):
@@ -91,6 +94,7 @@ class Field(Vertical):
         super().__init__(classes="field", id=f"field-{spec.key}")
         self.spec = spec
         self.touched = False
+        self.position = 0
         self._label = Static(spec.label, classes="label", markup=False)
         self.control: FieldInput | Choice | TextInput = (
             Choice(spec.options, spec.value) if spec.options else FieldInput(spec.value, spec.blank, edited=spec.edited)
@@ -105,6 +109,15 @@ class Field(Vertical):
             yield self.control
         yield self.problem
         yield self.note
+
+    @property
+    def _focus_sort_key(self) -> tuple[int, int]:
+        """The order in which tab comes to it (Textual's).
+
+        Textual orders widgets by where they are drawn. A field that has just been shown is not drawn yet, and would
+        come before all others: what is typed fast would go to it.
+        """
+        return self.position, 0
 
     def describe(self, spec: Spec) -> None:
         """Take another label, help and options, of the same key; the value stays, unless it is no option any more."""
@@ -161,9 +174,11 @@ class Form(VerticalScroll, can_focus=False):
         self.help = Notice("hint help")
         self.problem = Notice("problem", id="form-problem")
         self.input_guard = InputGuard()
-        for field in fields:
-            if isinstance(field.control, FieldInput):
+        for position, field in enumerate(fields):
+            field.position = position
+            if isinstance(field.control, FieldInput | Choice):
                 field.control.input_guard = self.input_guard
+        self._focus_moved = False
         self._problems: Mapping[str, str] = {}
 
     def compose(self) -> ComposeResult:
@@ -196,8 +211,26 @@ class Form(VerticalScroll, can_focus=False):
             wrong[0].control.focus()
         return not self._problems
 
+    def empty_after(self, submitted: Field) -> Field | None:
+        """Return the next field that needs a value and was not come to yet, if there is no mistake but such ones."""
+        wrong = [field for key, field in self.fields.items() if key in self._problems and field.display]
+        if len(wrong) < len(self._problems) or submitted in wrong or any(each.touched or each.value for each in wrong):
+            return None
+        return next(iter(wrong), None)
+
     def on_descendant_focus(self, event: DescendantFocus) -> None:
         """Show the focused field's help."""
-        for field in self.fields.values():
+        for position, field in enumerate(self.fields.values()):
             if field.control is event.widget:
                 self.help.set_text(field.spec.help)
+                self._focus_moved = self._focus_moved or position > 0
+
+    @on(Choice.Mistyped)
+    def _mistyped(self, event: Choice.Mistyped) -> None:
+        """Pass a text that was typed when the form had just opened, at a choice, on to the first text field."""
+        event.stop()
+        controls = [field.control for field in self.fields.values() if field.display]
+        first = next((each for each in controls if isinstance(each, FieldInput)), None)
+        if first is not None and controls[0] is event.choice and not self._focus_moved:
+            first.focus()
+            InputQueue.of(self.app).insert([Paste(event.text)])

@@ -23,6 +23,10 @@ class InputGuard:
     def begin(self) -> None:
         self._until = time.monotonic() + AT_MOST
 
+    def cancel(self) -> None:
+        """Ignore nothing: what has been typed since `begin` is meant for where the focus goes."""
+        self._until = 0.0
+
     def end(self) -> None:
         """The result is shown."""
         self._until = time.monotonic()

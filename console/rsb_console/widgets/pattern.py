@@ -1,49 +1,63 @@
-"""What an operator typed after ``/``: text to look for everywhere, or in one column."""
+"""The filter language: terms that must match, and terms with ``!`` that must not."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
 COLUMNS = ("state", "kind", "topic", "robot", "group", "via", "type", "why")
-_COLUMN = re.compile(rf"(?<!\S)({'|'.join(COLUMNS)}):(\S*)\s*", re.IGNORECASE)
+_TERM = re.compile(rf"(?P<not>!*)(?:(?P<column>{'|'.join(COLUMNS)}):)?(?P<text>.*)", re.IGNORECASE)
 
 
 class PatternError(ValueError):
     """Not a regular expression; the message says where."""
 
 
+class _Term(NamedTuple):
+    """One term of a filter.
+
+    Attributes:
+        column: where to look, or an empty string for everywhere.
+        regex: what to look for.
+        excludes: whether it must not match.
+    """
+
+    column: str
+    regex: re.Pattern[str]
+    excludes: bool
+
+
 @dataclass(frozen=True)
 class Pattern:
-    """A filter: ``state:down robot:robot1 scan``. All of its parts must match; a leading ``!`` inverts it.
+    """A filter: ``state:down robot1 !scan``. All terms must match; one with ``!`` must not.
 
-    A part with a column's name is a regular expression for that column; the rest is one for any of them.
+    Each term is a regular expression without spaces. It looks in one column if it begins with that column's name,
+    else in all of them. A term without text, such as a ``!`` that is just being typed, is ignored.
 
     Attributes:
         text: as typed, without the slash.
     """
 
     text: str
-    inverted: bool = field(init=False)
-    _parts: tuple[tuple[str, re.Pattern[str]], ...] = field(init=False, repr=False)
+    _terms: tuple[_Term, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        inverted = self.text.startswith("!")
-        text = self.text[inverted:]
-        parts = [(name.lower(), value) for name, value in _COLUMN.findall(text) if value]
-        rest = _COLUMN.sub("", text)
+        object.__setattr__(self, "_terms", tuple(filter(None, map(_term, self.text.split()))))
+
+    @classmethod
+    def or_plain(cls, text: str) -> Pattern:
+        """Read `text` as a filter, or as plain words if it is not a valid one."""
         try:
-            compiled = [(name, re.compile(value, re.IGNORECASE)) for name, value in parts]
-            if rest.strip():
-                compiled.append(("", re.compile(rest.rstrip() if parts else rest, re.IGNORECASE)))
-        except re.error as error:
-            raise PatternError(f"not a regular expression: {error}") from None
-        object.__setattr__(self, "inverted", inverted)
-        object.__setattr__(self, "_parts", tuple(compiled))
+            return cls(text)
+        except PatternError:
+            return cls(" ".join(map(re.escape, text.split())))
+
+    def __bool__(self) -> bool:
+        return bool(self._terms)
 
     def matches(self, columns: Mapping[str, str], hidden: Collection[str] = ()) -> bool:
         """Whether to show a line.
@@ -53,8 +67,19 @@ class Pattern:
             hidden: columns that only their name finds.
         """
         anywhere = [text for name, text in columns.items() if name not in hidden]
-        found = all(
-            any(map(regex.search, anywhere)) if not name else regex.search(columns.get(name, "")) is not None
-            for name, regex in self._parts
+        return all(
+            any(map(term.regex.search, [columns.get(term.column, "")] if term.column else anywhere))
+            is not term.excludes
+            for term in self._terms
         )
-        return found is not self.inverted
+
+
+def _term(typed: str) -> _Term | None:
+    parts = _TERM.fullmatch(typed)
+    if parts is None or not parts["text"]:
+        return None
+    try:
+        regex = re.compile(parts["text"], re.IGNORECASE)
+    except re.error as error:
+        raise PatternError(f"not a regular expression: {error}") from None
+    return _Term((parts["column"] or "").lower(), regex, bool(parts["not"]))

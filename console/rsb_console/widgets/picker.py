@@ -13,6 +13,7 @@ from textual.widgets import Input
 from rsb_console.widgets.field_input import FieldInput
 from rsb_console.widgets.form import Field, Spec
 from rsb_console.widgets.lines import Line, fit
+from rsb_console.widgets.pattern import Pattern
 from rsb_console.widgets.selectable_list import SelectableList
 
 if TYPE_CHECKING:
@@ -51,10 +52,10 @@ class SuggestionList(SelectableList, can_focus=False):
         self._empty = ""
         self.marks_cursor = True
 
-    def show(self, suggestions: Sequence[Suggestion], words: Sequence[str], empty: str) -> None:
-        """List the suggestions that contain all of `words`; if there are none, show `empty`."""
+    def show(self, suggestions: Sequence[Suggestion], pattern: Pattern, empty: str) -> None:
+        """List the suggestions that match `pattern`, or show `empty` if none does."""
         self._empty = empty
-        self._suggestions = {suggestion.key: suggestion for suggestion in suggestions if _holds(suggestion, words)}
+        self._suggestions = {suggestion.key: suggestion for suggestion in suggestions if _matches(suggestion, pattern)}
         self.show_keys(list(self._suggestions))
 
     @property
@@ -82,9 +83,8 @@ class SuggestionList(SelectableList, can_focus=False):
         return self.marks_cursor and bool(self.keys) and super().is_cursor(index)
 
 
-def _holds(suggestion: Suggestion, words: Sequence[str]) -> bool:
-    text = f"{suggestion.value} {''.join(piece for piece, _ in suggestion.line(WHOLE))}".casefold()
-    return all(word in text for word in words)
+def _matches(suggestion: Suggestion, pattern: Pattern) -> bool:
+    return pattern.matches({"": f"{suggestion.value} {''.join(piece for piece, _ in suggestion.line(WHOLE))}"})
 
 
 class PickField(Field):
@@ -144,7 +144,11 @@ class PickField(Field):
     def _relist(self) -> None:
         literal = self._is_literal(self.value)
         self.list.marks_cursor = self._entered or not literal
-        self.list.show(self._suggestions, self.value.casefold().split(), self._empty(self.value))
+        self.list.show(self._suggestions, Pattern.or_plain(self.filter_text()), self._empty(self.value))
+
+    def filter_text(self) -> str:
+        """The text that narrows the list of suggestions."""
+        return self.value
 
     @property
     def is_ready(self) -> bool:

@@ -43,7 +43,7 @@ class Prompt(Horizontal):
     def compose(self) -> ComposeResult:
         """The slash, the input, and room for what is wrong."""
         yield Static(" /", id="sign")
-        yield Input(id="pattern", placeholder=f"text, or {self._columns}; ! first: what does not match")
+        yield Input(id="pattern", placeholder=f"terms that match, !terms that do not; {self._columns}")
         yield Static("", id="problem", classes="problem")
 
     def open(self, text: str) -> None:
@@ -61,7 +61,7 @@ class Prompt(Horizontal):
         event.stop()
         problem = self.query_one("#problem", Static)
         try:
-            pattern = Pattern(event.value) if event.value.strip("!") else None
+            pattern = Pattern(event.value) or None
         except PatternError as error:
             problem.update(str(error))
             return

@@ -75,6 +75,8 @@ def _detail(row: Row, width: int) -> Iterator[Line]:
         f"at {summary.host}" if summary.host else "",
         f"{row.robot.source.kind} {row.robot.source.name}",
     ]
+    if summary.acknowledged:
+        facts.append(f"{summary.acknowledged} acknowledged")
     facts += [f"links {summary.links_up}/{summary.links}", f"rsb-console {summary.version}" if summary.version else ""]
     yield ((f" {' · '.join(filter(None, facts))}", "dim"),)
     figures = [f"from it {summary.messages_from_robot:.1f} msg/s, to it {summary.messages_to_robot:.1f} msg/s"]

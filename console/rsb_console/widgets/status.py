@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
+import math
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rsb_bridge.model import health
 from rsb_bridge.model.snapshot import State
 from rsb_console.look import formats, kinds
-from rsb_console.look.glyphs import ARMED, ARMED_WORD, STATE_SIGN, STATE_WORD, sparkline
+from rsb_console.look.glyphs import ARMED, ARMED_WORD, KNOWN_WORD, STATE_SIGN, STATE_WORD, sparkline
 from rsb_console.widgets.lines import Line, LiveLines, fit, width_of
 
 if TYPE_CHECKING:
@@ -90,10 +92,11 @@ class StatusBar(LiveLines):
     def _sum(self, snapshot: Snapshot) -> list[Line]:
         topics = ((f" {kinds.counted(route.spec.kind for route in snapshot.routes)}", "strong"),)
         armed = armed_count(snapshot.routes)
-        self._signs = (*topics, *armed, *state_counts(snapshot.routes, State))
+        known = known_count(snapshot.routes)
+        self._signs = (*topics, *armed, *state_counts(snapshot.routes, State), *known)
         drops = sum(route.ledger.dropped_total for route in snapshot.routes if route.calls is None)
         groups: list[Line] = [
-            (*topics, *armed, *state_counts(snapshot.routes, State, words=True)),
+            (*topics, *armed, *state_counts(snapshot.routes, State, words=True), *known),
             ((f"drops {formats.thousands(drops)}", "stale" if drops else ""),),
         ]
         groups += calls_group(snapshot.routes)
@@ -113,16 +116,18 @@ def state_counts(
 ) -> Line:
     """Count what is in each of some states: ``✗1 ▲2``, or with words ``✗ 1 down  ▲ 2 stale``.
 
+    Faults that are acknowledged are not counted.
+
     Args:
         things: topics, or links.
         states: those that are counted, in this order.
         words: name each state.
     """
-    counts = Counter(thing.state for thing in things)
+    counts = health.state_counts(things)
     return tuple(
         (f"  {STATE_SIGN[s]} {counts[s]} {STATE_WORD[s].lower()}" if words else f" {STATE_SIGN[s]}{counts[s]}", s.value)
         for s in states
-        if counts[s]
+        if s in counts
     )
 
 
@@ -144,9 +149,15 @@ def armed_count(routes: Iterable[RouteSnapshot]) -> Line:
     return (("  ", ""), (f" {ARMED} {len(armed)} {ARMED_WORD}{until} ", "armed")) if armed else ()
 
 
+def known_count(things: Iterable[RouteSnapshot | LinkSnapshot]) -> Line:
+    """Count the faults that an operator has acknowledged: ``ack 1``."""
+    count = sum(thing.acknowledged is not None for thing in things)
+    return ((f"  {KNOWN_WORD} {count}", "dim"),) if count else ()
+
+
 def warning_count(links: Iterable[LinkSnapshot]) -> Line:
     """Count the links that are up with a warning: ``!1``."""
-    count = sum(1 for link in links if link.state is State.OK and link.warning)
+    count = sum(1 for link in links if link.state is State.OK and link.warning and link.acknowledged is None)
     return ((f" !{count}", State.SLOW.value),) if count else ()
 
 
@@ -201,11 +212,11 @@ def _links_state(links: Sequence[LinkSnapshot], now: float) -> tuple[str, str]:
         return f"   {STATE_SIGN[worst]} {len(linked)} of {len(links)} linked", worst.value
     (link,) = links
     if linked:
-        return f"   ● LINKED {formats.clock(now - link.since)}", "ok"
-    retry = formats.next_attempt(link)
+        return f"   ● LINKED {formats.clock(math.floor(now) - math.floor(link.since))}", "ok"
+    retry = formats.next_attempt(link, now)
     state = link.state
     return (
-        f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age(now - link.since)}{retry and f' · {retry}'}",
+        f"   {STATE_SIGN[state]} {STATE_WORD[state]} {formats.age_since(link.since, now)}{retry and f' · {retry}'}",
         state.value,
     )
 

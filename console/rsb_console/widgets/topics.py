@@ -6,7 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from rsb_bridge.model.snapshot import State
-from rsb_console.look.glyphs import STATE_WORD
+from rsb_console.look.glyphs import KNOWN_WORD, STATE_WORD
 from rsb_console.look.kinds import SHORT
 from rsb_console.look.patterns import pattern_rows
 from rsb_console.widgets.columns import HISTORY_COLUMN, SIGN, STATE, TOPIC, is_armed, layout, via
@@ -82,8 +82,8 @@ class TopicsTable(SelectableList):
                 "kind": f"{route.spec.kind} {SHORT[route.spec.kind]}",
                 "topic": f"{route.topic} {route.pattern}" if route.pattern else route.topic,
                 "robot": route.link,
-                "state": STATE_WORD[route.state],
-                "via": f"{via(route)} {route.port}",
+                "state": f"{STATE_WORD[route.state]}{f' {KNOWN_WORD}' if route.acknowledged is not None else ''}",
+                "via": f"{via(route)} {route.port or ''}",
                 "type": route.type_name,
                 "why": route.reason if route.calls is None else f"{route.reason} {route.calls.last_failure}",
             },
@@ -119,7 +119,8 @@ class TopicsTable(SelectableList):
         count = len(self.keys)
         for distance in range(1, count + 1):
             position = (self.position + step * distance) % count
-            if self.pattern is not None or self.routes[self.keys[position]].state in FAULTS:
+            route = self.routes[self.keys[position]]
+            if self.pattern is not None or (route.state in FAULTS and route.acknowledged is None):
                 self.move_to(position)
                 return
 
@@ -158,7 +159,9 @@ def _cell(column: Column[RouteSnapshot], route: RouteSnapshot, width: int) -> tu
     if len(text) > width:
         text = fit_middle(text, width) if column is TOPIC else text[: width - 1] + "…"
     look = ""
-    if column in {STATE, SIGN}:
+    if route.acknowledged is not None and not is_armed(route):
+        look = "dim"
+    elif column in {STATE, SIGN}:
         look = "armed" if is_armed(route) else route.state.value
     elif column is HISTORY_COLUMN:
         look = "plot" if route.state.flows else route.state.value

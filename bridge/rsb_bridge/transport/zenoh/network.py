@@ -48,6 +48,7 @@ _FILES = (
     "connect_certificate",
 )
 _RETRY = {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2}
+_ROUTER_REMEDY = "is it running, and does no firewall drop it?"
 
 
 class Network:
@@ -73,6 +74,7 @@ class Network:
         self._config_used: zenoh.Config | None = None
         self._endpoints: list[Endpoint] = []
         self._closed = False
+        self._cut_off = False
 
     async def open(self) -> None:
         """Be in the network, if no earlier call has seen to it.
@@ -98,6 +100,11 @@ class Network:
         """Whether there is somebody to talk to, or somebody may come: who listens waits for peers."""
         session = self._session
         return session is not None and bool(self.settings.listen or session.info.transports())
+
+    @property
+    def problem(self) -> str:
+        """The name of the router that is lost, with the remedy, or an empty string."""
+        return f"{self.place}: {ROUTER_LOST}: {_ROUTER_REMEDY}" if self._cut_off else ""
 
     async def endpoint(self, service: str, label: str, watched: Sequence[str]) -> Endpoint:
         """A new endpoint on the running loop, announced to all of the fleet.
@@ -218,14 +225,18 @@ class Network:
     def _changed(self, event: zenoh.TransportEvent) -> None:
         """A router or peer has come or gone; on a thread of Zenoh's."""
         session, gone = self._session, event.transport.zid
-        if session is None or event.kind != self._deleted:
+        if session is None:
+            return
+        if event.kind != self._deleted:
+            self._cut_off = False
             return
         if any(each.zid != gone for each in session.info.transports()):  # the one that is gone may still be listed
             return
+        self._cut_off = not self.settings.listen  # to a side that listens others may still come
         with self._lock:
             endpoints = list(self._endpoints)
         for endpoint in endpoints:
-            endpoint.cut_off(ROUTER_LOST)
+            endpoint.cut_off(self.problem or ROUTER_LOST)
 
 
 def _set(config: zenoh.Config, key: str, value: object) -> None:

@@ -143,6 +143,10 @@ class Zenoh(ZenohTraits, StreamTransport):
         endpoint.on_seen = another
         return _Listening(endpoint)
 
+    @property
+    def problem(self) -> str:
+        return self._links.network.problem
+
     def close(self) -> None:
         self._links.close()
         self._links.network.close()

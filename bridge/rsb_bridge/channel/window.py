@@ -1,0 +1,193 @@
+"""Limits the data in transit on a stream channel, so that messages wait on the way for a second at most.
+
+A stream accepts as much as its buffers hold: the kernel's, and those of a tunnel behind them. On a link of 5 kB/s that
+is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window
+of them in transit. The rest waits in the route's queue, which drops the oldest messages first.
+
+The window follows the age of the oldest unacknowledged byte. While the age is low, the window grows by the bytes that
+are acknowledged, so it doubles in a round trip, as TCP's does in slow start. Once the age exceeds `_LATE`, the window
+shrinks to the bytes that cross in `_AIM`. So the sender needs no rate to begin with, and a link that is fast enough
+never fills the window.
+
+This module uses neither sockets nor clocks. It counts bytes from the beginning of the stream.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+FEATURE = "receipts"
+"""The feature by which a side offers receipts (PROTOCOL.md, 1.6)."""
+
+FIRST = 4 * 1024
+"""Bytes in transit at the beginning, plus one message: 0.8 s of 5 kB/s for each topic."""
+LEAST = 2 * 1024
+"""Bytes of the smallest window."""
+_PARTS = 4
+"""The sender asks for a receipt after each such part of the window."""
+FIRST_RECEIPT = 512
+"""Bytes after which a receiver sends a receipt by itself: few, to measure the round trip before a queue builds up."""
+
+_FRESH, _LATE, _AIM = 0.2, 0.8, 0.5
+"""Ages (s) of the oldest unacknowledged byte, beyond the shortest round trip: the window grows below the first, and
+shrinks above the second to the bytes that cross in the third."""
+_ROOM = 4.0
+"""The window grows to the bytes that cross in so many seconds where nothing waits, so that receipts are rare."""
+_FARTHEST = 2.0
+"""Longest round trip (s) of a path without a queue; more counts as waiting."""
+_SILENT = 2.0
+"""s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second."""
+_MEASURED_OVER = 1.0
+_STOPPED = 1.5
+"""s without a receipt."""
+_MARKS_PER_WINDOW, _MARK_EVERY = 64, 0.02
+_MOST_MARKS, _MOST_RECEIPTS = 1024, 64
+
+
+class Window:
+    """The limit of a sending channel.
+
+    Attributes:
+        limit: count of sent bytes at which the channel is congested.
+        size: bytes that may be in transit.
+        slow: whether messages wait on the path.
+        patience: how many times longer than usual messages may wait on the path before the window shrinks.
+    """
+
+    __slots__ = (
+        "_acknowledged",
+        "_last_mark",
+        "_last_mark_at",
+        "_marks",
+        "_origin",
+        "_receipts",
+        "_shortest",
+        "limit",
+        "patience",
+        "size",
+        "slow",
+    )
+
+    def __init__(self, sent: int) -> None:
+        """Begin on a stream on which so many bytes were sent before."""
+        self.size = FIRST
+        self.limit = sent + FIRST
+        self.slow = False
+        self.patience = 1.0
+        self._origin = self._acknowledged = sent
+        self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
+        self._last_mark, self._last_mark_at = sent, float("-inf")
+        self._receipts: deque[tuple[int, float]] = deque(maxlen=_MOST_RECEIPTS)
+        self._shortest = _FARTHEST  # s, the shortest round trip so far
+
+    def wrote(self, before: int, now: float) -> None:
+        """Record that data is written at `now` (s), after `before` bytes."""
+        marks = self._marks
+        if not marks:
+            if not self._receipts or now - self._receipts[-1][1] > 2 * _MEASURED_OVER:
+                self._receipts.clear()
+                self._receipts.append((self._acknowledged, now))  # the rate counts from here
+        elif now - self._last_mark_at < _MARK_EVERY and before - self._last_mark < self.size // _MARKS_PER_WINDOW:
+            return
+        if len(marks) < _MOST_MARKS:  # else a byte seems older than it is
+            marks.append((before, now))
+            self._last_mark, self._last_mark_at = before, now
+
+    def acknowledge(self, count: int, sent: int, now: float) -> None:
+        """Adapt to a receipt.
+
+        Args:
+            count: bytes of the channel that the peer claims to have received.
+            sent: bytes sent so far.
+            now: s.
+        """
+        acknowledged = min(self._origin + count, sent)
+        gained = acknowledged - self._acknowledged
+        if gained <= 0:
+            return
+        limited = 2 * (sent - self._acknowledged) >= self.size
+        marks = self._marks
+        written_at = None
+        while marks and marks[0][0] < acknowledged:
+            written_at = marks.popleft()[1]
+        if written_at is not None:
+            self._shortest = min(self._shortest, max(0.0, now - written_at))
+            if acknowledged < sent and (not marks or marks[0][0] > acknowledged):
+                marks.appendleft((acknowledged, written_at))
+        self._acknowledged = acknowledged
+        rate = self._rate(acknowledged, now)
+        waits = self._age(now) - self._shortest
+        if waits > _LATE * self.patience:
+            self.slow = True
+            self.size = max(LEAST, int(rate * _AIM * self.patience), min(self.size, (sent - acknowledged) // 2))
+        elif waits < _FRESH:
+            self.slow = self.slow and limited
+            if limited or self.size < rate * _ROOM:
+                self.size += gained
+        elif limited:
+            self.slow = True
+        self.limit = acknowledged + self.size
+
+    def check(self, sent: int, now: float) -> None:
+        """Close the window while the path is stalled. Called once a second."""
+        if self._age(now) - self._shortest > _SILENT:
+            self.slow = True
+            self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
+
+    def moves(self, now: float) -> bool:
+        """Return whether a receipt came lately."""
+        return bool(self._receipts) and now - self._receipts[-1][1] < _STOPPED
+
+    @property
+    def every(self) -> int:
+        """Bytes between two receipts."""
+        return max(FIRST_RECEIPT, self.size // _PARTS)
+
+    def _age(self, now: float) -> float:
+        """Return the age (s) of the oldest unacknowledged byte, or 0 if there is none."""
+        return now - self._marks[0][1] if self._marks else 0.0
+
+    def _rate(self, acknowledged: int, now: float) -> float:
+        """Return the bytes/s that were acknowledged during the last second."""
+        receipts = self._receipts
+        while len(receipts) > 1 and receipts[1][1] <= now - _MEASURED_OVER:
+            receipts.popleft()
+        rate = 0.0
+        if receipts:
+            first, at = receipts[0]
+            rate = (acknowledged - first) / max(now - at, 0.05)
+        receipts.append((acknowledged, now))
+        return rate
+
+
+class ReceiptCounter:
+    """Counts the bytes of a receiving channel, to send a receipt after every few of them.
+
+    Attributes:
+        count: bytes received so far.
+        due: count at which the next receipt is due.
+    """
+
+    __slots__ = ("_every", "_sent", "count", "due")
+
+    def __init__(self, every: float = FIRST_RECEIPT) -> None:
+        """Begin with a receipt after every so many bytes."""
+        self.count = self._sent = 0
+        self._every = every
+        self.due = every
+
+    def set_interval(self, every: int) -> None:
+        """Have a receipt sent after every so many bytes."""
+        self._every = max(1, every)
+        self.due = self._sent + self._every
+
+    def next_receipt(self) -> int:
+        """Return the count for a receipt that is sent now."""
+        self._sent = self.count
+        self.due = self.count + self._every
+        return self.count
+
+    @property
+    def has_news(self) -> bool:
+        """Whether bytes came since the last receipt."""
+        return self.count != self._sent

@@ -1,0 +1,301 @@
+"""Runs the session's `on_fault` command when a fault begins, changes or is over. The engine never waits for it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import threading
+from collections import deque
+from typing import TYPE_CHECKING
+
+from rsb_bridge.config.fault_command import command_words, program_path, program_problem
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fault_watch import ChangeKind, FaultChange, FaultWatch
+from rsb_bridge.model.snapshot import Level
+from rsb_bridge.telemetry.fault_report import fault_report
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import Snapshot
+
+RUNS_FOR = 10.0
+"""s after which a command is ended, with everything that it has started."""
+WAITING = 16
+"""Changes of different links and routes that wait for their command; later ones are counted as merged."""
+EVERY = 1.0
+"""s from one start of the command to the next, at the least."""
+STARTS, STARTS_WITHIN = 10, 60.0
+"""Starts of the command in so many s, at the most."""
+OUTPUT = 1000
+"""Characters of a command's output that are logged; the rest is read and dropped."""
+_ENDS_WITHIN = 1.0
+"""s from SIGTERM to SIGKILL for a command that takes too long, and s that the end of the thread is waited for."""
+_ENDS_WITHIN_AT_STOP = 0.2
+_LOOK_EVERY = 0.05
+"""s from one look at a command that runs to the next."""
+_TOLD_EVERY = 60.0
+"""s from one event about a problem to the next, at the least."""
+_READ_SIZE = 64 << 10
+_OF_THE_BRIDGE = ("LD_", "PYTHON", "NOTIFY_SOCKET", "WATCHDOG_", "LISTEN_")
+"""Beginnings of the environment variables that are meant for the bridge's process: what libraries and modules it
+loads, and its supervisor."""
+
+
+class FaultHook:
+    """The command of the session that runs. It belongs to the I/O thread.
+
+    Args:
+        context: the session, the clock and the event log.
+        folder: gives the folder of the session file.
+    """
+
+    def __init__(self, context: Context, folder: Callable[[], Path]) -> None:
+        self._context = context
+        self._folder = folder
+        self._runner: _Runner | None = None
+
+    def open(self) -> None:
+        """Start to run the command that the session names now, for the faults that last already, too."""
+        self.close()
+        self._runner = None
+        if self._context.session.on_fault is not None:
+            self._runner = _Runner(self._context, command_words(self._context.session.on_fault), self._folder())
+            self._runner.thread.start()
+
+    def tick(self, snapshot: Snapshot) -> None:
+        """Look for faults in the newest snapshot; to be called once a second."""
+        if self._runner is not None:
+            self._runner.show(snapshot)
+
+    def close(self) -> None:
+        """Run no command any more, and end the one that runs. May be called twice."""
+        if self._runner is not None:
+            self._runner.end()
+
+    def join(self) -> None:
+        """Wait until that has ended, a second at most."""
+        runner, self._runner = self._runner, None
+        if runner is not None:
+            runner.thread.join(_ENDS_WITHIN)
+
+
+class WaitingChanges:
+    """The changes for which no command was run yet: the newest of each link and route, in the order of their first."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[tuple[str, str], FaultChange] = {}
+        self._merged = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, change: FaultChange) -> None:
+        """Add a change. It takes the place of an earlier one of the same link or route, or is only counted."""
+        earlier = self._waiting.get(change.key)
+        if earlier is None and len(self._waiting) >= WAITING:
+            self._merged += 1
+            return
+        if earlier is not None:
+            self._merged += 1
+            if earlier.kind is ChangeKind.BEGUN and change.kind is ChangeKind.CHANGED:
+                change = FaultChange(ChangeKind.BEGUN, change.subject, before=earlier.before)
+        self._waiting[change.key] = change
+
+    def take(self) -> tuple[FaultChange, int]:
+        """Take the first one, and how many were merged since the last was taken."""
+        key = next(iter(self._waiting))
+        merged, self._merged = self._merged, 0
+        return self._waiting.pop(key), merged
+
+
+class StartLimit:
+    """Says whether the command may be started now."""
+
+    def __init__(self) -> None:
+        self._starts: deque[float] = deque(maxlen=STARTS)
+
+    def take(self, now: float) -> bool:
+        """Whether it may be started at `now` (s); if so, it counts as started."""
+        if self._starts and now - self._starts[-1] < EVERY:
+            return False
+        if len(self._starts) == STARTS and now - self._starts[0] < STARTS_WITHIN:
+            return False
+        self._starts.append(now)
+        return True
+
+
+class _Runner:
+    """Watches for faults and runs one command for them, on a thread of its own, until `end`.
+
+    Attributes:
+        thread: of this.
+    """
+
+    def __init__(self, context: Context, command: tuple[str, ...], folder: Path) -> None:
+        self._events = context.events
+        self._clock = context.clock
+        self._command = command
+        self._base = folder
+        self._watch = FaultWatch()
+        self._waiting = WaitingChanges()
+        self._limit = StartLimit()
+        self._newest: Snapshot | None = None
+        self._seen: Snapshot | None = None
+        self._news = threading.Event()
+        self._ends = False
+        self._problem, self._told_at = "", float("-inf")
+        self.thread = threading.Thread(target=self._run, name="rsb-on-fault", daemon=True)
+
+    # --- from the I/O thread
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Have the thread look at a snapshot."""
+        self._newest = snapshot
+        self._news.set()
+
+    def end(self) -> None:
+        """Have the thread end soon, and the command that runs with it."""
+        self._ends = True
+        self._news.set()
+
+    # --- on the thread
+
+    def _run(self) -> None:
+        while not self._ends:
+            self._wait(EVERY if self._waiting else None)
+            if not self._ends and self._seen is not None and self._waiting and self._limit.take(self._clock.steady()):
+                self._report(self._seen)
+
+    def _wait(self, timeout: float | None) -> None:
+        """Wait for a snapshot or the end, and look at the snapshot."""
+        if not self._news.wait(timeout):
+            return
+        self._news.clear()
+        snapshot = self._newest
+        if snapshot is None or snapshot is self._seen or self._ends:
+            return
+        self._seen = snapshot
+        for change in self._watch.look(snapshot, self._clock.steady()):
+            self._waiting.add(change)
+
+    def _report(self, snapshot: Snapshot) -> None:
+        change, merged = self._waiting.take()
+        report = fault_report(
+            change,
+            time=self._clock.time_ns() / 1e9,
+            bridge=snapshot.name,
+            role=snapshot.role,
+            ongoing=self._watch.ongoing,
+            merged=merged,
+        )
+        program = program_path(self._command[0], self._base)
+        problem = "" if program is None else self._execute(program, report)
+        self._note(problem if program is not None else program_problem(self._command[0], self._base))
+
+    def _execute(self, program: Path, report: bytes) -> str:
+        """Run the command, and wait for its end; what is wrong, or an empty string."""
+        try:
+            process = subprocess.Popen(  # noqa: S603 -- the session file alone names it; a peer's texts are in no argument
+                self._command,
+                executable=program,
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                cwd=self._base,
+                env=command_environment(os.environ),
+                start_new_session=True,
+            )
+        except OSError as error:
+            return program_problem(self._command[0], self._base) or f"{error.strerror}: does it begin with #!/bin/sh?"
+        with process:
+            assert process.stdin is not None
+            with contextlib.suppress(OSError), process.stdin:  # does not block: a pipe holds more
+                process.stdin.write(report)
+            assert process.stdout is not None
+            output = _Output(process.stdout.fileno())
+            began, was_late = self._clock.steady(), False
+            while not _has_exited(process):
+                was_late = self._clock.steady() - began >= RUNS_FOR
+                if self._ends or was_late:
+                    self._terminate(process, output)
+                    break
+                output.read()
+                self._wait(_LOOK_EVERY)
+            _signal_group(process, signal.SIGKILL)  # the command's children
+            output.read()
+        if output.kept and not self._ends:
+            self._events.add(Level.DEBUG, EventCode.ENGINE_ON_FAULT, f"on_fault: {output.text}")
+        if self._ends:
+            return ""
+        if was_late:
+            return f"took longer than {RUNS_FOR:g} s, and was ended"
+        if process.returncode:
+            ended = f"exit code {process.returncode}" if process.returncode > 0 else f"signal {-process.returncode}"
+            return f"ended with {ended}{output.kept and ': '}{output.text}"
+        return ""
+
+    def _terminate(self, process: subprocess.Popen[bytes], output: _Output) -> None:
+        """Ask a command to end, and wait a little."""
+        _signal_group(process, signal.SIGTERM)
+        ends = self._clock.steady() + (_ENDS_WITHIN_AT_STOP if self._ends else _ENDS_WITHIN)
+        while not _has_exited(process) and self._clock.steady() < ends:
+            output.read()
+            self._wait(_LOOK_EVERY)
+
+    def _note(self, problem: str) -> None:
+        """Tell of a problem once, and again after a while where it was over in between."""
+        what, now = problem.partition(":")[0], self._clock.steady()
+        if not problem:
+            self._problem = ""
+        elif what != self._problem and now - self._told_at >= _TOLD_EVERY:
+            self._problem, self._told_at = what, now
+            text = f"on_fault {self._command[0]}: {problem}; the bridge goes on"
+            self._events.add(Level.WARNING, EventCode.ENGINE_ON_FAULT, text)
+
+
+class _Output:
+    """The first characters that a command writes.
+
+    Attributes:
+        kept: they, encoded.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        os.set_blocking(descriptor, False)
+        self._descriptor = descriptor
+        self.kept = b""
+
+    @property
+    def text(self) -> str:
+        """They, as one text."""
+        return self.kept.decode(errors="replace").strip()
+
+    def read(self) -> None:
+        """Read from the pipe as far as possible without waiting."""
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._descriptor, _READ_SIZE)
+            self.kept += data[: OUTPUT - len(self.kept)]
+
+
+def command_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Leave out the variables that are meant for the bridge's own process."""
+    return {name: value for name, value in environment.items() if not name.startswith(_OF_THE_BRIDGE)}
+
+
+def _has_exited(process: subprocess.Popen[bytes]) -> bool:
+    """Whether a process has exited. It is not reaped, so that its process group cannot become another one's."""
+    try:
+        return os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    except ChildProcessError:  # somebody has SIGCHLD ignored
+        return True
+
+
+def _signal_group(process: subprocess.Popen[bytes], number: int) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, number)

@@ -1,0 +1,181 @@
+"""Whether a topic's messages are late, and by how much: what both halves find out, and what an operator is told.
+
+The receiving half measures how long messages take, by the other side's clock, and leaves out what it cannot tell from
+that clock's uncertainty. The sending half needs no other clock: it knows since when messages wait in its queue, and how
+long ago it sent the oldest one that the receiver has not reported yet. That counts where nothing arrives at all.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.fullness import Fullness
+
+_LOOKS = 2
+"""Looks, a second apart, that have to agree before a topic becomes late, or is not late any more."""
+_CLEARLY = 2.0
+"""Times the bound: beyond that, one look is enough."""
+_OVER = 0.8
+"""Times the bound: below that, a late topic is in time again."""
+_REMEMBERED = 5.0
+"""s without a message after which a measured delay says nothing any more."""
+_SAME = 0.15
+"""Part by which a delay has to change until another figure is shown."""
+_REPORTED_EVERY = 1.0
+"""s between the receiver's reports."""
+_MOST_MARKS = 600
+_USUAL = 0.1
+"""The part that a new delay has in the usual one."""
+
+WAY, QUEUE = "way", "queue"
+"""Where messages are held up: on the way, or in the sender's own queue."""
+
+
+class Late(NamedTuple):
+    """A delay that is too long.
+
+    Attributes:
+        seconds: how long messages take.
+        usual: s that they take as a rule, or None if that is not known.
+        where: `WAY`, `QUEUE`, or empty if it is not known.
+        full: what the link carries, if it carries less than is asked of it, else None.
+        since: s, when it began.
+    """
+
+    seconds: float
+    usual: float | None
+    where: str
+    full: Fullness | None
+    since: float
+
+
+class LateWatch:
+    """Decides once a second whether messages are late, and changes its mind slowly.
+
+    Attributes:
+        since: s, when they became late, or None if they are not.
+        seconds: the delay that is shown.
+        usual: s that messages take as a rule, or None if that is not known.
+    """
+
+    def __init__(self) -> None:
+        self.since: float | None = None
+        self.seconds = 0.0
+        self.usual: float | None = None
+        self._other = 0
+        self._first = 0.0
+        self._seen_at = float("-inf")
+
+    def tick(
+        self, delay: float | None, uncertainty: float, bound: float, now: float, measured: float | None = None
+    ) -> None:
+        """Take a delay.
+
+        Args:
+            delay: s, or None if no message has come since the last look.
+            uncertainty: s by which it may be too long.
+            bound: s that a message may take; 0: any time.
+            now: s.
+            measured: s that messages take, for what is usual; None: no figure.
+        """
+        if not bound:
+            self.reset()
+            return
+        if delay is None:
+            if self.since is not None and now - self._seen_at >= _REMEMBERED:
+                self.reset()
+            return
+        self._seen_at = now
+        late = self.since is not None
+        over = delay - uncertainty > (_OVER * bound if late else bound)
+        if over and abs(delay - self.seconds) > _SAME * self.seconds:
+            self.seconds = delay
+        if not over and not late and measured is not None:
+            self.usual = measured if self.usual is None else self.usual + _USUAL * (measured - self.usual)
+        if over == late:
+            self._other = 0
+            return
+        if not self._other:
+            self._first = now
+        self._other += 1
+        if self._other >= _LOOKS or (over and delay - uncertainty > _CLEARLY * bound):
+            self._other = 0
+            self.since = None if late else self._first
+            self.seconds = 0.0 if late else delay
+
+    def reset(self) -> None:
+        """Begin anew; what is usual stays."""
+        self.since = None
+        self.seconds = 0.0
+        self._other = 0
+
+
+class Unreported:
+    """How long ago the oldest message was sent that the receiver has not reported."""
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[float, int]] = deque()
+        self._looked: tuple[float, int] | None = None
+
+    def age(self, sent: int, accounted: int, now: float) -> float:
+        """Take the counts of an opening once a second.
+
+        Args:
+            sent: messages so far.
+            accounted: those of them that the receiver has reported, one way or another.
+            now: s.
+
+        Returns:
+            About how many s ago it was sent; 0: there is none.
+        """
+        marks, (at, before) = self._marks, self._looked or (now, 0)
+        self._looked = now, sent
+        if marks and marks[-1][1] > sent:
+            marks.clear()  # counted anew
+        while marks and marks[0][1] <= accounted:
+            marks.popleft()
+        if sent > accounted and (not marks or marks[-1][1] < sent) and len(marks) < _MOST_MARKS:
+            new = max(1, sent - before)
+            marks.append((now - (now - at) * (new - 1) / new, sent))  # about when the first of the new ones was sent
+        return now - marks[0][0] if marks else 0.0
+
+
+def delay_of_sender(unreported: float, report_delay: float) -> float:
+    """How long messages take at least, by the age (s) of the oldest unreported one.
+
+    Args:
+        unreported: that age.
+        report_delay: s that a report takes to come back.
+    """
+    return max(0.0, unreported - _REPORTED_EVERY - report_delay)
+
+
+def late_verdict(late: Late) -> Verdict:
+    """What an operator is told."""
+    usually = "" if late.usual is None or late.usual >= late.seconds else f", usually {seconds_text(late.usual)}"
+    text = f"{seconds_text(late.seconds)} late{usually}: {_why(late)}"
+    return Verdict(State.LATE, Cause.LATE, text, late.since)
+
+
+def _why(late: Late) -> str:
+    if late.full is not None:
+        return f"the link is full ({late.full.share}): set max_rate, compression: zstd or priority"
+    if late.where == QUEUE:
+        return "waits in the sender's queue: set max_rate, compression: zstd or priority"
+    if late.where == WAY:
+        return "held up on the way: look for a slow network, tunnel or receiver"
+    return "held up on the way, or by the sender: look for a slow network or tunnel"
+
+
+def seconds_text(seconds: float) -> str:
+    """A delay: ``0.003 s``, ``1.4 s``, ``12 s``, ``3 min``."""
+    if seconds < 0.1:
+        return f"{max(0.0, seconds):.3f} s"
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,196 @@
+"""Faults that an operator has acknowledged: each until its state or its cause changes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, PatternSnapshot, RouteSnapshot, State
+from rsb_bridge.model.verdict import Cause
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rsb_bridge.model.clock import Clock
+    from rsb_bridge.model.snapshot import Snapshot
+
+_TOLERANCE = 2.0
+"""s: the beginnings of states are known no more exactly than that, because the wall clock is adjusted."""
+_NO_FAULT = frozenset({State.OK, State.PAUSED, State.DISARMED})
+
+Faulty = TypeVar("Faulty", RouteSnapshot, LinkSnapshot, PatternSnapshot)
+
+
+class _Known(NamedTuple):
+    """One acknowledged fault.
+
+    Attributes:
+        state: of the route or the link, when it was acknowledged.
+        cause: its cause then.
+        record: who did it.
+        at: s on the steady clock, when that was.
+    """
+
+    state: State
+    cause: str
+    record: Acknowledgement
+    at: float
+
+
+class Acknowledgements:
+    """Marks the acknowledged faults of each snapshot. It knows of none that has gone, so its size is bounded by theirs.
+
+    Args:
+        clock: the wall clock.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._known: dict[tuple[str, str], _Known] = {}
+        self._marked: dict[tuple[str, str], tuple[Any, Any]] = {}
+        """The newest marked snapshots, each with its original: an unchanged one is given out as the same object."""
+
+    def add(self, faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot, by: str) -> None:
+        """Acknowledge a fault.
+
+        Raises:
+            ValueError: it has no fault.
+        """
+        if not has_fault(faulty):
+            raise ValueError(f"{_name(faulty)}: there is no fault to acknowledge")
+        record = Acknowledgement(by, self._clock.time_ns() / 1e9)
+        self._known[_key(faulty)] = _Known(faulty.state, _cause(faulty), record, self._clock.steady())
+
+    def remove(self, faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> None:
+        """Have a fault count again.
+
+        Raises:
+            ValueError: it is not acknowledged.
+        """
+        if self._known.pop(_key(faulty), None) is None:
+            raise ValueError(f"{_name(faulty)}: no fault of it is acknowledged")
+
+    def mark(
+        self, links: Iterable[LinkSnapshot], routes: Iterable[RouteSnapshot], now: float
+    ) -> tuple[tuple[LinkSnapshot, ...], tuple[RouteSnapshot, ...]]:
+        """Mark what is acknowledged, and forget what has changed since. A link's covers what its loss has stopped.
+
+        Args:
+            links: all.
+            routes: all.
+            now: s since the epoch.
+        """
+        links, routes = tuple(links), tuple(routes)
+        if not self._known:
+            self._marked.clear()
+            return links, routes
+        before, self._known = self._known, {}
+        marked, self._marked = self._marked, {}
+        new_links = tuple(self._link(link, before, marked, now) for link in links)
+        down = {link.name: link.acknowledged for link in new_links if link.acknowledged is not None}
+        return new_links, tuple(self._route(route, down, before, marked, now) for route in routes)
+
+    def _link(
+        self, link: LinkSnapshot, before: dict[tuple[str, str], _Known], marked: dict[Any, Any], now: float
+    ) -> LinkSnapshot:
+        record = self._keep(link, before, now)
+        patterns = [self._keep(pattern, before, now) for pattern in link.patterns]
+        if record is None and not any(patterns):
+            return link
+        return self._replaced(_key(link), link, marked, record, patterns)
+
+    def _route(
+        self,
+        route: RouteSnapshot,
+        down: dict[str, Acknowledgement],
+        before: dict[tuple[str, str], _Known],
+        marked: dict[Any, Any],
+        now: float,
+    ) -> RouteSnapshot:
+        record = self._keep(route, before, now)
+        if record is None and route.cause == Cause.LINK_DOWN:
+            record = down.get(route.link)
+        return route if record is None else self._replaced(_key(route), route, marked, record, [])
+
+    def _keep(
+        self,
+        faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot,
+        before: dict[tuple[str, str], _Known],
+        now: float,
+    ) -> Acknowledgement | None:
+        known = before.get(_key(faulty))
+        if known is None or (known.state, known.cause) != (faulty.state, _cause(faulty)):
+            return None
+        if not isinstance(faulty, PatternSnapshot):
+            lasting, elapsed = now - faulty.since, self._clock.steady() - known.at
+            if lasting + _TOLERANCE < elapsed:  # it went away meanwhile, and has come back
+                return None
+        self._known[_key(faulty)] = known
+        return known.record
+
+    def _replaced(
+        self,
+        key: tuple[str, str],
+        faulty: Faulty,
+        marked: dict[Any, Any],
+        record: Acknowledgement | None,
+        patterns: list[Acknowledgement | None],
+    ) -> Faulty:
+        old, new = marked.get(key, (None, None))
+        if old is not faulty or new.acknowledged != record:
+            new = dataclasses.replace(faulty, acknowledged=record)
+            if isinstance(new, LinkSnapshot):
+                pairs = zip(new.patterns, patterns, strict=True)
+                rows = tuple(
+                    row if each is None else dataclasses.replace(row, acknowledged=each) for row, each in pairs
+                )
+                new = dataclasses.replace(new, patterns=rows)
+        self._marked[key] = faulty, new
+        marked_now: Faulty = new
+        return marked_now
+
+
+def has_fault(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> bool:
+    """Whether there is something to acknowledge: a fault, or something that waits."""
+    return faulty.state not in _NO_FAULT or (isinstance(faulty, LinkSnapshot) and bool(faulty.warning))
+
+
+def find_faulty(snapshot: Snapshot, key: str, link: str) -> RouteSnapshot | LinkSnapshot | PatternSnapshot:
+    """Return what an operator means by a key, or by a link's name.
+
+    Args:
+        snapshot: the newest.
+        key: of a route or a pattern. A route that is down with its link has the link's fault.
+        link: the name of a link, or an empty string.
+
+    Raises:
+        ValueError: there is no such thing.
+    """
+    links = {each.name: each for each in snapshot.links}
+    if link:
+        if link not in links:
+            raise ValueError(f"there is no link {link!r}, only {', '.join(links) or 'none'}")
+        return links[link]
+    for route in snapshot.routes:
+        if route.key == key:
+            return links[route.link] if route.cause == Cause.LINK_DOWN and route.link in links else route
+    for pattern in (pattern for each in snapshot.links for pattern in each.patterns):
+        if pattern.key == key:
+            return pattern
+    raise ValueError(f"there is no route {key!r} any more")
+
+
+def _key(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> tuple[str, str]:
+    return ("link", faulty.name) if isinstance(faulty, LinkSnapshot) else ("route", faulty.key)
+
+
+def _cause(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+    if isinstance(faulty, PatternSnapshot):
+        return ""
+    return f"{faulty.cause} {faulty.warning}" if isinstance(faulty, LinkSnapshot) else faulty.cause
+
+
+def _name(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
+    if isinstance(faulty, LinkSnapshot):
+        return faulty.name
+    return faulty.topic if isinstance(faulty, RouteSnapshot) else faulty.spec.topic

@@ -1,0 +1,65 @@
+"""A fault's change as one JSON object: the form in which a session's `on_fault` command gets it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from rsb_bridge.model.limits import REASON_LENGTH, TEXT_LENGTH
+from rsb_bridge.model.snapshot import LinkSnapshot
+from rsb_bridge.model.text import encodable, sanitize_text
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.fault_watch import FaultChange
+
+VERSION = 1
+"""Grows when a field changes its meaning or goes. A new field does not change it."""
+REMOVED = "removed"
+"""The state of a link or a route that is not there any more."""
+
+
+def fault_report(change: FaultChange, *, time: float, bridge: str, role: str, ongoing: int, merged: int) -> bytes:
+    """Encode a change as one line of ASCII.
+
+    Every text is of a limited length and has no control characters, since some come from the other side.
+
+    Args:
+        change: to report.
+        time: s since the epoch.
+        bridge: the session's name.
+        role: ``client`` or ``server``.
+        ongoing: the faults that are reported and not over, this one included.
+        merged: the changes before this one that no command was run for.
+    """
+    subject = change.subject
+    content: dict[str, object] = {
+        "version": VERSION,
+        "event": change.kind,
+        "time": round(time, 3),
+        "bridge": _text(bridge),
+        "role": role,
+    }
+    if isinstance(subject, LinkSnapshot):
+        content |= {"what": "link", "kind": "link", "name": _text(subject.name), "link": _text(subject.name)}
+        text, from_peer = subject.reason or subject.warning, False
+    else:
+        content |= {"what": "route", "kind": subject.spec.kind, "name": _text(subject.topic)}
+        content |= {"link": _text(subject.link), "outgoing": subject.outgoing}
+        text, from_peer = subject.reason, subject.from_peer
+    state, cause = (REMOVED, "") if change.removed else (str(subject.state), subject.cause)
+    content |= {
+        "state": _text(state),
+        "cause": _text(cause),
+        "text": "" if change.removed else _text(text, REASON_LENGTH),
+        "since": round(time if change.removed else subject.since, 3),
+        "from_peer": from_peer,
+        "previous_state": _text(change.before[0]),
+        "previous_cause": _text(change.before[1]),
+        "ongoing": ongoing,
+        "merged": merged,
+    }
+    return json.dumps(content).encode("ascii") + b"\n"
+
+
+def _text(text: str, limit: int = TEXT_LENGTH) -> str:
+    return sanitize_text(encodable(text), limit)

@@ -1,0 +1,283 @@
+"""The commands ``hz`` and ``bw``: print a topic's rate or bandwidth once a second, as `ros2 topic` does."""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.snapshot import State
+from rsb_console.command.reports import json_line
+from rsb_console.command.shell import FAILURE, OK, print_line
+from rsb_console.command.target import attached, chosen_route, other_side
+from rsb_console.look import formats
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Callable, Iterator
+
+    from rsb_bridge.control.client import RemoteEngine
+    from rsb_bridge.model.snapshot import RouteSnapshot, Snapshot
+
+_EVERY = 1.0
+_LOOK_EVERY = 0.05
+_SHORTEST = 0.9
+"""s over which figures are taken, at the least: a snapshot may be made a little early."""
+_LEDGER_FROM = 5.0
+"""s from which on the ledger's rates are printed for people: the other side reports its counts once a second."""
+_RENEWED_WITHIN = 10.0
+"""s in which a bridge that works has a newer snapshot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """A topic's figures over a while, as one bridge counts them.
+
+    Attributes:
+        route: its newest snapshot.
+        time: s since the epoch, of that.
+        seconds: s that the figures are about.
+        messages: that this bridge sent over the link, or published.
+        size: bytes of their payload.
+        offered: messages that the sending bridge took from ROS, as far as this side knows.
+        delivered: messages that the receiving bridge published, as far as this side knows.
+        each_second: messages in each of the last seconds of the window, oldest first.
+    """
+
+    route: RouteSnapshot
+    time: float
+    seconds: float
+    messages: int
+    size: int
+    offered: int
+    delivered: int
+    each_second: tuple[int, ...]
+
+    @property
+    def rate(self) -> float:
+        """Hz."""
+        return self.messages / self.seconds
+
+
+class Window:
+    """The last snapshots of one topic.
+
+    Args:
+        seconds: how far back they go.
+    """
+
+    def __init__(self, seconds: int) -> None:
+        self._seconds = seconds
+        self._looks: deque[tuple[float, RouteSnapshot]] = deque()
+
+    def add(self, moment: float, route: RouteSnapshot) -> Figures | None:
+        """Take a snapshot.
+
+        Args:
+            moment: s since the epoch, when it was made.
+            route: the topic.
+
+        Returns:
+            The figures since the oldest snapshot of the window, or None if that is too new.
+        """
+        looks = self._looks
+        if looks and (moment <= looks[-1][0] or _began_again(looks[-1][1], route)):
+            looks.clear()
+        looks.append((moment, route))
+        while len(looks) > 2 and looks[1][0] <= moment - self._seconds:
+            looks.popleft()
+        began, first = looks[0]
+        if moment - began < _SHORTEST:
+            return None
+        return Figures(
+            route=route,
+            time=moment,
+            seconds=moment - began,
+            messages=route.messages_total - first.messages_total,
+            size=route.bytes_total - first.bytes_total,
+            offered=route.ledger.offered - first.ledger.offered,
+            delivered=route.ledger.delivered - first.ledger.delivered,
+            each_second=route.history[-self._seconds :],
+        )
+
+
+def _began_again(before: RouteSnapshot, now: RouteSnapshot) -> bool:
+    """Whether counts have become smaller: the route, or one of the bridges, has started again."""
+    return (
+        now.messages_total < before.messages_total
+        or now.bytes_total < before.bytes_total
+        or now.ledger.offered < before.ledger.offered
+        or now.ledger.delivered < before.ledger.delivered
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FiguresCommand:
+    """A command that prints figures.
+
+    Attributes:
+        lines: the figures for people.
+        values: the figures for programs.
+    """
+
+    lines: Callable[[Figures], Iterator[str]]
+    values: Callable[[Figures], dict[str, object]]
+
+
+def print_figures(command: FiguresCommand, arguments: Namespace) -> int:
+    """Print figures once a second until there were as many as are wanted. Returns the exit code.
+
+    Raises:
+        UsageError: it is not clear which topic is meant.
+        EngineError: the bridge has ended, or does not bridge the topic any more.
+    """
+    with attached(arguments, read_only=True) as engine:
+        route = chosen_route(engine, arguments)
+        if not arguments.json:
+            print_line(_where(route, other_side(engine, route)))
+            sys.stdout.flush()
+        ends = None if arguments.lasts is None else time.monotonic() + arguments.lasts
+        window, printed, messages = Window(arguments.window), 0, 0
+        moment = 0.0
+        due = time.monotonic()
+        while (arguments.count is None or printed < arguments.count) and (ends is None or due <= ends):
+            now = _newer(engine, moment, due)
+            moment, route = now.time, _find(engine, now, route)
+            if route.bytes_total and not route.messages_total:
+                raise EngineError(f"{engine.bridge.name} runs an older version, which does not count messages for this")
+            figures = window.add(moment, route)
+            due = max(due + _EVERY, time.monotonic())
+            if figures is None:
+                continue
+            printed, messages = printed + 1, messages + figures.messages
+            if arguments.json:
+                print_line(json_line(_about(figures) | command.values(figures)))
+            else:
+                for line in command.lines(figures):
+                    print_line(line)
+            sys.stdout.flush()
+        return OK if messages else FAILURE
+
+
+def _newer(engine: RemoteEngine, moment: float, due: float) -> Snapshot:
+    """Wait until it is time to look, and for a snapshot newer than `moment` (s since the epoch)."""
+    time.sleep(max(0.0, due - time.monotonic()))
+    deadline = time.monotonic() + _RENEWED_WITHIN
+    while (now := engine.snapshot()).time == moment and time.monotonic() < deadline:
+        time.sleep(_LOOK_EVERY)
+    if engine.unreachable or not now.running or now.time == moment:
+        raise EngineError(engine.unreachable or "the bridge is stopped")
+    return now
+
+
+def _find(engine: RemoteEngine, now: Snapshot, before: RouteSnapshot) -> RouteSnapshot:
+    for route in now.routes:
+        if (route.link, route.key) == (before.link, before.key):
+            return route
+    raise EngineError(f"{engine.bridge.name} does not bridge {before.topic} any more")
+
+
+def _where(route: RouteSnapshot, other: str) -> str:
+    if route.outgoing:
+        return f"{route.topic} → {other}: counted where this bridge sends it over the link, after max_rate"
+    return f"{route.topic} ← {other}: counted where this bridge publishes it, after it came over the link"
+
+
+def _about(figures: Figures) -> dict[str, object]:
+    """Name the topic, its state, and the place where it is counted."""
+    route = figures.route
+    return {
+        "topic": route.topic,
+        "link": route.link,
+        "outgoing": route.outgoing,
+        "measured": "sent" if route.outgoing else "published",
+        "time": figures.time,
+        "state": route.state,
+        "cause": route.cause,
+        "age": route.age,
+        "seconds": round(figures.seconds, 3),
+        "messages": figures.messages,
+    }
+
+
+def _state(route: RouteSnapshot) -> Iterator[str]:
+    if route.state is not State.OK or route.reason:
+        yield f"\t{route.state.upper()}{f': {route.reason}' if route.reason else ''}"
+
+
+# --- hz
+
+
+def _hz_lines(figures: Figures) -> Iterator[str]:
+    route = figures.route
+    if figures.messages:
+        yield f"average rate: {figures.rate:.3f} Hz over {figures.seconds:.0f} s"
+    else:
+        last = "yet" if route.age is None else f"for {formats.age(route.age)}"
+        yield f"no message {last}"
+    if counts := figures.each_second:
+        spread = f"min {min(counts)}, max {max(counts)}, std dev {statistics.pstdev(counts):.2f}"
+        yield f"\tin each of the last {len(counts)} s: {spread}"
+    if route.expected_rate is not None:
+        yield f"\t{'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
+    if figures.seconds >= _LEDGER_FROM:
+        taken, arrived = figures.offered / figures.seconds, figures.delivered / figures.seconds
+        yield f"\ttaken from ROS by the sending bridge: {taken:.1f} Hz, published by the other: {arrived:.1f} Hz"
+    yield from _state(route)
+
+
+def _hz_values(figures: Figures) -> dict[str, object]:
+    route, counts = figures.route, figures.each_second
+    return {
+        "rate": round(figures.rate, 3),
+        "each_second": {
+            "seconds": len(counts),
+            "min": min(counts, default=None),
+            "max": max(counts, default=None),
+            "std_dev": round(statistics.pstdev(counts), 3) if counts else None,
+        },
+        "offered_rate": round(figures.offered / figures.seconds, 3),
+        "delivered_rate": round(figures.delivered / figures.seconds, 3),
+        "expected_rate": route.spec.expected_rate,
+        "usual_rate": None if route.spec.expected_rate else route.expected_rate,
+        "max_rate": route.max_rate,
+    }
+
+
+# --- bw
+
+
+def _mean_size(route: RouteSnapshot) -> float | None:
+    """Return the mean size (bytes) since the route was made, or None before the first message."""
+    return route.bytes_total / route.messages_total if route.messages_total else None
+
+
+def _bw_lines(figures: Figures) -> Iterator[str]:
+    rate = formats.byte_rate(figures.size / figures.seconds)
+    yield f"{rate} from {figures.messages} messages over {figures.seconds:.0f} s, before compression"
+    if figures.messages:
+        mean = formats.byte_count(round(figures.size / figures.messages))
+        overall = _mean_size(figures.route)
+        since = "" if overall is None else f"; since the start {formats.byte_count(round(overall))}"
+        yield f"\tmessage size mean: {mean}{since}"
+    yield from _state(figures.route)
+
+
+def _bw_values(figures: Figures) -> dict[str, object]:
+    overall = _mean_size(figures.route)
+    return {
+        "bytes_per_second": round(figures.size / figures.seconds, 1),
+        "bytes": figures.size,
+        "mean_size": round(figures.size / figures.messages, 1) if figures.messages else None,
+        "mean_size_overall": None if overall is None else round(overall, 1),
+        "bytes_total": figures.route.bytes_total,
+        "messages_total": figures.route.messages_total,
+    }
+
+
+HZ = FiguresCommand(_hz_lines, _hz_values)
+BW = FiguresCommand(_bw_lines, _bw_values)

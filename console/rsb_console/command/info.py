@@ -1,0 +1,177 @@
+"""The command ``info``: prints all that a bridge knows of one topic, service, action or node's parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from rsb_console.command.reports import clock, json_line, links_of, route_of
+from rsb_console.command.shell import OK, print_line
+from rsb_console.command.target import attached, chosen_route, other_side
+from rsb_console.look import formats
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Iterator
+
+    from rsb_bridge.model.qos import Qos
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
+
+
+def print_info(arguments: Namespace) -> int:
+    """Print all about the route that the arguments mean. Returns the exit code."""
+    with attached(arguments, read_only=True) as engine:
+        route = chosen_route(engine, arguments)
+        now = engine.snapshot()
+        link = next((each for each in now.links if each.name == route.link), None)
+        if arguments.json:
+            of_links = links_of(now)
+            print_line(json_line({"ok": True, **_values(route), "link_status": of_links.get(route.link)}))
+        else:
+            for line in _lines(route, link, other_side(engine, route)):
+                print_line(line)
+    return OK
+
+
+def _values(route: RouteSnapshot) -> dict[str, object]:
+    return route_of(route) | {
+        "type": route.type_name,
+        "type_hash": route.type_hash,
+        "remote_topic": route.remote_topic,
+        "direction": route.spec.direction,
+        "transport": route.transport,
+        "port": route.port,
+        "priority": route.spec.priority,
+        "qos": _qos_values(route.qos),
+        "publisher_qos": _qos_values(route.publisher_qos),
+        "subscriber_qos": _qos_values(route.subscriber_qos),
+        "expected_rate": route.spec.expected_rate,
+        "usual_rate": None if route.spec.expected_rate else route.expected_rate,
+        "bytes_total": route.bytes_total,
+        "messages_total": route.messages_total,
+        "latency_uncertainty": route.latency_uncertainty,
+        "jitter": route.jitter,
+        "age": route.age,
+        "last_error": route.last_error,
+        "stages": [{"name": stage.name, "done": stage.done, "detail": stage.detail} for stage in route.stages],
+    }
+
+
+def _qos_values(qos: Qos | None) -> object:
+    return None if qos is None else msgspec.structs.asdict(qos)
+
+
+def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str) -> Iterator[str]:
+    is_topic = route.calls is None
+    yield f"{'Topic' if is_topic else route.spec.kind.capitalize()}: {route.topic}"
+    yield f"Type: {route.type_name or 'not known yet'}"
+    if route.type_hash:
+        yield f"Type hash: {route.type_hash}"
+    cause = f" ({route.cause})" if route.cause else ""
+    yield f"State: {route.state.upper()}{cause} since {clock(route.since)}{f': {route.reason}' if route.reason else ''}"
+    towards = "sent to" if route.outgoing else "received from"
+    if not is_topic:
+        towards = "calls go to" if route.outgoing else "calls come from"
+    yield f"Direction: {towards} {other}, where it is {route.remote_topic} ({route.spec.direction} for the client)"
+    yield f"Carried by: {', '.join(_carriers(route))}"
+    if link is not None:
+        yield f"Link: {', '.join(_link_parts(link))}"
+    yield from _ends(route) if is_topic else _provider(route)
+    yield f"Rate: {_rate(route)}"
+    yield f"Bytes: {formats.byte_rate(route.bytes_per_second)}, {formats.byte_count(route.bytes_total)} in all"
+    if (latency := _latency(route)) is not None:
+        yield latency
+    yield from _ledger(route)
+    missing = [stage for stage in route.stages if not stage.done]
+    if missing:
+        detail = f": {missing[0].detail}" if missing[0].detail else ""
+        yield f"Not passed: {missing[0].name}{detail}"
+    if route.last_error:
+        yield f"Last error: {route.last_error}"
+
+
+def _carriers(route: RouteSnapshot) -> Iterator[str]:
+    yield f"{route.transport} {'channel' if route.transport == 'bluetooth' else 'port'} {route.port}"
+    if route.calls is None:
+        yield f"{route.spec.priority} priority"
+    if route.spec.compression not in (None, "none"):
+        yield f"{route.spec.compression} compression"
+    if route.max_rate is not None:
+        yield f"at most {route.max_rate:g} {'Hz' if route.calls is None else 'calls/s'}"
+    if route.pattern:
+        yield f"matches {route.pattern}"
+
+
+def _link_parts(link: LinkSnapshot) -> Iterator[str]:
+    yield f"{link.name} {link.state.upper()}{f' {link.peer}' if link.peer else ''}"
+    if link.rtt is not None:
+        yield f"there and back {formats.span(link.rtt)}"
+    if fault := link.reason or link.warning:
+        yield fault
+
+
+def _ends(route: RouteSnapshot) -> Iterator[str]:
+    here, there = "on this side", "on the other side"
+    ends = (
+        ("Publishers", here if route.outgoing else there, route.publishers, route.publisher_qos),
+        ("Subscribers", there if route.outgoing else here, route.subscribers, route.subscriber_qos),
+    )
+    for name, where, nodes, qos in ends:
+        yield f"{name} {where}: {', '.join(nodes) or ('none known' if qos is None else 'nodes not known')}"
+        if qos is not None:
+            verb = "offer" if name == "Publishers" else "ask for"
+            yield f"  {verb} together: {' '.join(formats.qos_parts(qos, depth_known=False))}"
+    if route.qos is not None:
+        yield f"QoS of the bridge: {' '.join(formats.qos_parts(route.qos))}"
+
+
+def _provider(route: RouteSnapshot) -> Iterator[str]:
+    here, there = "on this side", "on the other side"
+    yield f"Callers {here if route.outgoing else there}: {', '.join(route.publishers) or 'none known'}"
+    provider = f"Provider {there if route.outgoing else here} (the {route.spec.provider}'s)"
+    yield f"{provider}: {', '.join(route.subscribers) or 'none known'}"
+
+
+def _rate(route: RouteSnapshot) -> str:
+    if route.calls is not None:
+        return f"{formats.hertz(route.rate)} calls/s"
+    where = "sent" if route.outgoing else "published here"
+    text = f"{formats.hertz(route.rate)} Hz {where}"
+    if route.expected_rate is not None:
+        text += f", {'expected' if route.spec.expected_rate else 'usual'}: {formats.expected(route.expected_rate)} Hz"
+    return text if route.age is None else f"{text}, the last message {formats.age(route.age)} ago"
+
+
+def _latency(route: RouteSnapshot) -> str | None:
+    if (calls := route.calls) is not None:
+        if calls.way_p50 is None or calls.node_p50 is None:
+            return None
+        return f"Latency: p50 {formats.span(calls.way_p50)} there and back, {formats.span(calls.node_p50)} in the node"
+    if route.latency_p50 is None or route.latency_p99 is None:
+        return None
+    p50, p99 = (formats.latency(each, route.latency_uncertainty) for each in (route.latency_p50, route.latency_p99))
+    error = "" if route.latency_uncertainty is None else f" ± {formats.span(route.latency_uncertainty)}"
+    return f"Latency: p50 {p50}, p99 {p99}{error}, one way, from bridge to bridge"
+
+
+def _ledger(route: RouteSnapshot) -> Iterator[str]:
+    if (calls := route.calls) is not None:
+        refused = sum(calls.refused.values())
+        yield (
+            f"Ledger: {calls.asked} asked = {calls.answered} answered + {calls.expired} expired + {refused} refused"
+            f" + {calls.lost} lost + {calls.in_flight} under way"
+        )
+        dropped = calls.refused
+    else:
+        ledger = route.ledger
+        yield (
+            f"Ledger: {ledger.offered} offered = {ledger.delivered} delivered + {ledger.throttled} throttled"
+            f" + {ledger.dropped_total} dropped + {ledger.expired} expired + {ledger.in_flight} in flight"
+        )
+        if ledger.lost_in_dds:
+            yield f"  {ledger.lost_in_dds} more were lost in DDS before the bridge could take them"
+        dropped = ledger.dropped
+    for cause, count in dropped.items():
+        if count:
+            yield f"  {count} {cause}"

@@ -1,0 +1,202 @@
+"""The window of a stream channel, on a simulated path whose buffers take whatever comes."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import pytest
+
+from rsb_bridge.channel.window import FIRST, FIRST_RECEIPT, LEAST, ReceiptCounter, Window
+
+STEP = 0.001
+
+
+class Path:
+    """A path with endless buffers, in steps of time; the queue in front of the window keeps the newest messages.
+
+    Attributes:
+        time: s.
+        speed: bytes/s that it carries; 0: it stalls.
+        delay: s, each way.
+        others: s that everything waits behind somebody else's data.
+        ages: s, of the messages when they arrived, on their way only.
+        arrived: bytes.
+        receipts: how many were sent.
+    """
+
+    def __init__(self, speed: float, delay: float = 0.0005) -> None:
+        self.time = 0.0
+        self.speed, self.delay = speed, delay
+        self.ages: list[float] = []
+        self.arrived = self.sent = self.receipts = 0
+        self.window = Window(0)
+        self.counter = ReceiptCounter()
+        self._asked = FIRST_RECEIPT
+        self._looked = 0.0
+        self._on_the_way: deque[list[float]] = deque()  # when it may arrive, bytes that are left, when written
+        self._back: deque[tuple[float, int]] = deque()
+        self._credit = self._offered = 0.0
+        self.most_under_way = 0
+
+    @property
+    def under_way(self) -> int:
+        return self.sent - self.arrived
+
+    def run(self, seconds: float, rate: float, size: int) -> None:
+        """Offer messages of `size` bytes, `rate` a second; what the window does not take is dropped."""
+        until = self.time + seconds
+        while self.time < until:
+            self.time += STEP
+            self._offered += rate * STEP
+            while self._offered >= 1:
+                self._offered -= 1
+                if self.sent < self.window.limit:
+                    self._send(size)
+            self._carry()
+            if self.time - self._looked >= 1.0:
+                self._looked = self.time
+                if self.counter.has_news:
+                    self._give()
+                self.window.check(self.sent, self.time)
+            self.most_under_way = max(self.most_under_way, self.under_way)
+
+    def _send(self, size: int) -> None:
+        self.window.wrote(self.sent, self.time)
+        self.sent += size
+        self._on_the_way.append([self.time + self.delay, size, self.time])
+
+    def _carry(self) -> None:
+        self._credit = min(self._credit, 1.0) + self.speed * STEP if self._on_the_way else 0.0
+        while self._on_the_way and self._on_the_way[0][0] <= self.time and self._credit >= 1:
+            first = self._on_the_way[0]
+            piece = int(min(first[1], self._credit))
+            first[1] -= piece
+            self._credit -= piece
+            self.arrived += piece
+            self.counter.count += piece
+            if self.counter.count >= self.counter.due:
+                self._give()
+            if not first[1]:
+                self.ages.append(self.time - first[2])
+                self._on_the_way.popleft()
+        while self._back and self._back[0][0] <= self.time:
+            self.window.acknowledge(self._back.popleft()[1], self.sent, self.time)
+            every = self.window.every
+            if every >= 2 * self._asked or 2 * every <= self._asked:
+                self._asked = every
+                self.counter.set_interval(every)
+
+    def _give(self) -> None:
+        self.receipts += 1
+        self._back.append((self.time + self.delay, self.counter.next_receipt()))
+
+
+@pytest.mark.parametrize(("rate", "size"), [(14, 1000), (1000, 1000), (5, 3000), (300, 60)])
+def test_tunnel_of_5_kb_a_second_is_kept_short_and_full(rate: float, size: int) -> None:
+    path = Path(5_000)
+    path.run(5.0, rate, size)
+    assert max(path.ages) < 2.0
+    path.ages.clear()
+    before = path.arrived
+    path.run(30.0, rate, size)
+    assert max(path.ages) < 1.3
+    assert path.arrived - before > 0.9 * 30 * 5_000
+    assert path.window.slow
+
+
+@pytest.mark.parametrize("delay", [0.0005, 0.05, 0.3])
+@pytest.mark.parametrize(("rate", "size"), [(10, 100_000), (1000, 1000), (10, 1000)])
+def test_fast_path_is_not_throttled(delay: float, rate: float, size: int) -> None:
+    path = Path(100e6, delay)
+    path.run(6.0, rate, size)  # eight round trips of 0.6 s; TCP itself begins with three times as much
+    path.run(1.0, 0, 0)
+    arrived = len(path.ages)
+    path.run(10.0, rate, size)
+    path.run(1.0, 0, 0)
+    assert len(path.ages) - arrived >= 10 * rate - 1
+    assert not path.window.slow
+
+
+def test_ramp_up_takes_tens_of_milliseconds() -> None:
+    """50 MB/s over a LAN; what was not taken by then waits in the queue, as here it does not."""
+    path = Path(1e9)
+    path.run(0.05, 20_000, 2500)
+    sent = path.sent
+    path.run(0.5, 20_000, 2500)
+    assert path.sent - sent >= 0.99 * 0.5 * 20_000 * 2500
+
+
+def test_receipts_are_few() -> None:
+    """A small topic on a good link costs one a second, and a large one hardly more."""
+    for rate, size in ((10, 100), (10, 1000), (500, 20_000)):
+        path = Path(1e9)
+        path.run(5.0, rate, size)
+        before = path.receipts
+        path.run(20.0, rate, size)
+        assert path.receipts - before <= 60
+
+
+def test_path_that_becomes_slow() -> None:
+    """No rate that was measured before keeps the sender from noticing."""
+    path = Path(10e6)
+    path.run(20.0, 14, 1000)
+    path.speed = 5_000
+    path.ages.clear()
+    path.run(20.0, 14, 1000)
+    assert max(path.ages) < 4.0
+    assert max(path.ages[-50:]) < 1.3
+    path.speed = 10e6
+    path.run(3.0, 14, 1000)
+    sent = path.sent
+    path.run(5.0, 14, 1000)
+    assert path.sent - sent >= 69_000
+    assert not path.window.slow
+
+
+def test_stall() -> None:
+    """Nothing arrives for 3 s: little more is sent, and then all goes on."""
+    path = Path(10e6)
+    path.run(10.0, 1000, 1000)
+    path.speed = 0.0
+    path.run(3.0, 1000, 1000)
+    assert path.under_way < 2_500_000
+    assert not path.window.moves(path.time)
+    path.speed = 10e6
+    path.run(1.0, 1000, 1000)
+    sent = path.sent
+    path.run(3.0, 1000, 1000)
+    assert path.sent - sent >= 2_990_000
+
+
+def test_large_messages_go_whole() -> None:
+    """One that takes 20 s is not torn, and the next one follows at once, not after a way there and back."""
+    path = Path(5_000, 0.1)
+    path.run(90.0, 1, 100_000)
+    assert len(path.ages) >= 4
+    assert path.most_under_way <= 100_000 + FIRST
+
+
+def test_lies_change_nothing_for_the_worse() -> None:
+    window = Window(100)
+    window.wrote(100, 0.0)
+    window.acknowledge(10**12, 5_000, 0.1)  # more than was sent
+    assert window.limit <= 5_000 + FIRST + 5_000
+    limit = window.limit
+    window.acknowledge(0, 5_000, 0.2)
+    window.acknowledge(50, 5_000, 0.3)  # takes something back
+    assert window.limit == limit
+    silent = Window(0)
+    silent.wrote(0, 0.0)
+    for second in range(1, 100):
+        silent.check(1_000, float(second))
+    assert LEAST <= silent.limit <= FIRST
+
+
+def test_nothing_grows_without_end() -> None:
+    window = Window(0)
+    for number in range(100_000):
+        window.wrote(number * 1000, number * 0.1)
+    assert len(window._marks) <= 1024
+    for number in range(100_000):
+        window.acknowledge(number * 1000, 10**9, 1e4 + number * 1e-4)
+    assert len(window._receipts) <= 64

@@ -1,0 +1,242 @@
+"""The commands `hz`, `bw` and `info`: what they print of a topic, and how they exit."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pytest
+from tests.command.test_remote import Ran
+from tests.console.scripted import NOW, SESSION, ScriptedEngine, route
+from tests.support.bridge import carries, linked
+from tests.support.domain import text
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.calls import CallsSnapshot
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import RouteSnapshot, State
+from rsb_console.command import figures
+from rsb_console.command.arguments import parser_and_commands
+from rsb_console.command.figures import Window
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.control import Machine
+    from tests.support.domain import Domain
+
+SCAN = route("/scan", outgoing=True, spec=Topic("/scan", "transmit", expected_rate=10.0), messages_total=7122)
+DOCK = route("/dock", spec=Topic("/dock", "transmit", kind="service"), outgoing=True, calls=CallsSnapshot(asked=2))
+
+
+@contextlib.contextmanager
+def publishing(out: Publisher, period: float) -> Iterator[None]:
+    """Publish messages of about 100 bytes every so many s."""
+    ends = threading.Event()
+
+    def publish() -> None:
+        while not ends.wait(period):
+            out.publish(text("x" * 96))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        thread.join()
+
+
+class Running(ScriptedEngine):
+    """An engine whose topic has ten more messages a second, of 100 bytes each, at each look."""
+
+    step = 10
+
+    def snapshot(self) -> Any:
+        now = self.now
+        routes = tuple(self._more(each) for each in now.routes)
+        self.now = replace(now, time=now.time + 1, routes=routes)
+        return self.now
+
+    def _more(self, before: RouteSnapshot) -> RouteSnapshot:
+        ledger = before.ledger
+        return replace(
+            before,
+            messages_total=before.messages_total + self.step,
+            bytes_total=before.bytes_total + 100 * self.step,
+            ledger=replace(ledger, offered=ledger.offered + 2 * self.step, delivered=ledger.delivered + self.step),
+            history=(*before.history, self.step)[-120:],
+        )
+
+
+@pytest.fixture
+def engine(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Running:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    monkeypatch.setattr(figures, "_EVERY", 0.05)
+    monkeypatch.setattr(figures, "_LEDGER_FROM", 0.0)
+    made = Running(msgspec.structs.replace(SESSION, topics=(SCAN.spec,)), routes=(SCAN, DOCK))
+    machine.serve(made)
+    return made
+
+
+@pytest.fixture
+def ran(capsys: pytest.CaptureFixture[str]) -> Any:
+    return lambda *arguments: Ran(capsys, *arguments)
+
+
+def objects(done: Ran) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in done.out.splitlines()]
+
+
+def test_hz_gives_the_rate_over_the_window(ran: Any, engine: Running) -> None:
+    done = ran("hz", "/scan", "--count", "3", "--json", "--window", "2")
+    assert done.code == 0
+    found = objects(done)
+    assert len(found) == 3
+    for each in found:
+        assert (each["rate"], each["offered_rate"], each["delivered_rate"]) == (10.0, 20.0, 10.0)
+        assert (each["topic"], each["link"], each["measured"]) == ("/scan", "robot1", "sent")
+        assert (each["expected_rate"], each["usual_rate"]) == (10.0, None)
+        assert each["seconds"] <= 2
+    assert found[-1]["each_second"] == {"seconds": 2, "min": 10, "max": 10, "std_dev": 0.0}
+
+
+def test_hz_for_people_has_the_words_of_ros2(ran: Any, engine: Running) -> None:
+    done = ran("hz", "/scan", "--count", "1")
+    assert done.code == 0
+    assert "average rate: 10.000 Hz" in done.out
+    assert "std dev" in done.out
+
+
+def test_bw_gives_bytes_and_sizes(ran: Any, engine: Running) -> None:
+    (found,) = objects(ran("bw", "/scan", "--count", "1", "--json"))
+    assert (found["bytes_per_second"], found["mean_size"]) == (1000.0, 100.0)
+    assert found["bytes_total"] > found["bytes"]
+    people = ran("bw", "/scan", "--count", "1")
+    assert people.code == 0
+    assert "1.0 kB/s" in people.out
+    assert "100 B" in people.out
+
+
+def test_they_end_after_a_time(ran: Any, engine: Running) -> None:
+    assert 1 <= len(objects(ran("hz", "/scan", "--for", "0.3", "--json"))) <= 10
+
+
+@pytest.mark.parametrize("name", ["hz", "bw"])
+def test_without_a_message_they_exit_with_1(ran: Any, engine: Running, name: str) -> None:
+    engine.step = 0
+    silent = replace(SCAN, state=State.STOPPED, cause="publisher_silent", age=12.0)
+    engine.now = replace(engine.now, routes=(silent,))
+    done = ran(name, "/scan", "--count", "1", "--json")
+    assert done.code == 1
+    (found,) = objects(done)
+    assert (found["state"], found["cause"], found["messages"]) == ("stopped", "publisher_silent", 0)
+    assert ran(name, "/scan", "--count", "1").code == 1
+
+
+@pytest.mark.parametrize("name", ["hz", "bw", "info"])
+def test_a_name_that_is_not_bridged_is_wrong_usage(ran: Any, engine: Running, name: str) -> None:
+    done = ran(name, "/scna")
+    assert done.code == 2
+    assert "/scan" in done.err
+    assert ran(name, "/scan", "--link", "robot7").code == 2
+
+
+@pytest.mark.parametrize("name", ["hz", "bw"])
+def test_a_service_has_no_figures_of_messages(ran: Any, engine: Running, name: str) -> None:
+    assert ran(name, "/dock", "--count", "1").code == 2
+
+
+@pytest.mark.parametrize("window", ["0", "121", "1.5", "x", "-1", "9" * 5000])
+def test_a_window_is_what_the_engine_remembers(capsys: pytest.CaptureFixture[str], window: str) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parser_and_commands()[0].parse_args(["hz", "/scan", f"--window={window}"])
+    assert ended.value.code == 2
+
+
+def test_what_is_removed_meanwhile_ends_it(ran: Any, engine: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(Window):
+        def add(self, moment: float, route: RouteSnapshot) -> Any:
+            engine.now = replace(engine.now, routes=())
+            return super().add(moment, route)
+
+    monkeypatch.setattr(figures, "Window", Gone)
+    assert ran("hz", "/scan", "--for", "60", "--json").code == 1
+
+
+def test_an_older_bridge_does_not_pass_for_a_silent_one(ran: Any, engine: Running) -> None:
+    engine.step = 0
+    engine.now = replace(engine.now, routes=(replace(SCAN, messages_total=0),))
+    done = ran("hz", "/scan", "--count", "1", "--json")
+    assert (done.code, done.json["ok"]) == (1, False)
+
+
+def test_counts_that_begin_again_are_no_negative_rate() -> None:
+    window = Window(10)
+    assert window.add(NOW, SCAN) is None
+    assert window.add(NOW + 1, replace(SCAN, messages_total=3, bytes_total=300)) is None
+    found = window.add(NOW + 2, replace(SCAN, messages_total=7, bytes_total=700))
+    assert found is not None
+    assert (found.rate, found.size) == (4.0, 400)
+
+
+def test_a_window_forgets_what_is_older() -> None:
+    window = Window(3)
+    for second in range(1000):
+        found = window.add(NOW + second, replace(SCAN, messages_total=7122 + second * second))
+    assert found is not None
+    assert (found.seconds, found.messages) == (3.0, 999**2 - 996**2)
+    assert len(window._looks) == 4
+
+
+def test_info_of_a_topic(ran: Any, engine: Running) -> None:
+    slow = replace(SCAN, state=State.SLOW, cause="slow", reason="3 Hz", publishers=("/lidar",), subscribers=("/nav",))
+    engine.now = replace(engine.now, routes=(slow,))
+    done = ran("info", "/scan")
+    assert done.code == 0, "it tells, whatever the state"
+    words = ("/lidar", "/nav", "SLOW", "udp port 49152", "best effort", "queue full", SCAN.type_name, SCAN.type_hash)
+    for word in words:
+        assert word in done.out
+    found = ran("info", "/scan", "--json").json
+    assert (found["ok"], found["type"], found["type_hash"]) == (True, SCAN.type_name, SCAN.type_hash)
+    assert (found["publishers"], found["subscribers"], found["state"]) == (["/lidar"], ["/nav"], "slow")
+    assert (found["transport"], found["port"], found["direction"]) == ("udp", 49152, "transmit")
+    assert found["publisher_qos"]["reliability"] == "best_effort"
+    assert found["subscriber_qos"] is None
+    assert found["link_status"]["state"] == "ok"
+
+
+def test_info_of_a_service(ran: Any, engine: Running) -> None:
+    assert "2 asked" in ran("info", "/dock").out
+    assert ran("info", "/dock", "--json").json["calls"]["asked"] == 2
+
+
+def test_at_a_bridge_that_runs(
+    bridge: Bridge, robot: Domain, pc: Domain, machine: Machine, monkeypatch: pytest.MonkeyPatch, ran: Any
+) -> None:
+    """Real messages, at 20 Hz: the sending side throttles them to half of that."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    chat, out = pc.listener("/chat"), robot.publisher("/chat")
+    server, client = bridge.both(Topic("/chat", "transmit", max_rate=10.0))
+    eventually(lambda: linked(client) and linked(server) and chat.matched)
+    carries([out], server, ["/chat"])
+    machine.serve(client)
+    with publishing(out, 0.05):
+        done = ran("hz", "/chat", "--count", "8", "--json")
+        assert done.code == 0
+        last = objects(done)[-1]
+        assert 7 <= last["rate"] <= 13
+        assert 14 <= last["offered_rate"] <= 26
+        assert 6 <= last["delivered_rate"] <= 14, "the other side reports once a second"
+        (size,) = objects(ran("bw", "/chat", "--count", "1", "--json"))
+        assert 100 <= size["mean_size"] <= 110
+    found = ran("info", "/chat", "--json").json
+    assert found["type"] == "std_msgs/msg/String"
+    assert found["publishers"] == ["/stock"]
+    assert found["transport"] == "tcp"

@@ -1,0 +1,111 @@
+"""The command of `on_fault`: how it is written, found, and what `check` says of it."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.console.scripted import SESSION
+
+from rsb_bridge.config.fault_command import command_words, fault_command_warnings, program_path, program_problem
+from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("notify.sh --urgent", ("notify.sh", "--urgent")),
+        ("./tell 'the operator' now", ("./tell", "the operator", "now")),
+        (("./tell", "the operator", ""), ("./tell", "the operator", "")),
+        ("logger -t rsb; reboot", ("logger", "-t", "rsb;", "reboot")),
+        ("echo $HOME `id`", ("echo", "$HOME", "`id`")),
+    ],
+)
+def test_it_is_split_into_words_and_no_shell_reads_it(command: str | tuple[str, ...], words: tuple[str, ...]) -> None:
+    assert command_words(command) == words
+
+
+@pytest.mark.parametrize("command", ["", "  ", (), ("",), "notify 'me", "a\0b", "x" * 10_000])
+def test_what_is_no_command_is_refused(command: str | tuple[str, ...]) -> None:
+    assert [problem.location for problem in validate(msgspec.structs.replace(SESSION, on_fault=command))] == [
+        "on_fault"
+    ]
+
+
+@pytest.mark.parametrize("value", ["7", "true", "{a: b}", "[1, 2]"])
+def test_what_is_neither_text_nor_a_list_is_refused(value: str, tmp_path: Path) -> None:
+    with pytest.raises(SessionError) as caught:
+        parse(f"{dump(SESSION)}on_fault: {value}\n", tmp_path / "robot1.yaml")
+    assert [problem.location for problem in caught.value.problems] == ["on_fault"]
+
+
+@pytest.mark.parametrize("command", ["./tell 'the operator'", ("./tell", "the operator")])
+def test_a_file_keeps_it(command: str | tuple[str, ...], tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    save(msgspec.structs.replace(SESSION, on_fault=command), path)
+    assert load(path).on_fault == command
+
+
+def program(path: Path, mode: int = 0o755) -> Path:
+    path.write_text("#!/bin/sh\n")
+    path.chmod(mode)
+    return path
+
+
+def test_a_path_is_relative_to_the_sessions_folder_and_a_name_is_in_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bin").mkdir()
+    here, there = program(tmp_path / "tell"), program(tmp_path / "bin" / "notify")
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert program_path("./tell", tmp_path) == here
+    assert program_path("~/tell", tmp_path / "elsewhere") == here
+    assert program_path(str(here), tmp_path / "elsewhere") == here
+    assert program_path("notify", tmp_path) == there
+    assert program_path("tell", tmp_path) is None, "a file beside the session has ./ before its name"
+
+
+def test_what_keeps_it_from_being_run(tmp_path: Path) -> None:
+    plain = program(tmp_path / "plain", 0o644)
+    assert program_problem("/bin/sh", tmp_path) == ""
+    for name in (
+        "./gone",
+        "no-such-program-at-all",
+        str(tmp_path),
+        *([] if os.access(plain, os.X_OK) else ["./plain"]),
+    ):
+        assert program_problem(name, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("command", "count"),
+    [
+        ("./tell", 0),
+        ("./gone", 1),
+        ("./tell | mail root", 1),
+        ("./tell $NAME", 1),
+        ("./open", 1),
+    ],
+)
+def test_check_warns(command: str, count: int, tmp_path: Path) -> None:
+    program(tmp_path / "tell")
+    program(tmp_path / "open", 0o777)
+    path = tmp_path / "robot1.yaml"
+    session = msgspec.structs.replace(SESSION, on_fault=command)
+    save(session, path)
+    assert len([*fault_command_warnings(session, path)]) == count
+
+
+def test_check_warns_of_a_session_file_that_others_may_change(tmp_path: Path) -> None:
+    path = tmp_path / "robot1.yaml"
+    session = msgspec.structs.replace(SESSION, on_fault="/bin/true")
+    save(session, path)
+    path.chmod(0o666)
+    assert len([*fault_command_warnings(session, path)]) == 1
+    assert [*fault_command_warnings(msgspec.structs.replace(session, on_fault=None), path)] == []

@@ -1,0 +1,63 @@
+"""A scripted engine that does what it is told, as far as its snapshot shows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from tests.console.scripted import ScriptedEngine, route
+
+from rsb_bridge.model.operators import is_undo
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+SCAN = Topic("/scan", "transmit", max_rate=5.0, priority="high")
+ARMED = Topic("/cmd_vel", "receive", arm=True)
+
+
+class ChangingEngine(ScriptedEngine):
+    """Does what it is told, as far as its snapshot shows it; of each command it notes whether it is an undo."""
+
+    specs: tuple[Topic, ...] = (SCAN, ARMED)
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.undone: list[tuple[object, ...]] = []
+        self.show(*(route(spec.topic, spec=spec) for spec in self.specs))
+
+    def show(self, *routes: Any) -> None:
+        self.now = replace(self.now, routes=routes)
+
+    def _done(self, result: Any, *command: object) -> Future[Any]:
+        if is_undo():
+            self.undone.append(command)
+        return super()._done(result, *command)
+
+    def put(self, key: str, spec: Topic) -> None:
+        """Change a route, whoever does."""
+        state = State.PAUSED if spec.paused else State.OK
+        changed = [replace(each, spec=spec, state=state) if each.key == key else each for each in self.now.routes]
+        self.show(*changed)
+
+    def spec(self, key: str) -> Topic:
+        return next(each.spec for each in self.now.routes if each.key == key)
+
+    def add_topic(self, topic: Topic, link: str = "") -> Future[str]:
+        self.show(*self.now.routes, route(topic.topic, spec=topic))
+        return super().add_topic(topic, link)
+
+    def edit_topic(self, key: str, topic: Topic) -> Future[str]:
+        self.put(key, topic)
+        return super().edit_topic(key, topic)
+
+    def remove_topic(self, key: str) -> Future[None]:
+        self.show(*(each for each in self.now.routes if each.key != key))
+        return super().remove_topic(key)
+
+    def pause(self, key: str, paused: bool) -> Future[None]:
+        self.put(key, msgspec.structs.replace(self.spec(key), paused=paused))
+        return super().pause(key, paused)

@@ -1,0 +1,162 @@
+"""Faults that an operator has acknowledged: still listed, but no longer first, and no longer in the banner."""
+
+import os
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.console.driving import drive, engine_of, listed, on_main, put, scripted_app, shown, until
+from tests.console.live import COMMAND, HERE
+from tests.console.scripted import LINK, NOW, ROUTES
+from tests.console.tmux import Tmux
+from tests.support.control import Machine
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+from textual.pilot import Pilot
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.control import bridges
+from rsb_bridge.model.session import Session, Topic
+from rsb_bridge.model.snapshot import Acknowledgement, LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_console.app import ConsoleApp
+from rsb_console.look.glyphs import KNOWN_WORD, STATE_WORD
+from rsb_console.screens.links import LinksScreen
+from rsb_console.widgets.faults import faults_of
+from rsb_console.widgets.pattern import Pattern
+from rsb_console.widgets.status import known_count, state_counts, warning_count
+
+KNOWN = Acknowledgement("anna on pts/3", NOW - 60)
+FIRST = next(route for route in ROUTES if route.state is State.DOWN)
+OTHERS = tuple(route for route in ROUTES if route is not FIRST)
+
+
+def known(faulty: RouteSnapshot = FIRST) -> RouteSnapshot:
+    return replace(faulty, acknowledged=KNOWN)
+
+
+def faults(*routes: RouteSnapshot, links: tuple[LinkSnapshot, ...] = (LINK,)) -> list[str]:
+    snapshot = Snapshot(NOW, "robot1", "client", "10.0.0.20:49152", 3, running=True, links=links, routes=routes)
+    return [fault.name for fault in faults_of(snapshot)]
+
+
+def test_it_is_not_in_the_banner_and_counted_apart() -> None:
+    assert faults(*ROUTES)[0] == FIRST.topic
+    assert FIRST.topic not in faults(known(), *OTHERS)
+    warned = replace(LINK, warning="two machines are called robot1")
+    down = replace(LINK, state=State.DOWN, cause="unreachable")
+    for link in (warned, down):
+        assert faults(links=(link,)) == [LINK.name]
+        assert faults(links=(replace(link, acknowledged=KNOWN),)) == []
+    assert state_counts([FIRST], State) != ()
+    assert state_counts([known()], State) == ()
+    assert warning_count([replace(warned, acknowledged=KNOWN)]) == ()
+    assert known_count([known(), *OTHERS])[0][1] == "dim"
+    assert known_count(ROUTES) == ()
+
+
+@on_main()
+async def test_it_is_listed_after_the_other_faults_dimmed_with_a_mark(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    assert listed(app)[0] == FIRST.topic
+    put(app, known(), *OTHERS)
+    table = app.main.topics
+    assert listed(app)[0] != FIRST.topic
+    at = listed(app).index(FIRST.topic)
+    states = [table.routes[key].state for key in table.keys]
+    assert all(state.severity for state in states[:at])
+    assert not any(state.severity for state in states[at + 1 :])
+    _, state, *cells = table.line(at + 1)
+    assert state[0].split() == [KNOWN_WORD, STATE_WORD[FIRST.state]]
+    assert {look for _, look in (state, *cells)} == {"dim"}
+    app.main.action_next_match()
+    assert app.main.selected is not None
+    assert app.main.selected.topic != FIRST.topic
+    await pilot.press("f")
+    await until(pilot, lambda: FIRST.topic in listed(app) and len(listed(app)) < len(ROUTES), "all faults")
+    table.pattern = Pattern(f"state:{KNOWN_WORD}")
+    table.relist()
+    assert listed(app) == [FIRST.topic]
+
+
+@on_main()
+async def test_a_key_acknowledges_and_takes_it_back(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    await pilot.press("i")
+    await until(pilot, lambda: engine_of(app).commands == [("acknowledge", FIRST.key, True)], "a command")
+    put(app, known())
+    await pilot.press("i")
+    await until(pilot, lambda: engine_of(app).commands[1:] == [("acknowledge", FIRST.key, False)], "another")
+
+
+@on_main()
+async def test_a_link_is_acknowledged_among_the_links(app: ConsoleApp, pilot: Pilot[None]) -> None:
+    down = replace(LINK, state=State.DOWN, cause="unreachable", reason="no answer")
+    put(app, links=(replace(down, acknowledged=KNOWN), replace(down, name="robot2")))
+    await pilot.press("c")
+    await until(pilot, lambda: isinstance(app.screen, LinksScreen), "the links")
+    assert isinstance(app.screen, LinksScreen)
+    await until(pilot, lambda: app.screen.table.keys == ["robot2", "robot1"], "the order")  # type: ignore[attr-defined]
+    await pilot.press("i", "j", "i")
+    expected = [("acknowledge", "robot2", True), ("acknowledge", "robot1", False)]
+    await until(pilot, lambda: engine_of(app).commands == expected, "the commands")
+
+
+def test_who_only_looks_may_not() -> None:
+    app = scripted_app(readonly=True)
+
+    async def steps(pilot: Pilot[None]) -> None:
+        await shown(pilot, FIRST.topic)
+        await pilot.press("i")
+        await pilot.press("c", "i")
+        await pilot.pause(0.1)
+        assert engine_of(app).commands == []
+
+    drive(app, steps)
+
+
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="needs tmux")
+def test_what_one_console_acknowledges_another_and_the_shell_know(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", machine.environ["XDG_RUNTIME_DIR"])
+    environ = os.environ | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    write_key(tmp_path / "robot1.key")
+    session = Session(
+        name="robot1",
+        role="client",
+        server_ip="127.0.0.1",
+        server_port=free_port(),
+        domain_id=HERE,
+        key_file="robot1.key",
+        topics=(Topic("/chat", "transmit"),),
+    )
+    save(session, tmp_path / "robot1.yaml")
+
+    def command(*words: str) -> int:
+        return subprocess.run([str(COMMAND), *words], env=environ, capture_output=True, check=False).returncode
+
+    run = [str(COMMAND), "run", "--no-ui", str(tmp_path / "robot1.yaml")]
+    with subprocess.Popen(run, env=environ, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as bridge:
+        try:
+            eventually(lambda: bridges.running_bridges(machine.environ))
+            eventually(lambda: command("status") == 1, what="a link that is down")
+            attach = str(COMMAND), "attach", "robot1", "--theme", "dark"
+            (tmp_path / "one").mkdir()
+            (tmp_path / "other").mkdir()
+            with Tmux(tmp_path / "one", *attach) as one, Tmux(tmp_path / "other", *attach) as other:
+                for tmux in (one, other):
+                    tmux.wait_for(f"✗ {STATE_WORD[State.DOWN]}")
+                one("send-keys", "i")
+                for tmux in (one, other):
+                    tmux.wait_for(f"{KNOWN_WORD} {STATE_WORD[State.DOWN]}")
+                assert command("status") == 0
+                assert command("ack", "/chat", "--undo") == 0  # it is down with the link: that is meant
+                other.wait_for(f"{KNOWN_WORD} {STATE_WORD[State.DOWN]}", there=False)
+                assert command("status") == 1
+                assert command("ack", "robot1") == 0
+                assert command("ack", "/caht") == 2
+                one.wait_for(f"{KNOWN_WORD} {STATE_WORD[State.DOWN]}")
+        finally:
+            bridge.terminate()

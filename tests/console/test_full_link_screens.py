@@ -1,0 +1,49 @@
+"""Both consoles in real terminals while a tunnel between the two sides carries too little."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from typing import TYPE_CHECKING
+
+import msgspec
+import pytest
+from tests.console.live import HERE, THERE, Pair, running
+from tests.console.nodes import Spec, encoded
+from tests.console.side import Side, every_so_often
+from tests.support.slow_relay import SlowRelay
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import LinkCause
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_both_first_screens_say_that_the_link_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    pair = Pair(tmp_path, Topic("/chat", "transmit"), domains=(HERE, THERE), stale_after=120.0)
+    with contextlib.ExitStack() as stack:
+        relay = stack.enter_context(SlowRelay(pair.client.server_port, 1_000_000))
+        save(msgspec.structs.replace(pair.client, server_port=relay.port), pair.client_path)
+        for domain, spec in ((HERE, Spec("talker", "/chat", 200)), (THERE, Spec("listener", "/chat"))):
+            stack.enter_context(running(sys.executable, "-m", "tests.console.nodes", str(domain), encoded([spec])))
+        sides = []
+        for role, path in (("server", pair.server_path), ("client", pair.client_path)):
+            side = Side(tmp_path / role, tmp_path / f"{role}.sock", "run", str(path))
+            stack.callback(side.close)
+            sides.append(side)
+        every_so_often(lambda: all(side.route("/chat").get("state") == "ok" for side in sides), "ok on both sides")
+        relay.bytes_per_second = 3_000
+
+        def full() -> bool:
+            return all(side.status()["links"].get("robot1", {}).get("cause") == LinkCause.FULL for side in sides)
+
+        every_so_often(full, "full on both sides")
+        for side in sides:
+            eventually(lambda side=side: "link full" in side.screen.picture, what=side.screen.picture)
+            assert not any(route["state"] == State.OK for route in side.status()["routes"])

@@ -1,0 +1,294 @@
+"""The command of `on_fault` as real processes: how many run, for how long, and how failures are reported."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
+
+import msgspec
+import pytest
+from tests.console.scripted import LINK, NOW, SESSION, route
+from tests.support.waiting import eventually
+
+from rsb_bridge import fault_hook
+from rsb_bridge.fault_hook import EVERY, OUTPUT, STARTS, STARTS_WITHIN, WAITING, FaultHook, StartLimit, WaitingChanges
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultChange
+from rsb_bridge.model.snapshot import Level, Snapshot, State
+from rsb_bridge.telemetry.event_log import EventLog
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.model.snapshot import RouteSnapshot
+
+SLOW = route("/scan", State.SLOW, cause="slow")
+STOPPED = route("/scan", State.STOPPED, cause="publisher_silent")
+
+
+class Skipping(Clock):
+    """A clock that can be set forward."""
+
+    def __init__(self) -> None:
+        self.skipped = 0.0
+
+    def steady(self) -> float:
+        return super().steady() + self.skipped
+
+
+class Hooked:
+    """A hook whose command is a shell script, and what that has written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.clock = Skipping()
+        self.events = EventLog(self.clock)
+        self.context = SimpleNamespace(session=SESSION, events=self.events, clock=self.clock)
+        self.hook = FaultHook(cast("Context", self.context), lambda: folder)
+
+    def open(self, script: str = "cat >> told", name: str = "./tell") -> None:
+        path = self.folder / "tell"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+        self.names(name)
+
+    def names(self, command: str | None) -> None:
+        self.context.session = msgspec.structs.replace(SESSION, on_fault=command)
+        self.hook.open()
+
+    def sees(self, *routes: RouteSnapshot, skip: float = LASTS) -> None:
+        """Show a snapshot twice, so long apart that what it shows lasts."""
+        for _ in range(2):
+            snapshot = Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(LINK,), routes=routes)
+            self.clock.skipped += skip
+            self.hook.tick(snapshot)
+            runner = self.hook._runner
+            assert runner is not None
+            eventually(lambda runner=runner, snapshot=snapshot: runner._seen is snapshot)
+
+    @property
+    def told(self) -> list[dict[str, Any]]:
+        """What the command was told, as far as it has written that."""
+        try:
+            lines = (self.folder / "told").read_text().splitlines(keepends=True)
+        except FileNotFoundError:
+            return []
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    def warnings(self) -> list[str]:
+        return self.said(Level.WARNING)
+
+    def said(self, level: Level) -> list[str]:
+        found = [(event.level, event.text) for event in self.events.after(0)]
+        assert {event.code for event in self.events.after(0)} <= {EventCode.ENGINE_ON_FAULT}
+        return [text for each, text in found if each is level]
+
+
+@pytest.fixture
+def hooked(tmp_path: Path) -> Iterator[Hooked]:
+    made = Hooked(tmp_path)
+    yield made
+    made.hook.close()
+    made.hook.join()
+
+
+def runs(pid_file: Path) -> bool:
+    """Whether the process whose id a file holds runs; a zombie does not."""
+    try:
+        stat = Path("/proc", pid_file.read_text().strip(), "stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def test_it_is_told_of_the_begin_another_cause_and_the_end(hooked: Hooked) -> None:
+    hooked.open()
+    for routes, count in ((SLOW, 1), (STOPPED, 2), (route("/scan"), 3)):
+        hooked.sees(routes)
+        eventually(lambda count=count: len(hooked.told) == count)
+    found = [(told["event"], told["state"], told["cause"], told["previous_state"]) for told in hooked.told]
+    assert found == [
+        ("begun", "slow", "slow", ""),
+        ("changed", "stopped", "publisher_silent", "slow"),
+        ("over", "ok", "", "stopped"),
+    ]
+    assert [told["ongoing"] for told in hooked.told] == [1, 1, 0]
+    assert hooked.events.after(0) == []
+
+
+def test_without_a_command_there_is_no_thread(hooked: Hooked) -> None:
+    hooked.names(None)
+    assert hooked.hook._runner is None
+    hooked.hook.tick(Snapshot(NOW, "robot1", "client", "", 0, running=True))
+
+
+def test_it_runs_in_the_sessions_folder_without_what_is_the_bridges(
+    hooked: Hooked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("LD_LIBRARY_PATH", "PYTHONPATH", "NOTIFY_SOCKET", "WATCHDOG_USEC", "NTFY_TOPIC"):
+        monkeypatch.setenv(name, "/nowhere")
+    hooked.open("pwd > where; env > env; cat >> told")
+    hooked.sees(SLOW)
+    eventually(lambda: hooked.told)
+    assert (hooked.folder / "where").read_text().strip() == str(hooked.folder.resolve())
+    names = {line.partition("=")[0] for line in (hooked.folder / "env").read_text().splitlines()}
+    assert {"NTFY_TOPIC", "PATH"} <= names
+    assert not {"LD_LIBRARY_PATH", "PYTHONPATH", "NOTIFY_SOCKET", "WATCHDOG_USEC"} & names
+
+
+def test_nothing_of_a_peer_is_in_its_arguments(hooked: Hooked) -> None:
+    hooked.open('echo "$#" > count; cat >> told', name="./tell 'a $(reboot)' ';'")
+    hooked.sees(replace(SLOW, reason="'; touch wicked; '", topic="/$(touch wicked)"))
+    eventually(lambda: hooked.told)
+    assert (hooked.folder / "count").read_text() == "2\n"
+    assert not (hooked.folder / "wicked").exists()
+
+
+def test_one_runs_at_a_time_and_what_waits_is_merged(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fault_hook, "RUNS_FOR", 1e6)  # the clock is set forward
+    hooked.open("mkdir alone || echo twice >> told; cat >> told; while [ ! -e go ]; do sleep 0.05; done; rmdir alone")
+    hooked.sees(SLOW)
+    eventually(lambda: hooked.told)
+    for count in range(4):
+        hooked.sees(replace(SLOW, cause=f"cause{count}"))
+    (hooked.folder / "go").touch()
+
+    def told_again() -> bool:
+        hooked.sees(replace(SLOW, cause="cause3"))
+        return len(hooked.told) >= 2
+
+    eventually(told_again)
+    first, second = hooked.told
+    assert (first["merged"], second["merged"]) == (0, 3)
+    assert (second["event"], second["cause"], second["previous_cause"]) == ("changed", "cause3", "cause2")
+
+
+def test_one_that_takes_too_long_is_ended_with_its_children(hooked: Hooked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fault_hook, "RUNS_FOR", 0.5)
+    monkeypatch.setattr(fault_hook, "_ENDS_WITHIN", 0.3)
+    hooked.open("trap '' TERM\nsleep 1000 & echo $! > child; echo $$ > parent; cat >> told; while :; do sleep 1; done")
+    hooked.sees(SLOW)
+    eventually(hooked.warnings)
+    eventually(lambda: not runs(hooked.folder / "parent") and not runs(hooked.folder / "child"))
+    hooked.sees(STOPPED, skip=EVERY + LASTS)
+    eventually(lambda: len(hooked.told) == 2, what="the next one runs")
+
+
+def test_what_it_leaves_running_ends_with_it(hooked: Hooked) -> None:
+    hooked.open("sleep 1000 & echo $! > child; cat >> told")
+    hooked.sees(SLOW)
+    eventually(lambda: hooked.told and not runs(hooked.folder / "child"))
+
+
+def test_the_end_of_the_engine_ends_it(hooked: Hooked) -> None:
+    hooked.open("echo $$ > parent; cat >> told; exec sleep 1000")
+    hooked.sees(SLOW)
+    eventually(lambda: hooked.told)
+    began = time.monotonic()
+    hooked.hook.close()
+    hooked.hook.join()
+    assert time.monotonic() - began < 1.5
+    eventually(lambda: not runs(hooked.folder / "parent"))
+    assert hooked.warnings() == []
+
+
+@pytest.mark.parametrize("name", ["./gone", "no-such-program-at-all", "./plain", "./broken"])
+def test_one_that_cannot_run_is_told_once(hooked: Hooked, name: str) -> None:
+    (hooked.folder / "plain").write_text("#!/bin/sh\n")
+    (hooked.folder / "broken").write_bytes(b"\0\1\2")
+    (hooked.folder / "broken").chmod(0o755)
+    hooked.names(name)
+    for count in range(5):
+        hooked.sees(replace(SLOW, cause=f"cause{count}"), skip=EVERY + LASTS)
+    eventually(hooked.warnings)
+    assert len(hooked.warnings()) == 1
+
+
+def test_one_that_fails_is_told_once_and_again_after_it_has_worked(hooked: Hooked) -> None:
+    hooked.open("cat >> told; echo no network; [ -e works ]")
+
+    def reported(cause: str) -> None:
+        count = len(hooked.told)
+        hooked.sees(replace(SLOW, cause=cause), skip=STARTS_WITHIN)
+        eventually(lambda: len(hooked.told) == count + 1)
+        eventually(lambda: len(hooked.said(Level.DEBUG)) == count + 1)
+
+    for number in range(3):
+        reported(f"fails{number}")
+    assert len(hooked.warnings()) == 1
+    (hooked.folder / "works").touch()
+    reported("works")
+    (hooked.folder / "works").unlink()
+    reported("fails again")
+    eventually(lambda: len(hooked.warnings()) == 2)
+
+
+def test_its_output_is_logged_at_debug_in_part(hooked: Hooked) -> None:
+    hooked.open("cat >> told; head -c 300000 /dev/zero | tr '\\0' x; printf '\\033[31m' >&2")
+    hooked.sees(SLOW)
+    (text,) = eventually(lambda: hooked.said(Level.DEBUG))
+    assert OUTPUT <= len(text) <= OUTPUT + 100
+    assert text.isprintable()
+    assert hooked.warnings() == []
+
+
+def test_one_that_does_not_read_is_fine(hooked: Hooked) -> None:
+    hooked.open("exec 0<&-; touch done")
+    hooked.sees(SLOW)
+    eventually((hooked.folder / "done").exists)
+    hooked.hook.close()
+    hooked.hook.join()
+    assert hooked.warnings() == []
+
+
+def test_another_command_is_told_of_what_lasts(hooked: Hooked) -> None:
+    hooked.open()
+    hooked.sees(SLOW)
+    eventually(lambda: hooked.told)
+    hooked.open("cat >> told")
+    hooked.sees(SLOW)
+    eventually(lambda: len(hooked.told) == 2)
+    assert {told["event"] for told in hooked.told} == {"begun"}
+
+
+def changed(number: int, kind: ChangeKind = ChangeKind.BEGUN, **changes: Any) -> FaultChange:
+    return FaultChange(kind, route(f"/topic{number}", State.SLOW, **changes))
+
+
+def test_a_limited_number_of_changes_waits_and_the_rest_is_counted() -> None:
+    waiting = WaitingChanges()
+    for number in range(100):
+        waiting.add(changed(number))
+    assert len(waiting) == WAITING
+    change, merged = waiting.take()
+    assert (change.key, merged) == (("route", "/topic0"), 100 - WAITING)
+    assert waiting.take()[1] == 0
+
+
+def test_of_one_topic_the_newest_change_waits() -> None:
+    waiting = WaitingChanges()
+    waiting.add(changed(0))
+    waiting.add(changed(1))
+    waiting.add(changed(0, ChangeKind.CHANGED, cause="slow"))
+    assert len(waiting) == 2
+    change, merged = waiting.take()
+    assert (change.kind, change.subject.cause, merged) == (ChangeKind.BEGUN, "slow", 1), "its begin was not told"
+    waiting.add(changed(1, ChangeKind.OVER))
+    change, merged = waiting.take()
+    assert (change.kind, merged) == (ChangeKind.OVER, 1)
+
+
+def test_it_starts_once_a_second_and_ten_times_a_minute() -> None:
+    limit = StartLimit()
+    starts = [second / 4 for second in range(4 * 60 * 10) if limit.take(second / 4)]
+    assert all(later - earlier >= EVERY for earlier, later in itertools.pairwise(starts))
+    for begin in starts:
+        assert sum(begin <= start < begin + STARTS_WITHIN for start in starts) <= STARTS
+    assert len(starts) == STARTS * 10

@@ -1,0 +1,132 @@
+"""The session's `on_fault` command at a bridge that runs: links and topics that fail, a reload, and its end."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.engine.test_reloading import Edited
+from tests.support.bridge import carries, find, linked
+from tests.support.domain import text
+from tests.support.operators import ANNA, BOB, Reachable
+from tests.support.waiting import eventually
+
+from rsb_bridge.api import EngineError
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.model.session import Topic
+from rsb_bridge.model.snapshot import State
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.support.bridge import Bridge
+    from tests.support.control import Machine
+    from tests.support.domain import Domain
+
+
+class Told:
+    """A command that keeps what it is told."""
+
+    def __init__(self, folder: Path, name: str = "told") -> None:
+        self.program = folder / f"{name}.sh"
+        self.file = folder / name
+        self.program.write_text(f"#!/bin/sh\ncat >> '{self.file}'\n")
+        self.program.chmod(0o755)
+
+    def all(self) -> list[dict[str, Any]]:
+        if not self.file.exists():
+            return []
+        return [json.loads(line) for line in self.file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+
+    def about(self, name: str) -> list[tuple[str, str]]:
+        """What happened to a link or a topic: events, and the states."""
+        return [(each["event"], each["state"]) for each in self.all() if each["name"] == name]
+
+
+def test_a_link_that_is_down_and_comes_up(bridge: Bridge, tmp_path: Path) -> None:
+    told = Told(tmp_path)
+    client = bridge.client(on_fault=str(told.program))
+    eventually(lambda: told.about("robot1") == [("begun", "down")])
+    bridge.server()
+    eventually(lambda: linked(client))
+    eventually(lambda: told.about("robot1") == [("begun", "down"), ("over", "ok")])
+    first, last = told.all()
+    assert (first["bridge"], first["role"], first["what"], first["ongoing"]) == ("robot1", "client", "link", 1)
+    assert (last["previous_state"], last["previous_cause"], last["ongoing"]) == ("down", first["cause"], 0)
+
+
+def test_a_topic_whose_publisher_goes_and_comes_back_on_both_sides(
+    bridge: Bridge, robot: Domain, pc: Domain, tmp_path: Path
+) -> None:
+    here, there = Told(tmp_path, "here"), Told(tmp_path, "there")
+    chat = pc.listener("/chat")
+    topic = Topic("/chat", "transmit", expected_rate=20.0, stale_after=3.0)
+    server, client = bridge.server(on_fault=str(there.program)), bridge.client(topic, on_fault=str(here.program))
+    out = robot.publisher("/chat")
+    eventually(lambda: linked(client) and linked(server) and chat.matched)
+    carries([out], server, ["/chat"])
+
+    def publishes() -> bool:
+        out.publish(text("hello"))
+        return (route := find(client, "/chat")) is not None and route.state is State.OK
+
+    eventually(publishes)
+    for told in (here, there):
+        eventually(lambda told=told: [event for event, _ in told.about("/chat")][-1:] in (["begun"], ["changed"]))
+        found = told.all()[-1]
+        assert (found["name"], found["kind"], found["what"]) == ("/chat", "topic", "route")
+        assert found["cause"]
+        assert found["state"] in (State.STALE, State.STOPPED, State.SLOW)
+
+    def over(told: Told) -> bool:
+        publishes()
+        return told.about("/chat")[-1] == ("over", "ok")
+
+    for told in (here, there):
+        eventually(lambda told=told: over(told))
+
+
+def test_a_reload_of_the_file_names_another_command_and_none(bridge: Bridge, tmp_path: Path) -> None:
+    one, two = Told(tmp_path, "one"), Told(tmp_path, "two")
+    client = bridge.client()
+    file = Edited(client, tmp_path / "robot1.yaml")
+    assert len(file.reload(on_fault="./one.sh").changed) == 1
+    eventually(lambda: one.about("robot1") == [("begun", "down")])
+    file.reload(on_fault=("./two.sh",))
+    eventually(lambda: two.about("robot1") == [("begun", "down")])
+    file.reload(on_fault=None)
+    bridge.server()
+    eventually(lambda: linked(client))
+    assert len(one.all()) == len(two.all()) == 1
+
+
+def test_no_operator_elsewhere_reads_the_command_and_who_may_look_reloads_none(
+    bridge: Bridge, machine: Machine, tmp_path: Path
+) -> None:
+    told = Told(tmp_path)
+    server = bridge.server()
+    file = Edited(server, tmp_path / "robot1.yaml")
+    file.reload(on_fault="/bin/true secret")
+    reachable = Reachable(machine, server)
+    anna, bob = reachable.attach("anna", ANNA), reachable.attach("bob", BOB)
+    for operator in (anna, bob):
+        assert operator.session.on_fault is None
+        assert operator.session.name == "robot1"
+    assert machine.attach().session.on_fault == "/bin/true secret", "whoever saves the file here has to keep it"
+    with pytest.raises(EngineError):
+        bob.reload().result(60)
+    assert server.session.on_fault == "/bin/true secret"
+    assert not told.file.exists()
+
+
+def test_a_command_that_hangs_holds_up_nothing(bridge: Bridge, tmp_path: Path) -> None:
+    program = tmp_path / "hang.sh"
+    program.write_text("#!/bin/sh\ntrap '' TERM\ntouch runs\nwhile :; do sleep 1; done\n")
+    program.chmod(0o755)
+    client = bridge.client(on_fault=str(program))
+    eventually((bridge.folder / "runs").exists)
+    server = bridge.server()
+    eventually(lambda: linked(client) and linked(server))
+    client.stop()  # the fixture sees that no thread is left
+    assert [event for event in client.events() if event.code == EventCode.ENGINE_ON_FAULT] == []

@@ -1,0 +1,204 @@
+"""A tunnel that carries less than is published, behind buffers that take whatever comes: messages stay fresh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import closing, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+from tests.support.bridge import balance, carries, connections, linked, now, outgoing, settled
+from tests.support.calls import CallNode
+from tests.support.domain import BEST_EFFORT, text
+from tests.support.slow_relay import SlowRelay, read_stamp, stamped
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.session import Topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rclpy.publisher import Publisher
+    from tests.support.bridge import Bridge
+    from tests.support.domain import Domain, Listener
+
+    from rsb_bridge.engine import Engine
+
+TUNNEL = 5_000
+"""Bytes/s."""
+
+
+class Publishing:
+    """Publishes stamped messages at a steady rate, on a thread of its own.
+
+    Attributes:
+        count: of the messages so far.
+    """
+
+    def __init__(self, out: Publisher, rate: float, size: int) -> None:
+        self.count = 0
+        self._out = out
+        self._rate = rate
+        self._size = size
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        began = time.monotonic()
+        while not self._over.wait(max(0.0, began + self.count / self._rate - time.monotonic())):
+            self._out.publish(text(stamped(self.count, self._size)))
+            self.count += 1
+
+    def __enter__(self) -> Publishing:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+def ages(there: Listener) -> list[float]:
+    """How old (s) each message was when it came out, the first one first."""
+    made = [read_stamp(deserialize_message(payload, String).data)[1] for payload in there.payloads]
+    return [(came - stamp) / 1e9 for came, stamp in zip(there.received, made, strict=True)]
+
+
+@contextmanager
+def through_tunnel(bridge: Bridge, *topics: Topic, fifo: bool = False) -> Iterator[tuple[Engine, Engine, SlowRelay]]:
+    """A server and a client behind a tunnel, which is slow once they are linked."""
+    server = bridge.server()
+    with SlowRelay(bridge.port, 1e6, fifo=fifo) as relay:
+        client = bridge.client(*topics, server_port=relay.port)
+        eventually(lambda: linked(client) and linked(server), what="linked")
+        yield server, client, relay
+        relay.bytes_per_second = 1e7
+        bridge.close()
+
+
+def publish_for(seconds: float, out: Publisher, rate: float, size: int) -> int:
+    """Publish for so long; how many messages it was."""
+    with Publishing(out, rate, size) as publishing:
+        time.sleep(seconds)
+    return publishing.count
+
+
+@pytest.mark.parametrize("qos", ["auto", {"depth": 10}, "sensor_data"])
+def test_live_topic_stays_fresh(qos: Any, bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """14 kB/s through 5 kB/s: what arrives is a few seconds old at most, and every message is accounted for."""
+    out, there = robot.publisher("/tcp"), pc.listener("/tcp", qos=BEST_EFFORT)
+    with through_tunnel(bridge, Topic("/tcp", "transmit", qos=qos)) as (server, client, relay):
+        carries([out], server, ["/tcp"])
+        relay.bytes_per_second = TUNNEL
+        count = publish_for(12.0, out, 14.0, 1000)
+        crossed = len(there.payloads)
+        found = ages(there)
+        assert max(found) < 3.5
+        assert crossed * 1000 > 0.75 * TUNNEL * 12.0
+        ledger = outgoing(client, "/tcp").ledger()
+        assert balance(ledger) == ledger.offered
+        assert ledger.in_flight < 30
+        relay.bytes_per_second = 1e7
+        ledger = settled(client, "/tcp", count)
+        assert ledger.delivered == len(there.payloads)
+        assert ledger.dropped == {"queue full": count - ledger.delivered}
+
+
+def test_flood_from_the_first_message_on(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """1 MB/s into 5 kB/s."""
+    out, there = robot.publisher("/tcp"), pc.listener("/tcp")
+    with through_tunnel(bridge, Topic("/tcp", "transmit")) as (server, client, relay):
+        carries([out], server, ["/tcp"])
+        relay.bytes_per_second = TUNNEL
+        count = publish_for(12.0, out, 1000.0, 1000)
+        assert max(ages(there)) < 6.0
+        assert len(there.payloads) * 1000 > 0.7 * TUNNEL * 12.0
+        relay.bytes_per_second = 1e7
+        ledger = settled(client, "/tcp", count)
+        assert ledger.dropped == {"queue full": count - ledger.delivered}
+
+
+def test_topics_in_one_queue_and_pings_beside_them(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """An uplink's only queue: all topics and the link's own stream wait in it, and it stays short."""
+    names = ("/one", "/two", "/three")
+    outs, theres = [robot.publisher(name) for name in names], [pc.listener(name) for name in names]
+    with through_tunnel(bridge, *(Topic(name, "transmit") for name in names), fifo=True) as (server, client, relay):
+        carries(outs, server, names)
+        relay.bytes_per_second = TUNNEL
+        with Publishing(outs[0], 14.0, 1000), Publishing(outs[1], 100.0, 300), Publishing(outs[2], 5.0, 100):
+            time.sleep(15.0)
+            found = [ages(there) for there in theres]
+            trip = now(client).links[0].rtt
+        assert all(found)
+        assert max(max(each) for each in found) < 7.0
+        assert max(each[-1] for each in found) < 4.0
+        assert trip is not None
+        assert trip < 3.0
+        assert connections(client) == 1
+        for name in names:
+            ledger = outgoing(client, name).ledger()
+            assert balance(ledger) == ledger.offered
+
+
+def test_latched_topic_keeps_its_promise(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """All that a publisher keeps for late joiners crosses, however late, beside a live topic that floods the tunnel."""
+    kept = QoSProfile(depth=20, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    latched, live = robot.publisher("/latched", qos=kept), robot.publisher("/live")
+    there, beside = pc.listener("/latched", qos=kept), pc.listener("/live")
+    topics = (Topic("/latched", "transmit"), Topic("/live", "transmit"))
+    with through_tunnel(bridge, *topics) as (server, _, relay):
+        carries([latched, live], server, ["/latched", "/live"])
+        relay.bytes_per_second = TUNNEL
+        with Publishing(live, 14.0, 1000):
+            sent = [text(stamped(number, 1000)) for number in range(20)]
+            for each in sent:
+                latched.publish(each)
+            eventually(lambda: len(there.payloads) >= 20, 30.0)
+        assert there.payloads == sent
+        assert max(ages(beside)) < 4.0
+
+
+def test_side_that_knows_no_receipts(bridge: Bridge, robot: Domain, pc: Domain, monkeypatch: Any) -> None:
+    """An older one: messages cross as they always did."""
+    monkeypatch.setattr("rsb_bridge.link.roles.FEATURES", ("calls", "priority"))
+    out, there = robot.publisher("/tcp"), pc.listener("/tcp")
+    server, client = bridge.both(Topic("/tcp", "transmit", qos={"depth": 1000}))
+    carries([out], server, ["/tcp"])
+    for number in range(500):
+        out.publish(text(stamped(number, 1000)))
+    ledger = settled(client, "/tcp", 500)
+    assert (ledger.delivered, ledger.dropped) == (500, {})
+    assert len(there.payloads) == 500
+
+
+def test_nothing_is_dropped_on_a_fast_link(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """From the first message on: a depth counts where a link is slow, not until the first receipts."""
+    out, there = robot.publisher("/tcp"), pc.listener("/tcp")
+    server, client = bridge.both(Topic("/tcp", "transmit", qos={"depth": 10}))
+    carries([out], server, ["/tcp"])
+    with Publishing(out, 400.0, 10_000) as publishing:
+        eventually(lambda: publishing.count >= 800)
+    route = outgoing(client, "/tcp")
+    eventually(lambda: (ledger := route.ledger()).offered + ledger.lost_in_dds >= 800 and not ledger.in_flight)
+    assert route.ledger().dropped == {}
+    eventually(lambda: len(there.payloads) >= route.ledger().delivered)
+
+
+def test_calls_through_a_full_tunnel(bridge: Bridge, robot: Domain, pc: Domain) -> None:
+    """None is dropped, however large: their bytes wait for receipts as a topic's do, and for nothing else."""
+    live, there = robot.publisher("/live"), pc.listener("/live")
+    topics = (Topic("/live", "transmit"), Topic("/map", "transmit", kind="service"))
+    with closing(CallNode(pc.id)) as provider, closing(CallNode(robot.id)) as caller:
+        provider.serve("/map")
+        with through_tunnel(bridge, *topics) as (server, _, relay):
+            carries([live], server, ["/live"])
+            caller.waits_for("/map")
+            relay.bytes_per_second = 2 * TUNNEL
+            with Publishing(live, 28.0, 1000):
+                outcome = caller.call("/map", 20, at_once=10, size=1500, response=1500)
+            assert outcome.right
+            assert max(ages(there)) < 5.0

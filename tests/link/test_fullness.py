@@ -1,0 +1,62 @@
+"""When a link is full, and what both sides know of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from rsb_bridge.link.fullness import Asked, LinkFullness
+from rsb_bridge.model.codes import EventCode
+from rsb_bridge.wire.records import FullRecord
+
+CAMERA, SCAN = Asked("/camera", "/robot1/camera", 40e3), Asked("/scan", "/robot1/scan", 8e3)
+ALL = 48e3
+
+
+class Bed:
+    def __init__(self) -> None:
+        self.events: list[str] = []
+        self.fullness = LinkFullness(lambda level, code, text: self.events.append(code))
+
+    def look(self, *arrived: float, full: bool = True) -> bool:
+        for each in arrived:
+            self.fullness.look([SCAN, CAMERA], each, full=full, peer="the server")
+        return self.fullness.out is not None
+
+
+def test_it_is_full_as_long_as_less_arrives_than_is_asked() -> None:
+    bed = Bed()
+    assert not bed.look(25e3, 25e3, 25e3)
+    assert bed.look(25e3)
+    out = bed.fullness.out
+    assert out is not None
+    assert (out.carried, out.asked, out.topics) == (25e3, ALL, ("/camera", "/scan"))
+    assert bed.fullness.news() == FullRecord(25_000, 48_000, ("/robot1/camera", "/robot1/scan"))
+    assert bed.fullness.news() is None
+    assert bed.look(ALL, ALL, ALL, full=False)
+    assert not bed.look(ALL, ALL, ALL, full=False)
+    assert bed.fullness.news() == FullRecord()
+    assert bed.events == [EventCode.LINK_FULL, EventCode.LINK_ROOM]
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.7])
+def test_a_stall_is_not_full(part: float) -> None:
+    bed = Bed()
+    bed.look(ALL, ALL, ALL)
+    assert not any(
+        bed.look(each)
+        for each in (ALL, part * ALL, 0.0, 0.0, 0.0, 0.5 * ALL, 0.6 * ALL, 0.7 * ALL, 0.8 * ALL, 4 * ALL, ALL)
+    )
+
+
+def test_nothing_says_that_it_is_full() -> None:
+    assert not Bed().look(25e3, 25e3, 25e3, 25e3, 25e3, full=False)
+
+
+def test_what_the_peer_says_is_brought_within_sense() -> None:
+    bed = Bed()
+    bed.fullness.told(FullRecord(float("nan"), float("inf"), ("/a",) * 9), "robot1")
+    assert bed.fullness.into is None or bed.fullness.into.carried <= bed.fullness.into.asked
+    bed.fullness.told(FullRecord(5e3, 15e3, ("/camera",)), "robot1")
+    assert bed.fullness.warning("robot1")
+    bed.fullness.disconnected()
+    assert bed.fullness.warning("robot1") == ""

@@ -1,0 +1,125 @@
+"""Which faults are reported, and when: those that last, once each time that they begin, change and end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from tests.console.scripted import LINK, NOW, route
+
+from rsb_bridge.model.fault_watch import LASTS, ChangeKind, FaultWatch
+from rsb_bridge.model.snapshot import Snapshot, State
+from rsb_bridge.model.verdict import Cause, LinkCause
+
+if TYPE_CHECKING:
+    from rsb_bridge.model.fault_watch import FaultChange
+    from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot
+
+FINE = route("/scan")
+SLOW = route("/scan", State.SLOW, cause=Cause.SLOW)
+STOPPED = route("/scan", State.STOPPED, cause=Cause.PUBLISHER_SILENT)
+DOWN = replace(LINK, state=State.DOWN, cause=LinkCause.LOST)
+
+
+class Watched:
+    """A watch that looks once a second."""
+
+    def __init__(self) -> None:
+        self.watch = FaultWatch()
+        self.now = 0.0
+
+    def sees(self, *routes: RouteSnapshot, link: LinkSnapshot = LINK, seconds: int = 1) -> list[FaultChange]:
+        """The changes that are reported while the bridge is so for a while."""
+        found: list[FaultChange] = []
+        for _ in range(seconds):
+            self.now += 1
+            snapshot = Snapshot(NOW + self.now, "robot1", "client", "", 0, running=True, links=(link,), routes=routes)
+            found += self.watch.look(snapshot, self.now)
+        return found
+
+
+def kinds(changes: list[FaultChange]) -> list[tuple[Any, ...]]:
+    return [(change.kind, change.key, change.subject.state, change.before) for change in changes]
+
+
+SCAN = ("route", "/scan")
+
+
+def test_a_fault_is_reported_when_it_has_lasted_and_when_it_is_over() -> None:
+    watched = Watched()
+    assert watched.sees(FINE, seconds=5) == []
+    assert watched.sees(SLOW, seconds=int(LASTS)) == []
+    assert kinds(watched.sees(SLOW, seconds=5)) == [(ChangeKind.BEGUN, SCAN, State.SLOW, ("ok", ""))]
+    assert watched.watch.ongoing == 1
+    assert watched.sees(FINE, seconds=int(LASTS)) == []
+    assert kinds(watched.sees(FINE, seconds=5)) == [(ChangeKind.OVER, SCAN, State.OK, ("slow", "slow"))]
+    assert watched.watch.ongoing == 0
+
+
+def test_a_fault_that_flaps_is_not_reported() -> None:
+    watched = Watched()
+    assert [watched.sees(SLOW) + watched.sees(FINE) for _ in range(20)] == [[]] * 20
+
+
+def test_a_fault_that_was_reported_and_flaps_is_not_over() -> None:
+    watched = Watched()
+    assert len(watched.sees(SLOW, seconds=4)) == 1
+    assert [watched.sees(FINE) + watched.sees(SLOW) for _ in range(20)] == [[]] * 20
+    assert watched.watch.ongoing == 1
+
+
+def test_a_fault_whose_cause_flaps_lasts_all_the_same() -> None:
+    watched = Watched()
+    changes = [change for _ in range(10) for change in watched.sees(SLOW) + watched.sees(STOPPED)]
+    assert [change.kind for change in changes] == [ChangeKind.BEGUN]
+
+
+def test_another_cause_is_reported_with_the_one_before() -> None:
+    watched = Watched()
+    watched.sees(SLOW, seconds=4)
+    expected = (ChangeKind.CHANGED, SCAN, State.STOPPED, ("slow", "slow"))
+    assert kinds(watched.sees(STOPPED, seconds=6)) == [expected]
+    assert watched.watch.ongoing == 1
+
+
+def test_what_an_operator_wants_or_waits_is_no_fault() -> None:
+    watched = Watched()
+    for state in (State.PAUSED, State.DISARMED, State.WAITING):
+        assert watched.sees(route("/scan", state), seconds=5) == []
+    assert watched.sees(route("/scan", State.UNHEARD, cause=Cause.NO_SUBSCRIBER), seconds=5) == []
+
+
+def test_a_link_that_is_down_explains_its_routes() -> None:
+    watched = Watched()
+    dead = route("/scan", State.DOWN, cause=Cause.LINK_DOWN)
+    watched.sees(SLOW, seconds=4)
+    expected = (ChangeKind.BEGUN, ("link", "robot1"), State.DOWN, ("ok", ""))
+    assert kinds(watched.sees(dead, route("/map", State.DOWN), link=DOWN, seconds=9)) == [expected]
+    assert watched.watch.ongoing == 2, "how the slow topic is now is not known"
+    assert {change.kind for change in watched.sees(FINE, seconds=5)} == {ChangeKind.OVER}
+    assert watched.watch.ongoing == 0
+
+
+def test_a_link_with_a_warning_is_at_fault_though_it_is_up() -> None:
+    watched = Watched()
+    twice = replace(LINK, cause=LinkCause.NAME_TAKEN, warning="a second robot1")
+    watched.sees(FINE)
+    expected = (ChangeKind.BEGUN, ("link", "robot1"), State.OK, ("ok", ""))
+    assert kinds(watched.sees(FINE, link=twice, seconds=4)) == [expected]
+
+
+def test_what_is_removed_is_over() -> None:
+    watched = Watched()
+    watched.sees(SLOW, seconds=4)
+    (change,) = watched.sees(seconds=5)
+    assert (change.kind, change.removed, change.before) == (ChangeKind.OVER, True, ("slow", "slow"))
+    assert watched.sees(SLOW, seconds=1) == []
+
+
+def test_nothing_is_kept_of_what_has_gone() -> None:
+    watched = Watched()
+    for number in range(50):
+        watched.sees(route(f"/topic{number}", State.SLOW), seconds=4)
+    watched.sees(FINE, seconds=4)
+    assert watched.watch.ongoing == 0
+    assert len(watched.watch._watched) == 0

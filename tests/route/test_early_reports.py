@@ -1,0 +1,62 @@
+"""A receiver that gets much reports more often than once a second: what it has not told when it dies is unknown."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+from tests.route.test_unpacking import OnePublisher, opened
+from tests.support.offline import FakePeer
+
+from rsb_bridge.link.reporting import EarlyReports
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+    from rsb_bridge.wire.messages import Report
+
+MESSAGE = (b"x", 0, 0)
+
+
+class Peer(FakePeer):
+    """Counts how often it is to be told soon."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.soon = 0
+
+    def report_soon(self, route: Any) -> None:
+        self.soon += 1
+
+
+def test_a_report_is_due_after_a_hundred_messages(make_context: Callable[..., Context]) -> None:
+    peer = Peer()
+    route = opened(make_context(ros=OnePublisher()), peer, "/scan")
+    for messages, soon in ((99, 0), (1, 1), (99, 1), (500, 2)):
+        route.deliver([MESSAGE] * messages)
+        assert peer.soon == soon
+
+
+def test_reports_go_together_and_ten_times_a_second_at_most(
+    loop: VirtualLoop, make_context: Callable[..., Context]
+) -> None:
+    context = make_context(ros=OnePublisher())
+    sent: list[Report] = []
+    early = EarlyReports(loop, sent.append)
+    routes = [opened(context, FakePeer(), name) for name in ("/scan", "/odom")]
+    for _ in range(100):
+        for route in routes:
+            route.deliver([MESSAGE] * 100)
+            early.add(route)
+        loop.run_until_complete(asyncio.sleep(0.01))
+    assert 9 <= len(sent) <= 10
+    assert all(len(report.received) == 2 for report in sent)
+    assert sent[-1].received[0].delivered >= 9_000
+    early.add(routes[0])
+    early.disconnected()
+    count = len(sent)
+    loop.run_until_complete(asyncio.sleep(1.0))
+    assert len(sent) == count

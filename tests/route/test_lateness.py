@@ -1,0 +1,149 @@
+"""When a topic is late, and when it is in time again."""
+
+from __future__ import annotations
+
+import pytest
+from tests.route.test_verdict import NOW, RECEIVER, SENDER, verdict_on
+
+from rsb_bridge.model.fullness import Fullness, rates_text
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, Verdict, state_for_any, state_of
+from rsb_bridge.route.both_sides import BothSides, record_of
+from rsb_bridge.route.channel_losses import ChannelLosses
+from rsb_bridge.route.lateness import QUEUE, WAY, Late, LateWatch, Unreported, delay_of_sender, seconds_text
+from rsb_bridge.telemetry.meters import LatencyMeter
+from rsb_bridge.telemetry.watches import Loss
+from rsb_bridge.wire.records import VerdictRecord
+
+FULL = Fullness(25e3, 48e3, ("/camera",))
+LATE = Late(12.0, 0.003, WAY, None, NOW - 5)
+
+
+def watched(*delays: float | None, bound: float = 1.0, uncertainty: float = 0.0) -> LateWatch:
+    watch = LateWatch()
+    for second, delay in enumerate(delays):
+        watch.tick(delay, uncertainty, bound, float(second), delay)
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("delays", "since"),
+    [
+        ((0.1, 1.5), None),  # one look may be a hiccup
+        ((0.1, 1.5, 1.6), 1.0),
+        ((0.1, 2.5), 1.0),  # far beyond the bound
+        ((0.1, 1.5, 0.1, 1.5), None),
+        ((3.0, 0.1), 0.0),
+        ((3.0, 0.1, 0.1), None),
+        ((3.0, 0.9, 0.9, 0.9), 0.0),  # so near the bound it would flap
+        ((3.0, None, None, None), 0.0),
+        ((3.0, None, None, None, None, None), None),  # nothing comes any more: nothing is known
+    ],
+)
+def test_it_changes_its_mind_slowly(delays: tuple[float | None, ...], since: float | None) -> None:
+    assert watched(*delays).since == since
+
+
+def test_what_the_clocks_may_explain_is_not_late() -> None:
+    assert watched(3.0, 3.0, uncertainty=2.5).since is None
+    assert watched(3.0, 3.0, uncertainty=0.5).since is not None
+
+
+def test_0_accepts_any_delay() -> None:
+    assert watched(50.0, 50.0, bound=0.0).since is None
+
+
+def test_what_is_usual_is_learned_only_in_good_times() -> None:
+    watch = watched(0.003, 0.003, 12.0, 12.0)
+    assert watch.seconds == 12.0
+    assert watch.usual == pytest.approx(0.003)
+
+
+def test_how_long_ago_the_oldest_unreported_message_was_sent() -> None:
+    unreported = Unreported()
+    assert unreported.age(0, 0, 0.0) == 0.0
+    unreported.age(10, 0, 1.0)
+    assert unreported.age(20, 0, 2.0) == pytest.approx(1.9)
+    assert unreported.age(30, 10, 3.0) == pytest.approx(1.9)
+    assert unreported.age(30, 30, 4.0) == 0.0
+    assert unreported.age(5, 0, 5.0) == pytest.approx(0.0, abs=1.0), "it was opened anew"
+
+
+def test_how_long_reports_take_is_not_held_against_messages() -> None:
+    assert delay_of_sender(7.0, 3.0) == 3.0
+    assert delay_of_sender(0.9, 0.0) == 0.0
+
+
+@pytest.mark.parametrize("facts", [SENDER, RECEIVER])
+@pytest.mark.parametrize(
+    "late", [LATE, LATE._replace(where=QUEUE), LATE._replace(full=FULL), LATE._replace(usual=None)]
+)
+def test_a_late_topic_is_late_on_either_side(facts: object, late: Late) -> None:
+    for side in (SENDER, RECEIVER):
+        verdict = verdict_on(side, late=late)
+        assert (verdict.state, verdict.cause, verdict.since) == (State.LATE, Cause.LATE, NOW - 5)
+
+
+def test_what_is_worse_and_what_is_not() -> None:
+    assert verdict_on(SENDER, late=LATE, slow_since=NOW, expected_rate=20.0, rate=2.0).state is State.LATE
+    assert verdict_on(SENDER, late=LATE, stopped_since=NOW - 9, expected_rate=20.0).state is State.STOPPED
+    assert verdict_on(SENDER, late=LATE, link_down="gone").cause == Cause.LINK_DOWN
+
+
+@pytest.mark.parametrize(("lost", "state"), [(10, State.SLOW), (20, State.DOWN)])
+@pytest.mark.parametrize("cause", ["lost on the way", "expired", "queue full"])
+def test_what_is_lost_on_a_full_link_is_overload(lost: int, state: State, cause: str) -> None:
+    verdict = verdict_on(SENDER, loss=Loss(lost, 20, cause, NOW), full=FULL, datagrams=36)
+    assert (verdict.state, verdict.cause) == (state, Cause.QUEUE_FULL)
+    assert "tcp" not in verdict.text
+    assert "MTU" not in verdict.text
+    assert verdict_on(SENDER, loss=Loss(lost, 20, "too large", NOW), full=FULL).cause == Cause.TOO_LARGE
+
+
+def test_a_connection_over_which_messages_came_says_nothing_of_the_path() -> None:
+    class Loop:
+        def call_later(self, *_: object) -> Loop:
+            return self
+
+        def cancel(self) -> None:
+            pass
+
+    losses = ChannelLosses()
+    losses.arrived()
+    losses.add("Connection timed out", Loop(), lambda: None)  # type: ignore[arg-type]
+    assert not losses.repeated
+    losses.add("Connection timed out", Loop(), lambda: None)  # type: ignore[arg-type]
+    assert losses.repeated, "nothing has come over this one"
+
+
+def test_an_older_side_understands_it() -> None:
+    late = Verdict(State.LATE, Cause.LATE, "12 s late")
+    record = record_of(late)
+    assert record == VerdictRecord("slow", "late", "12 s late")
+    here = BothSides(sends=False, peer_name="robot1")
+    here.take(record, NOW)
+    assert (here.peer.state, here.peer.cause) == (State.LATE, Cause.LATE)
+    for state in State:
+        assert state_of(state_for_any(state), Cause.LATE if state is State.LATE else Cause.NONE) is state
+
+
+def test_the_recent_latency_is_of_the_last_second() -> None:
+    meter = LatencyMeter()
+    for transit in [0.003] * 500:
+        meter.add(transit)
+    meter.tick()
+    for transit in (12.0, 12.2, 12.1):
+        meter.add(transit)
+    meter.tick()
+    assert (meter.recent, meter.p50) == (12.1, 0.003)
+    meter.tick()
+    assert (meter.recent, meter.p50) == (None, 0.003)
+
+
+def test_figures() -> None:
+    assert [seconds_text(each) for each in (0.003, 1.42, 12.3, 185)] == ["0.003 s", "1.4 s", "12 s", "3 min"]
+    assert [rates_text(25e3, 48e3), rates_text(1.1e6, 3e6), rates_text(1, 400)] == [
+        "25 of 48 kB/s",
+        "1.1 of 3.0 MB/s",
+        "1 of 400 B/s",
+    ]

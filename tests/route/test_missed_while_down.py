@@ -1,0 +1,103 @@
+"""What is published while a route is down is estimated: a figure of its own, which nothing makes smaller."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.route.test_sorter import SCAN, Graph, Peer, World
+
+from rsb_bridge.link.proposals import proposal_of
+from rsb_bridge.model.session import Topic
+from rsb_bridge.route.outgoing import OutgoingRoute
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.support.virtual_time import VirtualLoop
+
+    from rsb_bridge.context import Context
+
+
+@pytest.fixture
+def world(loop: VirtualLoop, make_context: Callable[..., Context]) -> World:
+    """A route whose topic is expected at 20 Hz."""
+    graph, peer, topic = Graph(), Peer(), Topic(SCAN, "transmit", expected_rate=20.0)
+    context = make_context(graph)
+    proposal = proposal_of(topic, context.transports["tcp"], client_name="robot1", use_name=False)
+    route = OutgoingRoute(context, peer, topic, proposal, proposed_here=True)
+    made = World(route, graph, peer, context, loop)
+    reopen(made)
+    passes(made, 2)
+    return made
+
+
+def reopen(world: World) -> None:
+    """Open the route, as a link that is up does."""
+    world.route.open(1)
+    world.route.on_accepted()
+    world.peer.answer(world.route)
+
+
+def passes(world: World, seconds: int) -> None:
+    """Let time pass, with the tick of each second."""
+    for _ in range(seconds):
+        world.wait(1.0)
+        world.route.tick()
+
+
+def missed(world: World) -> int:
+    """The estimate."""
+    return world.route.ledger().missed_while_down
+
+
+def test_the_estimate_grows_while_the_route_is_down_and_stays_when_it_is_back(world: World) -> None:
+    assert missed(world) == 0
+    world.route.close("link lost")
+    passes(world, 5)
+    assert missed(world) == 100
+    world.wait(0.5)
+    reopen(world)
+    assert missed(world) == 110
+    passes(world, 5)
+    assert (missed(world), world.route._sent_report().missed_while_down) == (110, 110)
+    world.route.close("link lost")
+    passes(world, 1)
+    assert missed(world) == 130
+    assert world.route.ledger().offered == 0
+
+
+def test_nothing_is_missed_of_a_topic_that_nobody_publishes(world: World) -> None:
+    publishers, world.graph.nodes = world.graph.nodes, {}
+    world.route.advance()
+    world.route.close("link lost")
+    passes(world, 5)
+    world.graph.nodes = publishers
+    reopen(world)
+    assert missed(world) == 0
+
+
+def test_nothing_is_missed_once_the_publisher_is_gone(world: World) -> None:
+    world.route.close("link lost")
+    passes(world, 2)
+    world.graph.nodes = {}
+    passes(world, 5)
+    assert missed(world) == 40
+
+
+@pytest.mark.parametrize("first", ["paused", "lost"])
+def test_nothing_is_missed_while_an_operator_has_paused_it(world: World, first: str) -> None:
+    if first == "paused":
+        world.route.pause(True)
+    world.route.close("link lost")
+    world.route.pause(True)
+    passes(world, 5)
+    assert missed(world) == 0
+
+
+def test_a_limit_is_no_miss(world: World) -> None:
+    world.route.limit.set_max_rate(5.0)
+    passes(world, 1)
+    world.route.close("link lost")
+    passes(world, 2)
+    assert missed(world) == 10

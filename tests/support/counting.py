@@ -1,0 +1,300 @@
+"""Messages counted outside of the bridge: a publisher, a listener and both bridges are processes of their own.
+
+`python -m tests.support.counting publish|listen DOMAIN TOPIC DEPTH` is a publisher or a listener. It prints ``ready``,
+and answers each line of its input with what it has counted so far.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.config.keys import write_key
+from rsb_bridge.config.session_file import save
+from rsb_bridge.model.session import Session, Topic
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+TOPIC = "/count"
+_BRIDGE = "import sys; from rsb_console.cli import main; sys.exit(main(sys.argv[1:]))"
+_QUIET = 1.3
+"""s in which no count changes before it is taken as final."""
+
+
+class Count(NamedTuple):
+    """A run's figures.
+
+    Attributes:
+        published: by the publisher.
+        received: different messages that the listener got.
+        doubled: messages that it got more than once.
+        ledger: of the sending side, as ``status --json`` has it.
+    """
+
+    published: int
+    received: int
+    doubled: int
+    ledger: dict[str, Any]
+
+    @property
+    def never_taken(self) -> int:
+        """Messages that nobody was there to take: the route was down."""
+        taken: int = self.ledger["offered"] + self.ledger["lost_in_dds"]
+        return self.published - taken
+
+    @property
+    def ended(self) -> int:
+        """Messages of which the ledger says that they did not arrive."""
+        ended: int = sum(self.ledger["dropped"].values()) + self.ledger["throttled"] + self.ledger["expired"]
+        return ended
+
+    def __str__(self) -> str:
+        names = ("offered", "delivered", "expired", "dropped", "unknown", "in_flight", "lost_in_dds")
+        figures = {name: self.ledger[name] for name in (*names, "missed_while_down")}
+        return f"{self.published} published, {self.never_taken} never taken, {self.received} received; {figures}"
+
+
+class _Child:
+    """A process that answers lines with lines."""
+
+    def __init__(self, *arguments: object) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.counting", *map(str, arguments)],
+            cwd=Path(__file__).parents[2],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+    def read(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline().strip()
+
+    def ask(self, words: str = "count") -> Any:
+        """Tell it something; returns what it has counted."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{words}\n")
+        self._process.stdin.flush()
+        return json.loads(self.read())
+
+    def freeze(self, seconds: float) -> None:
+        """Stop it for some time."""
+        self._process.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        self._process.send_signal(signal.SIGCONT)
+
+    def close(self) -> None:
+        with self._process:
+            self._process.kill()
+
+
+class _Bridge:
+    """`rsb-console run`, which prints its status ten times a second."""
+
+    def __init__(self, folder: Path, session: Session) -> None:
+        path = folder / f"{session.role}.yaml"
+        save(session, path)
+        self._arguments = ["run", str(path), "--no-ui", "--log-format", "json", "--status-every", "0.1"]
+        self._arguments += ["--control", f"{path}.sock"]
+        self._folder = folder
+        self._name = session.role
+        self._lives = 0
+        self.start()
+
+    def start(self) -> None:
+        self._lives += 1
+        self._log = self._folder / f"{self._name}{self._lives}.log"
+        with self._log.open("w") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _BRIDGE, *self._arguments],
+                env=os.environ | {"XDG_STATE_HOME": str(self._folder / self._name)},
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait(10)
+
+    def signal(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def topic(self) -> dict[str, Any] | None:
+        """The topic in the newest status, or None if there is none."""
+        for line in reversed(self._log.read_text().splitlines(keepends=True)):
+            if line.startswith("{") and line.endswith("}\n"):
+                found = json.loads(line)
+                for route in found.get("status", {}).get("routes", ()):
+                    if route["topic"].endswith(TOPIC):
+                        return dict(route)
+        return None
+
+    def output(self) -> str:
+        return self._log.read_text()[-3000:]
+
+
+class CountedBridge:
+    """A bridge of one topic from the client's domain to the server's.
+
+    Args:
+        folder: for its files.
+        domains: the client's, and the server's.
+        topic: its entry in the client's session.
+        depth: of the publisher and the listener.
+        address: that the server listens at, and that the client calls.
+        settings: of both sessions, instead of the usual ones.
+
+    Attributes:
+        client: the sending side.
+        server: the receiving side.
+        port: of the server.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        domains: tuple[int, int],
+        topic: Topic,
+        *,
+        depth: int = 5000,
+        address: tuple[str, str] = ("127.0.0.1", "127.0.0.1"),
+        port: int = 0,
+        settings: dict[str, Any] | None = None,
+    ) -> None:
+        self.port = port or free_port()
+        write_key(folder / "key.txt")
+        common: dict[str, Any] = {"name": "robot1", "server_port": self.port, "key_file": "key.txt"}
+        sides = {
+            "server": {"domain_id": domains[1], "server_ip": address[0]},
+            "client": {"domain_id": domains[0], "server_ip": address[1], "topics": (topic,)},
+        }
+        self.listener = _Child("listen", domains[1], TOPIC, depth)
+        self.publisher = _Child("publish", domains[0], TOPIC, depth)
+        self.server, self.client = (
+            _Bridge(folder, Session(**{**common, "role": role, **fields, **(settings or {})}))
+            for role, fields in sides.items()
+        )
+        assert self.listener.read() == self.publisher.read() == "ready"
+
+    def __enter__(self) -> CountedBridge:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        for bridge in (self.server, self.client):
+            bridge.kill()
+        for child in (self.listener, self.publisher):
+            child.close()
+
+    def flows(self, rate: float) -> None:
+        """Publish at `rate` Hz from now on; wait until more comes."""
+        eventually(
+            lambda: self.publisher.ask()["matched"] and self.listener.ask()["matched"],
+            what=f"both ends; the client says {self.client.output()}",
+        )
+        before = self.listener.ask()["heard"]
+        self.publisher.ask(f"rate {rate}")
+        eventually(
+            lambda: self.listener.ask()["heard"] > before + 5,
+            what=f"messages; the client says {self.client.output()}",
+        )
+
+    def freeze(self, seconds: float) -> None:
+        """Stop the receiving bridge for some time."""
+        self.server.signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        self.server.signal(signal.SIGCONT)
+
+    def restart(self, after: float = 0.0) -> None:
+        """Kill the receiving bridge, and start it again."""
+        self.server.kill()
+        time.sleep(after)
+        self.server.start()
+
+    def settled(self) -> Count:
+        """Stop publishing; the counts once they change no more."""
+        published = self.publisher.ask("rate 0")["published"]
+        last: Any = None
+        since = time.monotonic()
+
+        def quiet() -> Any:
+            nonlocal last, since
+            heard, topic = self.listener.ask(), self.client.topic()
+            assert topic is not None
+            now = (heard, topic["offered"], topic["delivered"], topic["dropped"], topic["in_flight"])
+            if now != last or topic["in_flight"]:
+                last, since = now, time.monotonic()
+            return (heard, topic) if time.monotonic() - since > _QUIET else None
+
+        heard, topic = eventually(quiet, within=30, what=f"a settled ledger; the last was {last}")
+        return Count(published, heard["heard"], heard["doubled"], topic)
+
+
+def _publish(domain_id: int, topic: str, depth: int) -> None:
+    from rclpy.qos import QoSProfile
+    from tests.support.domain import Domain, text
+
+    domain = Domain(domain_id)
+    publisher = domain.publisher(topic, qos=QoSProfile(depth=depth))
+    _say("ready")
+    count, rate, due = 0, 0.0, time.monotonic()
+    while True:
+        wait = max(0.0, due - time.monotonic()) if rate else 1.0
+        if select.select([sys.stdin], [], [], wait)[0]:
+            line = sys.stdin.readline()
+            if not line:
+                return
+            if line.startswith("rate"):
+                rate, due = float(line.split()[1]), time.monotonic()
+            elif line.startswith("burst"):
+                for _ in range(int(line.split()[1])):
+                    publisher.publish(text(f"{count}"))
+                    count += 1
+            _say(json.dumps({"published": count, "matched": publisher.get_subscription_count()}))
+        while rate and due <= time.monotonic():
+            publisher.publish(text(f"{count}"))
+            count += 1
+            due += 1 / rate
+
+
+def _listen(domain_id: int, topic: str, depth: int) -> None:
+    from rclpy.qos import QoSProfile
+    from tests.support.domain import Domain
+
+    domain = Domain(domain_id)
+    listener = domain.listener(topic, qos=QoSProfile(depth=depth))
+    heard: set[str] = set()
+    doubled, newest = 0, -1
+    _say("ready")
+    while True:
+        count = len(listener.payloads)  # takes what has come
+        words = listener.texts(count) if count else []
+        listener._payloads.clear()
+        listener._received.clear()
+        doubled += len(words) - len(set(words) - heard)
+        heard.update(words)
+        newest = max(newest, *map(int, words)) if words else newest
+        if select.select([sys.stdin], [], [], 0.001)[0]:
+            if not sys.stdin.readline():
+                return
+            _say(json.dumps({"heard": len(heard), "doubled": doubled, "newest": newest, "matched": listener.matched}))
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    {"publish": _publish, "listen": _listen}[sys.argv[1]](int(sys.argv[2]), sys.argv[3], int(sys.argv[4]))

@@ -1,0 +1,254 @@
+"""A TCP tunnel that carries little, as ``ssh -L`` over a poor uplink does.
+
+It accepts whatever the kernel and its own buffers hold, and lets it out at its rate: a sender that watches only its own
+socket sees nothing of what waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+HELD = 256 * 1024
+"""Bytes of one connection and way that the relay itself holds, beside what the kernel keeps for it."""
+
+_TURN = 512
+"""Bytes of one connection that go out before another one's turn."""
+_TICK = 0.01
+_CHUNK = 16 * 1024
+
+
+class SlowRelay:
+    """Relays one port. A context manager; it runs on a thread of its own.
+
+    All connections share the rate, each way on its own. They take turns, so that a quiet connection does not wait for
+    the buffers of a busy one; with `fifo` whatever comes first goes first, as in the one queue of an uplink.
+
+    Args:
+        target_port: where connections are passed on to.
+        bytes_per_second: that cross, each way.
+        target_host: of the port.
+        held: bytes that the relay keeps of a connection, each way.
+        fifo: whether all connections share one queue.
+
+    Attributes:
+        port: to connect to, on `HOST`.
+        bytes_per_second: may be set at any time; 0 stalls it.
+    """
+
+    HOST = "127.0.0.1"
+
+    def __init__(
+        self,
+        target_port: int,
+        bytes_per_second: float,
+        *,
+        target_host: str = "127.0.0.1",
+        held: int = HELD,
+        fifo: bool = False,
+    ) -> None:
+        self.bytes_per_second = bytes_per_second
+        self._target = target_host, target_port
+        self._held = held
+        self._listener = socket.create_server((self.HOST, 0))
+        self._listener.setblocking(False)
+        self.port: int = self._listener.getsockname()[1]
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._ways = {"there": _Way(fifo=fifo), "back": _Way(fifo=fifo)}
+        self._pipes: list[_Pipe] = []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="slow relay", daemon=True)
+
+    def __enter__(self) -> SlowRelay:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._thread.join()
+
+    @property
+    def carried(self) -> int:
+        """Bytes that it has passed on to the target so far."""
+        return self._ways["there"].carried
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that it holds on their way to the target; the kernel may hold more."""
+        return sum(pipe.waiting for pipe in tuple(self._pipes) if pipe.way is self._ways["there"])
+
+    def _run(self) -> None:
+        before = time.monotonic()
+        try:
+            while not self._over.is_set():
+                for key, _ in self._selector.select(_TICK):
+                    if key.data is None:
+                        self._accept()
+                    else:
+                        self._read(key.data)
+                now = time.monotonic()
+                for way in self._ways.values():
+                    way.earn(self.bytes_per_second * (now - before))
+                    way.pour()
+                before = now
+                self._tidy()
+                if not self._busy():
+                    time.sleep(_TICK)
+        finally:
+            for pipe in self._pipes:
+                pipe.close()
+            self._listener.close()
+            self._selector.close()
+
+    def _busy(self) -> bool:
+        return any(way.queued and way.budget >= 1 for way in self._ways.values())
+
+    def _accept(self) -> None:
+        near, _ = self._listener.accept()
+        try:
+            far = socket.create_connection(self._target)
+        except OSError:
+            near.close()
+            return
+        for sock in (near, far):
+            sock.setblocking(False)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for source, sink, name in ((near, far, "there"), (far, near, "back")):
+            pipe = _Pipe(source, sink, self._ways[name])
+            self._pipes.append(pipe)
+            self._selector.register(source, selectors.EVENT_READ, pipe)
+
+    def _read(self, pipe: _Pipe) -> None:
+        pipe.read(self._held - pipe.waiting)
+        if pipe.ended or pipe.waiting >= self._held:
+            self._selector.unregister(pipe.source)
+            pipe.reading = False
+
+    def _tidy(self) -> None:
+        """Read again where there is room, and end connections of which one way has ended and is empty."""
+        for pipe in tuple(self._pipes):
+            if pipe.ended and not pipe.waiting:
+                for each in [each for each in self._pipes if each.source in {pipe.source, pipe.sink}]:
+                    if each.reading:
+                        self._selector.unregister(each.source)
+                    each.close()
+                    each.way.forget(each)
+                    self._pipes.remove(each)
+            elif not pipe.ended and not pipe.reading and pipe.waiting < self._held:
+                self._selector.register(pipe.source, selectors.EVENT_READ, pipe)
+                pipe.reading = True
+
+
+class _Pipe:
+    """One way of a connection."""
+
+    def __init__(self, source: socket.socket, sink: socket.socket, way: _Way) -> None:
+        self.source = source
+        self.sink = sink
+        self.way = way
+        self.waiting = 0
+        self.reading = True
+        self.ended = False
+
+    def read(self, most: int) -> None:
+        try:
+            data = self.source.recv(min(most, _CHUNK))
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.ended = True
+            return
+        self.waiting += len(data)
+        self.way.put(self, data)
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self.source.close()
+
+
+class _Way:
+    """What waits to go one way, of all connections."""
+
+    def __init__(self, *, fifo: bool) -> None:
+        self.carried = 0
+        self.budget = 0.0
+        self._fifo = fifo
+        self._lines: dict[_Pipe | None, deque[tuple[_Pipe, bytes]]] = {}
+        self._turns: deque[_Pipe | None] = deque()
+
+    @property
+    def queued(self) -> bool:
+        return bool(self._turns)
+
+    def put(self, pipe: _Pipe, data: bytes) -> None:
+        line = None if self._fifo else pipe
+        if line not in self._lines:
+            self._lines[line] = deque()
+            self._turns.append(line)
+        self._lines[line].append((pipe, data))
+
+    def earn(self, size: float) -> None:
+        self.budget = self.budget + size if self._turns else min(self.budget + size, size)
+
+    def forget(self, pipe: _Pipe) -> None:
+        for line, waiting in tuple(self._lines.items()):
+            kept = deque(each for each in waiting if each[0] is not pipe)
+            self._lines[line] = kept
+            if not kept:
+                del self._lines[line]
+                self._turns.remove(line)
+
+    def pour(self) -> None:
+        """Let out what the budget allows, the connections in turn."""
+        blocked = 0
+        while self.budget >= 1 and self._turns and blocked < len(self._turns):
+            line = self._turns.popleft()
+            waiting = self._lines[line]
+            pipe, data = waiting.popleft()
+            sent = self._send(pipe, data[: min(_TURN, int(self.budget))])
+            if sent < len(data):
+                waiting.appendleft((pipe, data[sent:]))
+            blocked = 0 if sent else blocked + 1
+            if waiting:
+                self._turns.append(line)
+            else:
+                del self._lines[line]
+
+    def _send(self, pipe: _Pipe, data: bytes) -> int:
+        try:
+            sent = pipe.sink.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            pipe.ended = True
+            sent = len(data)  # it leads nowhere any more
+        self.budget -= sent
+        pipe.waiting -= sent
+        self.carried += sent
+        return sent
+
+
+def stamped(index: int, size: int) -> str:
+    """The content of a message, of `size` characters, that says which one it is and when it was made."""
+    head = f"{index} {time.time_ns()} "
+    return head + os.urandom((size - len(head) + 1) // 2).hex()[: size - len(head)]
+
+
+def read_stamp(content: str) -> tuple[int, int]:
+    """Return which message it is, and when it was made (ns since the epoch)."""
+    index, made = content.split(" ", 2)[:2]
+    return int(index), int(made)

@@ -1,0 +1,98 @@
+"""What the ledger says of each message against what a publisher and a listener in other processes have counted."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.support.counting import TOPIC, CountedBridge
+from tests.support.locks import two_domains
+from tests.support.ports import free_port
+from tests.support.waiting import eventually
+
+from rsb_bridge.model.session import Topic, ZenohSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.support.counting import Count
+
+RATE = 400.0
+_TOLERANCE = int(1.5 * RATE)
+"""Messages: DDS brings none to a listener that has not found the new publisher yet, and a link is not lost at once."""
+
+
+@pytest.fixture(scope="module")
+def domains() -> tuple[int, int]:
+    """The client's, and the server's."""
+    first = two_domains()
+    return first, first + 1
+
+
+def check(count: Count) -> None:
+    """Compare the ledger with the counts from outside."""
+    ledger = count.ledger
+    assert ledger["offered"] == ledger["delivered"] + count.ended + ledger["unknown"] + ledger["in_flight"], count
+    assert (ledger["in_flight"], count.doubled) == (0, 0), count
+    assert count.received <= ledger["delivered"] + ledger["unknown"], f"what arrived is said to be lost: {count}"
+    known = count.received + count.ended + ledger["lost_in_dds"] + count.never_taken
+    assert 0 <= count.published - known <= ledger["unknown"] + _TOLERANCE, count
+    assert abs(ledger["missed_while_down"] - count.never_taken) <= _TOLERANCE, count
+
+
+def through(counted: CountedBridge, cut: Callable[[], None]) -> Count:
+    """Freeze the receiving bridge, cut the link, kill the receiving bridge; each time messages go on afterwards."""
+    counted.flows(RATE)
+    eventually(lambda: counted.listener.ask()["heard"] > RATE)
+    counted.freeze(1.0)
+    more(counted)
+    cut()
+    more(counted)
+    counted.restart()
+    more(counted)
+    return counted.settled()
+
+
+def more(counted: CountedBridge) -> None:
+    """Wait until what is published now arrives."""
+    published = counted.publisher.ask()["published"]
+    eventually(lambda: counted.listener.ask()["newest"] > published + RATE / 2)
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp"])
+def test_a_freeze_a_cut_and_a_kill(protocol: Any, tmp_path: Path, domains: tuple[int, int]) -> None:
+    from tests.support.relay import Relay
+
+    topic = Topic(TOPIC, "transmit", protocol=protocol, expected_rate=RATE)
+    port = free_port()
+    relay = Relay(port)
+    try:
+        with CountedBridge(tmp_path, domains, topic, address=(Relay.SERVER, Relay.HOST), port=port) as counted:
+            count = through(counted, relay.cut)
+    finally:
+        relay.close()
+    check(count)
+    assert count.ledger["unknown"] <= RATE, "a receiver reports more often than once a second"
+
+
+def test_a_freeze_a_router_that_is_killed_and_a_kill(tmp_path: Path, domains: tuple[int, int]) -> None:
+    pytest.importorskip("zenoh")
+    from tests.support.zenoh_router import Router
+
+    router = Router()
+
+    def cut() -> None:
+        router.kill()
+        time.sleep(0.1)
+        router.start()
+
+    settings = {"server_ip": "zenoh", "server_port": 0, "zenoh": ZenohSettings(connect=(router.endpoint,))}
+    topic = Topic(TOPIC, "transmit", expected_rate=RATE)
+    try:
+        with CountedBridge(tmp_path, domains, topic, settings=settings) as counted:
+            count = through(counted, cut)
+    finally:
+        router.close()
+    check(count)

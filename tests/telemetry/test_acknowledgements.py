@@ -1,0 +1,126 @@
+"""Faults that operators have acknowledged: each is marked until its state or its cause changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from tests.console.scripted import LINK, route
+
+from rsb_bridge.model.clock import Clock
+from rsb_bridge.model.health import link_needs_attention, route_needs_attention
+from rsb_bridge.model.snapshot import LinkSnapshot, RouteSnapshot, Snapshot, State
+from rsb_bridge.telemetry.acknowledgements import Acknowledgements, find_faulty
+
+NOW = 1_700_000_000.0
+
+
+class Hand(Clock):
+    """A clock that a test moves."""
+
+    moved = 0.0
+
+    def time_ns(self) -> int:
+        return int((NOW + self.moved) * 1e9)
+
+    def steady(self) -> float:
+        return self.moved
+
+
+SCAN = replace(route("/scan"), state=State.STALE, cause="publisher_silent", since=NOW - 60)
+MAP = replace(route("/map"), since=NOW - 60)
+DOWN = replace(LINK, state=State.DOWN, cause="unreachable", since=NOW - 60)
+
+
+class Table:
+    """Acknowledgements, and the snapshots that they mark."""
+
+    def __init__(self) -> None:
+        self.clock = Hand()
+        self.known = Acknowledgements(self.clock)
+
+    def mark(self, *routes: RouteSnapshot, link: LinkSnapshot = LINK) -> list[bool]:
+        """Whether the link is marked, and whether each route is."""
+        links, marked = self.known.mark([link], routes, NOW + self.clock.moved)
+        return [each.acknowledged is not None for each in links] + [each.acknowledged is not None for each in marked]
+
+
+@pytest.fixture
+def table() -> Table:
+    made = Table()
+    made.known.add(SCAN, "anna")
+    return made
+
+
+def test_a_fault_is_marked_with_who_and_when_and_needs_no_attention(table: Table) -> None:
+    (link,), (scan, other) = table.known.mark([LINK], [SCAN, MAP], NOW)
+    assert (link, other) == (LINK, MAP)
+    assert scan.acknowledged is not None
+    assert (scan.acknowledged.by, scan.acknowledged.at) == ("anna", NOW)
+    assert replace(scan, acknowledged=None) == SCAN
+    assert route_needs_attention(SCAN)
+    assert not route_needs_attention(scan)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        replace(SCAN, state=State.DOWN),
+        replace(SCAN, cause="no_publisher"),
+        replace(SCAN, state=State.OK, cause=""),
+    ],
+)
+def test_it_counts_again_once_its_state_or_cause_has_changed(table: Table, changed: RouteSnapshot) -> None:
+    assert table.mark(SCAN) == [False, True]
+    assert table.mark(replace(SCAN, reason="in other words")) == [False, True]
+    assert table.mark(changed) == [False, False]
+    assert table.mark(SCAN) == [False, False]
+
+
+def test_it_counts_again_where_it_went_away_and_came_back_between_two_snapshots(table: Table) -> None:
+    table.clock.moved = 30.0
+    assert table.mark(SCAN) == [False, True]
+    assert table.mark(replace(SCAN, since=NOW + 20)) == [False, False]
+
+
+def test_what_has_not_changed_stays_the_same_object(table: Table) -> None:
+    _, (first,) = table.known.mark([LINK], [SCAN], NOW)
+    _, (second,) = table.known.mark([LINK], [SCAN], NOW)
+    assert first is second
+
+
+def test_what_is_gone_is_forgotten(table: Table) -> None:
+    assert table.mark() == [False]
+    assert table.known._known == {}
+    assert table.mark(SCAN) == [False, False]
+
+
+def test_a_links_covers_what_its_loss_has_stopped(table: Table) -> None:
+    with_link = replace(MAP, state=State.DOWN, cause="link_down", link=LINK.name)
+    snapshot = Snapshot(NOW, "robot1", "client", "", 0, running=True, links=(DOWN,), routes=(SCAN, with_link))
+    assert find_faulty(snapshot, MAP.key, "") is DOWN
+    assert find_faulty(snapshot, SCAN.key, "") is SCAN
+    assert find_faulty(snapshot, "", LINK.name) is DOWN
+    table.known.add(DOWN, "otto")
+    assert table.mark(SCAN, with_link, link=DOWN) == [True, True, True]
+    (link,), _ = table.known.mark([DOWN], [], NOW)
+    assert not link_needs_attention(link)
+    assert table.mark(with_link, link=replace(DOWN, cause="refused")) == [False, False]
+
+
+def test_a_warning_of_a_link_that_is_up_is_a_fault() -> None:
+    table = Table()
+    warned = replace(LINK, warning="two machines have this name", cause="name_taken", since=NOW - 60)
+    table.known.add(warned, "anna")
+    assert table.mark(link=warned) == [True]
+    assert table.mark(link=LINK) == [False]
+
+
+def test_there_has_to_be_a_fault_and_to_undo_an_acknowledgement(table: Table) -> None:
+    for fine in (MAP, LINK):
+        with pytest.raises(ValueError, match="no fault"):
+            table.known.add(fine, "anna")
+    with pytest.raises(ValueError, match="acknowledged"):
+        table.known.remove(MAP)
+    table.known.remove(SCAN)
+    assert table.mark(SCAN) == [False, False]

@@ -1,0 +1,75 @@
+"""What the command of `on_fault` is told: one object of plain ASCII, whatever a peer says."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+from tests.console.scripted import LINK, NOW, route
+
+from rsb_bridge.model.fault_watch import ChangeKind, FaultChange
+from rsb_bridge.model.snapshot import State
+from rsb_bridge.model.verdict import Cause, LinkCause
+from rsb_bridge.telemetry.fault_report import fault_report
+
+WICKED = "\x1b]0;gone\x07\n\u202e$(reboot)`id`\ud800" + "x" * 5000
+
+
+def report(change: FaultChange) -> dict[str, Any]:
+    line = fault_report(change, time=NOW, bridge="robot1", role="client", ongoing=2, merged=3)
+    assert line.isascii()
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+    content: dict[str, Any] = json.loads(line)
+    return content
+
+
+def test_a_route() -> None:
+    scan = route("/scan", State.SLOW, cause=Cause.SLOW, reason="3 of 10 Hz", since=NOW - 3, from_peer=True)
+    assert report(FaultChange(ChangeKind.BEGUN, scan, before=("ok", ""))) == {
+        "version": 1,
+        "event": "begun",
+        "time": NOW,
+        "bridge": "robot1",
+        "role": "client",
+        "what": "route",
+        "kind": "topic",
+        "name": "/scan",
+        "link": "robot1",
+        "outgoing": False,
+        "state": "slow",
+        "cause": "slow",
+        "text": "3 of 10 Hz",
+        "since": NOW - 3,
+        "from_peer": True,
+        "previous_state": "ok",
+        "previous_cause": "",
+        "ongoing": 2,
+        "merged": 3,
+    }
+
+
+def test_a_link_and_its_warning() -> None:
+    link = replace(LINK, cause=LinkCause.NAME_TAKEN, warning="a second robot1")
+    found = report(FaultChange(ChangeKind.CHANGED, link, before=("down", "lost")))
+    names = ("event", "what", "name", "state", "cause", "text", "previous_state", "previous_cause")
+    assert [found[name] for name in names] == [
+        "changed", "link", "robot1", "ok", "name_taken", "a second robot1", "down", "lost",
+    ]  # fmt: skip
+
+
+def test_what_was_removed() -> None:
+    found = report(FaultChange(ChangeKind.OVER, route("/scan", State.SLOW), removed=True, before=("slow", "slow")))
+    assert (found["state"], found["cause"], found["text"], found["since"]) == ("removed", "", "", NOW)
+
+
+def test_a_peers_text_does_nothing_and_is_short() -> None:
+    scan = route(f"/{WICKED}", State.SLOW, cause=WICKED, reason=WICKED, link=WICKED)
+    line = fault_report(
+        FaultChange(ChangeKind.BEGUN, scan, before=(WICKED, WICKED)),
+        time=NOW, bridge=WICKED, role="client", ongoing=1, merged=0,
+    )  # fmt: skip
+    assert len(line) < 16_384, "it fits into a pipe that nobody reads"
+    for text in json.loads(line).values():
+        assert not isinstance(text, str) or text.isprintable()
