@@ -70,6 +70,30 @@ async def tunnelled(world: World, seconds: float, speed: float = 5_000.0, fresh_
             path.bandwidth = None
 
 
+async def delayed(world: World, seconds: float, delay: float = 3.0) -> None:
+    """Everything between a robot and the server takes some seconds, as through a satellite or a buffer on the way.
+
+    Args:
+        world: in which.
+        seconds: for how long.
+        delay: s, each way.
+    """
+    (robot,) = world.robots
+    await asyncio.sleep(20.0)
+    for flow in robot.flows:
+        flow.vanish()
+        flow.size, flow.period = 100, 0.4
+        flow.appear()
+    await asyncio.sleep(20.0)
+    paths = world.network.both_ways(robot.station.machine, world.server.machine)
+    for path in paths:
+        path.latency = (delay, delay + 0.01)
+    with world.trouble("delayed", robot):
+        await asyncio.sleep(seconds)
+    for path in paths:
+        path.mend()
+
+
 async def server_restarts(world: World, times: int) -> None:
     """The server is stopped as an operator does it, and started again."""
     for _ in range(times):

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _HEAD = struct.Struct("<4sIII")
 _CDR = b"\0\1\0\0"
 _REMEMBERED = 4096
+LATE = 2.5
+"""s: a message of this age is late by the default of `late_after`, whatever the clocks' uncertainty."""
 _OF_NOBODY = contextvars.Context()
 
 
@@ -110,6 +112,8 @@ class Flow:
         oldest: s, the age of the oldest of them when it came out.
         newest: number of the newest message that came out, by life of the publisher.
         fresh_within: s from when a message is published until it comes out at the latest, if it does.
+        late: messages that came out late, one after the other, as many as there are until now.
+        late_since: s, when the first of them came out.
         taken: by which sending half of a route each of the last messages was taken.
     """
 
@@ -147,6 +151,8 @@ class Flow:
         self.newest: dict[int, int] = {}
         self.fresh_within = float("inf")
         self.oldest = 0.0
+        self.late = 0
+        self.late_since = 0.0
         self._published_at: OrderedDict[Label, float] = OrderedDict()
         self.taken: OrderedDict[Label, Account] = OrderedDict()
         self.writer: Writer | None = None
@@ -259,6 +265,12 @@ class Flow:
             return
         age = self._loop.time() - published_at
         self.oldest = max(self.oldest, age)
+        if age < LATE:
+            self.late = 0
+            return
+        if not self.late:
+            self.late_since = self._loop.time()
+        self.late += 1
         if age > self.fresh_within:
             self._on_wrong(f"{self}: {label} came out {age:.1f} s after it was published")
 

@@ -15,6 +15,7 @@ from tests.simulation.action_invariants import ActionInvariants
 from tests.simulation.call_invariants import CallInvariants
 from tests.simulation.tables import tables
 
+from rsb_bridge.model.snapshot import State
 from rsb_bridge.route.calls.goals import MOST_GOALS
 from rsb_bridge.route.calls.kept_answers import MOST_KEPT
 from rsb_bridge.transport.transport import DatagramTransport
@@ -42,6 +43,10 @@ SETTLED_WITHIN = 6.0
 """s after the last message until both sides have counted it."""
 SAME_VERDICT_WITHIN = 8.0
 """s in which one side looks at its half of a route, tells the other what it makes of it, and is heard."""
+LATE_WITHIN = 5.0
+"""s from when messages come out late until neither side shows their topic as ok."""
+_LATE_MESSAGES, _COMES = 3, 2.0
+"""Messages in a row that have to be late, and s since the last one: a burst that waited for a reconnect is none."""
 _SEEN_WITHIN = 5.0
 """s from when a task fails until somebody must have asked why."""
 _SWEEP_EVERY = 600.0
@@ -92,6 +97,7 @@ class Invariants:
             for flow in robot.flows:
                 self._check_flow(robot, flow)
                 self._check_verdicts(robot, flow)
+                self._check_lateness(robot, flow)
         self._check_ledgers()
         self._calls.check()
         self.actions.check()
@@ -202,6 +208,19 @@ class Invariants:
             self._said[flow] = now, said
         elif now - max(since, robot.commanded, world.clear_since(robot)) > self._patience * SAME_VERDICT_WITHIN:
             world.wrong(f"the two sides do not agree on {flow} since {now - since:.1f} s: {world.state(flow)}")
+
+    def _check_lateness(self, robot: Robot, flow: Flow) -> None:
+        """No side shows a topic as ok while its messages keep coming out late."""
+        world, now = self._world, self._world.loop.time()
+        if flow.latched or flow.late < _LATE_MESSAGES or now - flow.last_heard > _COMES:
+            return
+        lasted = now - max(flow.late_since, robot.commanded)
+        if lasted <= self._patience * LATE_WITHIN:
+            return
+        for link in world.link_ends(robot) or ():
+            route = route_of(link, flow) if link.linked else None
+            if route is not None and route.judged.shown(route.verdict()).verdict.state is State.OK:
+                world.wrong(f"{flow} comes out late since {lasted:.1f} s, and {link.address} shows it as ok")
 
     def _can_flow_now(self, robot: Robot, flow: Flow) -> bool:
         ends = self._world.link_ends(robot)

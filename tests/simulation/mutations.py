@@ -15,6 +15,7 @@ import msgspec
 from tests.simulation.climate import ACTIONS, CALLS, LIVELY, STILL, STORM, Climate
 from tests.simulation.episodes import (
     cancelled_while_cut,
+    delayed,
     restarted_while_cut,
     server_away,
     tunnelled,
@@ -37,6 +38,7 @@ from rsb_bridge.route.calls.kept_answers import Do, KeptAnswers
 from rsb_bridge.route.calls.kept_calls import KeptCalls
 from rsb_bridge.route.calls.under_way import UnderWay
 from rsb_bridge.route.incoming import IncomingRoute
+from rsb_bridge.route.lateness import LateWatch
 from rsb_bridge.route.ledger import RouteLedger
 from rsb_bridge.route.send_queue import SendQueue
 from rsb_bridge.tasks import Tasks
@@ -125,6 +127,10 @@ async def _tunnel(world: World) -> None:
     await tunnelled(world, 120.0)
 
 
+async def _delay(world: World) -> None:
+    await delayed(world, 60.0)
+
+
 def _took_in_time(self: Any, count: int, sent: int, now: float) -> None:
     """As `Window.acknowledge`, but all that is under way seems new."""
     self._marks.clear()
@@ -203,6 +209,8 @@ _GOALS = replace(STILL, topics=(0,), actions=(1,), periods=(0.0, 0.0), checks=(1
 
 _SILENT = replace(STILL, topics=(4,), periods=(1e9, 1e9))
 
+_WATCHED = replace(STILL, checks=(1.0, 1.0))
+
 # fmt: off
 MUTATIONS = (
     Mutation(
@@ -279,6 +287,11 @@ MUTATIONS = (
         "receipts that are late leave the window as it is",
         ((Window, "acknowledge", _took_in_time),),
         "s after it was published", STILL, 1, 0.05, _tunnel,
+    ),
+    Mutation(
+        "messages that are late are taken for ok",
+        ((LateWatch, "tick", _nothing),),
+        "shows it as ok", _WATCHED, 1, 0.05, _delay,
     ),
     Mutation(
         "an answer goes to whoever asked first",

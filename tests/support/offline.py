@@ -69,6 +69,7 @@ class FakePeer:
     clock_offset = 0.0
     clock_uncertainty = 0.001
     report_delay = 0.0
+    ping_wait = 0.0
     full_out: Fullness | None = None
     full_in: Fullness | None = None
     features: tuple[str, ...] = (FEATURE,)

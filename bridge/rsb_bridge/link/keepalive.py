@@ -90,8 +90,13 @@ class Keepalive:
         """S of the last ping that was answered, or how long the next one has been waiting for that; None: no figure."""
         if self.clock.rtt is None:
             return None
-        waits = self._context.now() - self._pinged_at if self._answered < self._pings else 0.0
-        return max(self.clock.rtt, waits + max(0, self._pings - self._answered - 1))
+        return max(self.clock.rtt, self.ping_wait)
+
+    @property
+    def ping_wait(self) -> float:
+        """Seconds that the oldest unanswered ping has waited, about; 0 if all are answered."""
+        unanswered = self._pings - self._answered
+        return self._context.now() - self._pinged_at + unanswered - 1 if unanswered else 0.0
 
     @property
     def way_back(self) -> float:

@@ -448,6 +448,11 @@ class Link(ABC):
         return self.keepalive.way_back
 
     @property
+    def ping_wait(self) -> float:
+        """Seconds that the oldest unanswered ping has waited; 0 if all are answered."""
+        return self.keepalive.ping_wait
+
+    @property
     def _peer_name(self) -> str:
         return "the server" if self.is_client else self.name
 

@@ -67,6 +67,11 @@ class Peer(Protocol):
         ...
 
     @property
+    def ping_wait(self) -> float:
+        """Seconds that the oldest unanswered ping has waited; 0 if all are answered."""
+        ...
+
+    @property
     def full_out(self) -> Fullness | None:
         """What the link carries from here, if it carries less than is asked of it, else None."""
         ...
