@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 KEY_SIGNS = {
     "slash": "/", "question_mark": "?", "escape": "esc", "less_than_sign": "<", "greater_than_sign": ">", "plus": "+",
-    "minus": "-", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
+    "minus": "-", "exclamation_mark": "!", "colon": ":", "pagedown": "PgDn", "pageup": "PgUp",
 }  # fmt: skip
 UNICODE_KEY_SIGNS = {"enter": "⏎", "up": "↑", "down": "↓"}
 

@@ -24,6 +24,7 @@ from tests.support.waiting import eventually
 from rsb_bridge.config.keys import write_key
 from rsb_bridge.config.session_file import load, save
 from rsb_bridge.model.session import Session, Topic
+from rsb_console.command.shell import HUNG_UP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -168,7 +169,7 @@ def test_sighup_with_a_terminal_ends_the_bridge(path: Path, systemd: Systemd) ->
             systemd.hear("READY=1")
             os.close(here)
             os.close(there)
-            assert process.wait(ENDS_WITHIN) == 0
+            assert process.wait(ENDS_WITHIN) == HUNG_UP
         finally:
             process.kill()
 

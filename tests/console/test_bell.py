@@ -94,12 +94,12 @@ async def test_a_key_turns_it_on_and_off(app: ConsoleApp, pilot: Pilot[None]) ->
     app.fault_bell._ring = lambda: rung.append(app.fault_bell._clock())
     put(app, FINE)
     assert not app.fault_bell.is_on
-    await pilot.press("B")
+    await pilot.press("exclamation_mark")
     await shown(pilot, "the bell rings")
     await until(pilot, lambda: app.fault_bell._watch is not None, "it watches")
     put(app, SLOW)
     await until(pilot, lambda: len(rung) == 1, "it rings")
-    await pilot.press("B")
+    await pilot.press("exclamation_mark")
     await until(pilot, lambda: app.fault_bell._watch is None, "it watches no more")
 
 

@@ -34,6 +34,7 @@ CHANGES: tuple[commands.Command, ...] = (
     commands.EditTopic("key", TOPIC),
     commands.RemoveTopic("key"),
     commands.Pause("key", paused=True),
+    commands.Acknowledge("key"),
     commands.ArmTopic("key"),
     commands.DisarmTopic("key"),
     commands.AddClient(Client("robot2")),

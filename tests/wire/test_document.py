@@ -25,6 +25,7 @@ STRUCTS = {
     "SentReport": records.SentReport,
     "ReceivedReport": records.ReceivedReport,
     "Verdict": records.VerdictRecord,
+    "Full": records.FullRecord,
     "LaneEntry": records.LaneEntry,
     "CallsReport": records.CallsReport,
     "TopicEntry": records.TopicEntry,

@@ -294,6 +294,8 @@ def test_a_field_out_of_its_range_gives_words(fields: dict[str, Any]) -> None:
         {"qos": {"depth": 0}},
         {"stale_after": 0.01},
         {"stale_after": 2e6},
+        {"late_after": -1.0},
+        {"late_after": 0.001},
         {"arm": True, "deadman": 1.0},
         {"kind": "\x1b[2J"},
         {"timeout": -1.0},

@@ -121,7 +121,7 @@ ACTIONS: tuple[Action, ...] = (
     Action("welcome", "f5", "welcome", "Show the welcome screen", Group.SESSION, changes=True),
     Action("theme", "t", "theme", "Next theme", Group.CONSOLE),
     Action("mouse", "m", "mouse", "Give the mouse to the terminal, or take it back", Group.CONSOLE),
-    Action("bell_on_fault", "B", "bell", "Ring the terminal's bell when a fault begins, or do not",
+    Action("bell_on_fault", "exclamation_mark", "bell", "Ring the terminal's bell when a fault begins, or do not",
            Group.CONSOLE, also="sound, alarm, beep, notify"),
     Action("palette", "colon,ctrl+p", "palette", "Find an action by its name", Group.CONSOLE),
     Action("help", "question_mark,f1", "help", "Show every key", Group.CONSOLE, in_footer=True),
