@@ -8,6 +8,7 @@ from random import Random
 
 import pytest
 
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.volatile import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
 from rsb_bridge.wire.budget import Budget
 
@@ -211,3 +212,22 @@ def test_a_full_budget_ends_the_burst_at_once() -> None:
     burst.pools[0].stopped = True
     burst.publish(21, 1_000_000, 1_000.0)
     assert [each.depth for each in burst.pools] == [BURST_DEPTH, 10]
+
+
+def test_a_publisher_that_cannot_be_replaced_goes_on_being_counted() -> None:
+    burst = Burst()
+
+    def refuse(_: int) -> Pool:
+        raise RosError("no more publishers")
+
+    burst.topic._renew = refuse
+    burst.pools[0].stopped = True
+    refused = 0
+    for _ in range(30):
+        try:
+            burst.publish(1, 1_000_000, 1_000.0)
+        except (RosError, SlowSubscriberError):
+            refused += 1
+    assert refused
+    assert burst.pools[0].held <= burst.budget.held + FREE
+    assert burst.topic._depth == BURST_DEPTH

@@ -114,8 +114,8 @@ class VolatileTopic:
 
     def _begin_anew(self, renew: Callable[[int], Publisher]) -> None:
         """Have a publisher without memory: each piece of this one's is too small, or kept for a slow subscriber."""
+        former, self._publisher = self._publisher, renew(self._lasting_depth)
         self._depth, self._unacknowledged_since = self._lasting_depth, None
-        former, self._publisher = self._publisher, renew(self._depth)
         former.close()
         self._forget_memory()
 
