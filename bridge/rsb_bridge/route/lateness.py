@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _LOOKS = 2
 """Looks, a second apart, that have to agree before a topic becomes late, or is not late any more."""
 _CLEARLY = 2.0
-"""Times the bound: beyond that, one look is enough."""
+"""Times the bound: beyond that, one look is enough, unless a clock that was set may explain it."""
 _OVER = 0.8
 """Times the bound: below that, a late topic is in time again."""
 _REMEMBERED = 5.0
@@ -72,7 +72,14 @@ class LateWatch:
         self._seen_at = float("-inf")
 
     def tick(
-        self, delay: float | None, uncertainty: float, bound: float, now: float, measured: float | None = None
+        self,
+        delay: float | None,
+        uncertainty: float,
+        bound: float,
+        now: float,
+        measured: float | None = None,
+        *,
+        own: float = 0.0,
     ) -> None:
         """Take a delay.
 
@@ -82,6 +89,7 @@ class LateWatch:
             bound: s that a message may take; 0: any time.
             now: s.
             measured: s that messages take, for what is usual; None: no figure.
+            own: the part of `delay` that this side knows without the other one's clock, which may just have been set.
         """
         if not bound:
             self.reset()
@@ -103,7 +111,7 @@ class LateWatch:
         if not self._other:
             self._first = now
         self._other += 1
-        if self._other >= _LOOKS or (over and delay - uncertainty > _CLEARLY * bound):
+        if self._other >= _LOOKS or (over and own > _CLEARLY * bound):
             self._other = 0
             self.since = None if late else self._first
             self.seconds = 0.0 if late else delay
