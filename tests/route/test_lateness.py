@@ -60,6 +60,20 @@ def test_a_clock_that_is_set_makes_nothing_late() -> None:
     assert watch.since == 4.0
 
 
+def test_a_topic_that_is_seldom_published_stays_late_between_its_messages() -> None:
+    watch = LateWatch()
+    states = []
+    for second in range(100):
+        delay = 5.0 if second % 10 == 0 else None
+        watch.tick(delay, 0.0, 1.0, float(second), delay)
+        states.append(watch.since is not None)
+    assert all(states[10:])
+    assert watch.since == 0.0
+    for second in range(100, 130):
+        watch.tick(None, 0.0, 1.0, float(second), None)
+    assert watch.since is None, "nothing comes any more: nothing is known"
+
+
 def test_0_accepts_any_delay() -> None:
     assert watched(50.0, 50.0, bound=0.0).since is None
 

@@ -22,8 +22,9 @@ _CLEARLY = 2.0
 """Times the bound: beyond that, one look is enough, unless a clock that was set may explain it."""
 _OVER = 0.8
 """Times the bound: below that, a late topic is in time again."""
-_REMEMBERED = 5.0
-"""s without a message after which a measured delay says nothing any more."""
+_REMEMBERED, _REMEMBERED_GAPS, _LONGEST_REMEMBERED = 5.0, 2.0, 60.0
+"""s without a message after which a measured delay says nothing any more, or times the last gap between messages if
+that is longer, and s at the most: a topic with a message every 10 s must not be fine in between."""
 _SAME = 0.15
 """Part by which a delay has to change until another figure is shown."""
 _REPORTED_EVERY = 1.0
@@ -69,7 +70,8 @@ class LateWatch:
         self.usual: float | None = None
         self._other = 0
         self._first = 0.0
-        self._seen_at = float("-inf")
+        self._seen_at: float | None = None
+        self._gap = 0.0  # s, between the last two delays
 
     def tick(
         self,
@@ -95,9 +97,11 @@ class LateWatch:
             self.reset()
             return
         if delay is None:
-            if self.since is not None and now - self._seen_at >= _REMEMBERED:
+            remembered = max(_REMEMBERED, min(_REMEMBERED_GAPS * self._gap, _LONGEST_REMEMBERED))
+            if self.since is not None and self._seen_at is not None and now - self._seen_at >= remembered:
                 self.reset()
             return
+        self._gap = 0.0 if self._seen_at is None else now - self._seen_at
         self._seen_at = now
         late = self.since is not None
         over = delay - uncertainty > (_OVER * bound if late else bound)
@@ -121,6 +125,7 @@ class LateWatch:
         self.since = None
         self.seconds = 0.0
         self._other = 0
+        self._seen_at = None
 
 
 class Unreported:
