@@ -14,8 +14,11 @@ from rsb_bridge.channel.receipts import ReceiptBook, ReceiptSender, WindowedSend
 from rsb_bridge.channel.window import FIRST
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from tests.channel.test_duplex import End, Place, Route
 
+    from rsb_bridge.wire.framing import Message
     from rsb_bridge.wire.receipts import Receipts
 
 
@@ -96,5 +99,29 @@ def test_without_receipts_little_is_in_transit() -> None:
             await until(lambda: len(far.routes[1].arrived) >= FIRST // 1100)
             assert in_transit(near.routes[1]) <= FIRST + 1100
             assert near.routes[1].waiting
+
+    asyncio.run(live())
+
+
+@CARRIERS
+def test_a_route_that_ends_while_it_takes_messages_sends_no_receipt(place: Place) -> None:
+    """Its id is 0 from then on, which in a receipt would break the format and end the link."""
+
+    async def live() -> None:
+        async with connected(place, (1, True)) as (near, far):
+            sides = Sides(near, far)
+            sides.begin()
+            route = far.routes[1]
+
+            def deliver(messages: Iterable[Message]) -> None:
+                route.arrived += [payload for payload, _, _ in messages]
+                route.channel.close("a message broke the format")
+                route.id = 0
+
+            route.deliver = deliver  # type: ignore[method-assign]
+            near.routes[1].send(bytes(2_000))
+            await until(lambda: route.id == 0)
+            await asyncio.sleep(0.02)
+            assert all(route_id for message in sides.messages for route_id, _ in message.received)
 
     asyncio.run(live())

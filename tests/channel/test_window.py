@@ -18,7 +18,7 @@ class Path:
         time: s.
         speed: bytes/s that it carries; 0: it stalls.
         delay: s, each way.
-        others: s that everything waits behind somebody else's data.
+        behind: s that receipts wait behind data that goes the other way.
         ages: s, of the messages when they arrived, on their way only.
         arrived: bytes.
         receipts: how many were sent.
@@ -27,6 +27,7 @@ class Path:
     def __init__(self, speed: float, delay: float = 0.0005) -> None:
         self.time = 0.0
         self.speed, self.delay = speed, delay
+        self.behind = 0.0
         self.ages: list[float] = []
         self.arrived = self.sent = self.receipts = 0
         self.window = Window(0)
@@ -80,6 +81,7 @@ class Path:
                 self.ages.append(self.time - first[2])
                 self._on_the_way.popleft()
         while self._back and self._back[0][0] <= self.time:
+            self.window.back = self.delay + self.behind
             self.window.acknowledge(self._back.popleft()[1], self.sent, self.time)
             every = self.window.every
             if every >= 2 * self._asked or 2 * every <= self._asked:
@@ -88,7 +90,7 @@ class Path:
 
     def _give(self) -> None:
         self.receipts += 1
-        self._back.append((self.time + self.delay, self.counter.next_receipt()))
+        self._back.append((self.time + self.delay + self.behind, self.counter.next_receipt()))
 
 
 @pytest.mark.parametrize(("rate", "size"), [(14, 1000), (1000, 1000), (5, 3000), (300, 60)])
@@ -151,6 +153,30 @@ def test_path_that_becomes_slow() -> None:
     path.run(5.0, 14, 1000)
     assert path.sent - sent >= 69_000
     assert not path.window.slow
+
+
+@pytest.mark.parametrize("behind", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("rate", "size"), [(20, 130), (25, 1000), (100, 1000)])
+def test_what_waits_in_the_other_direction_takes_no_room(behind: float, rate: float, size: int) -> None:
+    """Commands to a robot whose uplink is full of video: the receipts for the commands wait behind the video."""
+    path = Path(1e6, 0.01)
+    path.run(5.0, rate, size)
+    path.behind = behind
+    path.run(10.0, rate, size)
+    sent = path.sent
+    path.run(20.0, rate, size)
+    assert path.sent - sent >= 0.99 * 20 * rate * size
+
+
+def test_what_waits_in_its_own_direction_still_counts() -> None:
+    path = Path(5_000)
+    path.behind = 1.0
+    path.run(20.0, 14, 1000)
+    path.ages.clear()
+    before = path.arrived
+    path.run(30.0, 14, 1000)
+    assert max(path.ages) < 2.3
+    assert path.arrived - before > 0.9 * 30 * 5_000
 
 
 def test_stall() -> None:

@@ -9,6 +9,7 @@ import msgspec
 import pytest
 from tests.console.scripted import SESSION
 
+from rsb_bridge.config.difference import changes
 from rsb_bridge.config.fault_command import command_words, fault_command_warnings, program_path, program_problem
 from rsb_bridge.config.session_file import SessionError, dump, load, parse, save, validate
 
@@ -109,3 +110,10 @@ def test_check_warns_of_a_session_file_that_others_may_change(tmp_path: Path) ->
     path.chmod(0o666)
     assert len([*fault_command_warnings(session, path)]) == 1
     assert [*fault_command_warnings(msgspec.structs.replace(session, on_fault=None), path)] == []
+
+
+def test_the_log_of_a_reload_does_not_have_the_command_line() -> None:
+    before, after = (msgspec.structs.replace(SESSION, on_fault=f"/bin/true secret{each}") for each in (1, 2))
+    for old, new in ((before, after), (SESSION, after), (after, SESSION)):
+        (change,) = changes(old, new, only=("on_fault",))
+        assert "secret" not in change

@@ -22,7 +22,7 @@ LATE = Late(12.0, 0.003, WAY, None, NOW - 5)
 def watched(*delays: float | None, bound: float = 1.0, uncertainty: float = 0.0) -> LateWatch:
     watch = LateWatch()
     for second, delay in enumerate(delays):
-        watch.tick(delay, uncertainty, bound, float(second), delay)
+        watch.tick(delay, uncertainty, bound, float(second), delay, own=delay or 0.0)
     return watch
 
 
@@ -47,6 +47,31 @@ def test_it_changes_its_mind_slowly(delays: tuple[float | None, ...], since: flo
 def test_what_the_clocks_may_explain_is_not_late() -> None:
     assert watched(3.0, 3.0, uncertainty=2.5).since is None
     assert watched(3.0, 3.0, uncertainty=0.5).since is not None
+
+
+def test_a_clock_that_is_set_makes_nothing_late() -> None:
+    """Until the next exchange of pings, messages seem to take as long as the clock was set forward."""
+    watch = LateWatch()
+    for second, delay in enumerate((0.003, 10.0, 0.003, 0.003)):
+        watch.tick(delay, 0.001, 1.0, float(second), delay)
+        assert watch.since is None
+    for second in (4, 5):
+        watch.tick(10.0, 0.001, 1.0, float(second), 10.0)
+    assert watch.since == 4.0
+
+
+def test_a_topic_that_is_seldom_published_stays_late_between_its_messages() -> None:
+    watch = LateWatch()
+    states = []
+    for second in range(100):
+        delay = 5.0 if second % 10 == 0 else None
+        watch.tick(delay, 0.0, 1.0, float(second), delay)
+        states.append(watch.since is not None)
+    assert all(states[10:])
+    assert watch.since == 0.0
+    for second in range(100, 130):
+        watch.tick(None, 0.0, 1.0, float(second), None)
+    assert watch.since is None, "nothing comes any more: nothing is known"
 
 
 def test_0_accepts_any_delay() -> None:

@@ -8,6 +8,7 @@ from random import Random
 
 import pytest
 
+from rsb_bridge.ros.api import RosError
 from rsb_bridge.route.volatile import BURST_DEPTH, FREE, SlowSubscriberError, VolatileTopic
 from rsb_bridge.wire.budget import Budget
 
@@ -24,6 +25,7 @@ class Pool:
 
     gid = b"pool"
     subscriber_count = 1
+    closed = False
 
     def __init__(self, depth: int) -> None:
         self.depth = depth
@@ -50,6 +52,7 @@ class Pool:
 
     def close(self) -> None:
         self.held = 0
+        self.closed = True
 
 
 class Time:
@@ -162,11 +165,13 @@ class Burst:
     def __init__(self) -> None:
         self.now, self.budget = Time(), Budget(LIMIT)
         self.pools = [Pool(BURST_DEPTH)]
+        self.matched = 1  # subscriptions that have found a new publisher
         self.topic = VolatileTopic(self.pools[0], BURST_DEPTH, self.budget, self.now, self._renew, lasting_depth=10)
 
     def _renew(self, depth: int) -> Pool:
         self.pools.append(Pool(depth))
         self.pools[-1].stopped = self.pools[-2].stopped
+        self.pools[-1].subscriber_count = self.matched
         return self.pools[-1]
 
     def publish(self, count: int, size: int, rate: float) -> None:
@@ -198,6 +203,38 @@ def test_a_subscriber_that_takes_nothing_costs_no_more_than_before() -> None:
     assert len(burst.pools) == 2
 
 
+def test_subscriptions_find_the_new_publisher_before_it_takes_over() -> None:
+    """What is published on a publisher that nobody has found yet is lost, to those who take everything, too."""
+    burst = Burst()
+    burst.matched = 0
+    burst.pools[0].stopped = True
+    while len(burst.pools) == 1:
+        burst.publish(1, 100_000, 30.0)
+    burst.publish(5, 100_000, 30.0)
+    first, second = burst.pools
+    assert not second._history
+    second.subscriber_count = 1
+    burst.publish(2, 100_000, 30.0)
+    assert second._history
+    assert first.closed
+
+
+def test_a_publisher_whose_subscribers_catch_up_stays() -> None:
+    burst = Burst()
+    burst.matched = 0
+    burst.pools[0].stopped = True
+    while len(burst.pools) == 1:
+        burst.publish(1, 100_000, 30.0)
+    burst.pools[0].stopped = False
+    burst.publish(10, 100_000, 30.0)
+    first, second = burst.pools
+    assert second.closed
+    assert not first.closed
+    burst.topic.close()
+    assert first.closed
+    assert burst.budget.held == 0
+
+
 def test_healthy_subscribers_cost_little() -> None:
     burst = Burst()
     burst.publish(10_000, 10_000, 1_000.0)
@@ -211,3 +248,22 @@ def test_a_full_budget_ends_the_burst_at_once() -> None:
     burst.pools[0].stopped = True
     burst.publish(21, 1_000_000, 1_000.0)
     assert [each.depth for each in burst.pools] == [BURST_DEPTH, 10]
+
+
+def test_a_publisher_that_cannot_be_replaced_goes_on_being_counted() -> None:
+    burst = Burst()
+
+    def refuse(_: int) -> Pool:
+        raise RosError("no more publishers")
+
+    burst.topic._renew = refuse
+    burst.pools[0].stopped = True
+    refused = 0
+    for _ in range(30):
+        try:
+            burst.publish(1, 1_000_000, 1_000.0)
+        except (RosError, SlowSubscriberError):
+            refused += 1
+    assert refused
+    assert burst.pools[0].held <= burst.budget.held + FREE
+    assert burst.topic._depth == BURST_DEPTH

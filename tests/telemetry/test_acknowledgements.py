@@ -116,6 +116,14 @@ def test_a_warning_of_a_link_that_is_up_is_a_fault() -> None:
     assert table.mark(link=LINK) == [False]
 
 
+def test_figures_of_a_full_link_do_not_end_its_acknowledgement() -> None:
+    table = Table()
+    full = replace(LINK, warning="link full: carries 25 of 48 kB/s", cause="full", since=NOW - 60)
+    table.known.add(full, "anna")
+    assert table.mark(link=replace(full, warning="link full: carries 26 of 47 kB/s")) == [True]
+    assert table.mark(link=replace(full, cause="name_taken")) == [False]
+
+
 def test_there_has_to_be_a_fault_and_to_undo_an_acknowledgement(table: Table) -> None:
     for fine in (MAP, LINK):
         with pytest.raises(ValueError, match="no fault"):

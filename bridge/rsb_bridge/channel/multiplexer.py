@@ -119,6 +119,7 @@ class _MultiplexedChannel:
     def close(self, reason: str) -> None:
         if self._book is not None:
             self._book.forget(self._route_id)
+            self._book = None  # what is delivered may end the route before its bytes are counted
         self._multiplexer.forget(self._route_id)
 
     def lost(self, reason: str) -> None:

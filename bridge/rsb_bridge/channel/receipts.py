@@ -44,10 +44,17 @@ class ReceiptBook:
     Args:
         loop: tells the time and sets the timer.
         send: sends a control message.
+        way_back: gives the s that a message of the peer takes to get here.
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, send: Callable[[Receipts], None]) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        send: Callable[[Receipts], None],
+        way_back: Callable[[], float] = float,
+    ) -> None:
         self.now = loop.time
+        self.way_back = way_back
         self._loop = loop
         self._send = send
         self._received: dict[int, int] = {}
@@ -126,6 +133,7 @@ class WindowedSender:
         if window is None or book is None:
             return
         window.patience = _OF_FIRST if self._route.rank > 0 else 1.0
+        window.back = book.way_back()
         window.acknowledge(count, self.sent, book.now())
         every = window.every
         if every >= 2 * self._asked or 2 * every <= self._asked:
@@ -136,8 +144,10 @@ class WindowedSender:
 
     def check_window(self) -> None:
         """Close the window while the path is stalled. Called once a second."""
-        if self._window is not None and self._book is not None:
-            self._window.check(self.sent, self._book.now())
+        window, book = self._window, self._book
+        if window is not None and book is not None:
+            window.back = book.way_back()
+            window.check(self.sent, book.now())
 
     @property
     def pace(self) -> Pace:

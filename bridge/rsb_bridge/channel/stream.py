@@ -52,6 +52,7 @@ class _StreamChannel(StreamHandler):
     def close(self, reason: str) -> None:
         if self._book is not None:
             self._book.forget(self._route.id)
+            self._book = None  # what is delivered may end the route before its bytes are counted
         self.carrier.handler = StreamHandler()
         self.carrier.abort(reason)  # the peer closes its half too: nobody would read what waits
 

@@ -35,6 +35,8 @@ _ROOM = 4.0
 """The window grows to the bytes that cross in so many seconds where nothing waits, so that receipts are rare."""
 _FARTHEST = 2.0
 """Longest round trip (s) of a path without a queue; more counts as waiting."""
+_LONGEST_BACK = 5.0
+"""s; a peer that claims more gains nothing by it."""
 _SILENT = 2.0
 """s without a receipt after which the path has stalled: a receiver acknowledges the last bytes within a second."""
 _MEASURED_OVER = 1.0
@@ -52,6 +54,7 @@ class Window:
         size: bytes that may be in transit.
         slow: whether messages wait on the path.
         patience: how many times longer than usual messages may wait on the path before the window shrinks.
+        back: s that a receipt takes to come back now; what waits in the other direction is not held against this one.
     """
 
     __slots__ = (
@@ -62,6 +65,7 @@ class Window:
         "_origin",
         "_receipts",
         "_shortest",
+        "back",
         "limit",
         "patience",
         "size",
@@ -74,6 +78,7 @@ class Window:
         self.limit = sent + FIRST
         self.slow = False
         self.patience = 1.0
+        self.back = 0.0
         self._origin = self._acknowledged = sent
         self._marks: deque[tuple[int, float]] = deque()  # how many bytes were sent when (s)
         self._last_mark, self._last_mark_at = sent, float("-inf")
@@ -116,7 +121,7 @@ class Window:
                 marks.appendleft((acknowledged, written_at))
         self._acknowledged = acknowledged
         rate = self._rate(acknowledged, now)
-        waits = self._age(now) - self._shortest
+        waits = self._waits(now)
         if waits > _LATE * self.patience:
             self.slow = True
             self.size = max(LEAST, int(rate * _AIM * self.patience), min(self.size, (sent - acknowledged) // 2))
@@ -130,7 +135,7 @@ class Window:
 
     def check(self, sent: int, now: float) -> None:
         """Close the window while the path is stalled. Called once a second."""
-        if self._age(now) - self._shortest > _SILENT:
+        if self._waits(now) > _SILENT:
             self.slow = True
             self.limit = min(self.limit, max(sent, self._acknowledged + LEAST))
 
@@ -142,6 +147,10 @@ class Window:
     def every(self) -> int:
         """Bytes between two receipts."""
         return max(FIRST_RECEIPT, self.size // _PARTS)
+
+    def _waits(self, now: float) -> float:
+        """Return how long (s) the oldest unacknowledged byte has waited, beyond the way there and back."""
+        return self._age(now) - max(self._shortest, min(self.back, _LONGEST_BACK))
 
     def _age(self, now: float) -> float:
         """Return the age (s) of the oldest unacknowledged byte, or 0 if there is none."""

@@ -19,6 +19,8 @@ RESTART = "restart the bridge's process for that (systemctl restart, or rsb-cons
 _OTHER_SESSION = ("name", "role")
 _FIXED = ("server_ip", "server_port", "bluetooth_address", "zenoh", "domain_id", "use_encryption", "profile")
 _FIXED_ON_CLIENT = (*_FIXED, "use_name")
+_COMMAND = "on_fault"
+"""A command line may hold more than an operator elsewhere should read, who sees the log."""
 
 
 def is_another(old: Session, new: Session) -> str:
@@ -53,7 +55,7 @@ def changes(
     if isinstance(old, Topic) and isinstance(new, Topic) and old.kind == new.kind:
         old, new = as_written(old), as_written(new)
     return [
-        f"{name} {_value(getattr(old, name))} → {_value(getattr(new, name))}"
+        _change(name, getattr(old, name), getattr(new, name))
         for name in only or new.__struct_fields__
         if name not in leave_out and getattr(old, name) != getattr(new, name)
     ]
@@ -69,6 +71,12 @@ def named(topic: Topic) -> str:
 def described(entry: Topic) -> str:
     """A topic or the like as one would write it into a session file: ``{topic: /scan, direction: transmit}``."""
     return inline(msgspec.to_builtins(as_written(entry)))
+
+
+def _change(name: str, old: Any, new: Any) -> str:
+    if name == _COMMAND:
+        return f"{name} {'none' if old is None else 'a command'} → {'none' if new is None else 'another command'}"
+    return f"{name} {_value(old)} → {_value(new)}"
 
 
 def _value(value: Any) -> str:

@@ -35,6 +35,7 @@ class DataChannels:
         log: adds an event about the link.
         unfinished: what the peer may have this side hold of messages that are not whole yet.
         send_receipts: sends receipts to the peer.
+        way_back: gives the s that a message of the peer takes to get here.
 
     Attributes:
         book: for receipts of streams, or None without a link or if the peer does not know them.
@@ -50,6 +51,7 @@ class DataChannels:
         log: Callable[[Level, EventCode, str], None],
         unfinished: Budget,
         send_receipts: Callable[[Receipts], None],
+        way_back: Callable[[], float],
     ) -> None:
         self.book: ReceiptBook | None = None
         self.keys: DataKeys | None = None
@@ -59,10 +61,11 @@ class DataChannels:
         self._unfinished = unfinished
         self._loop = loop
         self._send_receipts = send_receipts
+        self._way_back = way_back
 
     def connected(self, keys: SessionKeys, role: Role, *, receipts: bool) -> None:
         """Begin a connection, which has left these keys; `receipts`: both sides know them."""
-        self.book = ReceiptBook(self._loop, self._send_receipts) if receipts else None
+        self.book = ReceiptBook(self._loop, self._send_receipts, self._way_back) if receipts else None
         self.keys = DataKeys(keys, role, self._unfinished)
         self.probe = PathProbe(self.keys)
 

@@ -104,7 +104,9 @@ class Link(ABC):
         self.neighbourhood = Neighbourhood(context, self.send)
         self._tasks = Tasks(context.loop, self.fail)
         self.keepalive = Keepalive(context, self.carriers)
-        self.channels = DataChannels(context.loop, self._log_udp, self.budget.unfinished, self.send)
+        self.channels = DataChannels(
+            context.loop, self._log_udp, self.budget.unfinished, self.send, self._certain_way_back
+        )
         self.table = RouteTable(context, self)
         self.fullness = LinkFullness(self._log_full)
         self.contention = Contention(context, lambda: tuple(self.routes.values()), self.carriers, self.fullness)
@@ -446,6 +448,9 @@ class Link(ABC):
     def report_delay(self) -> float:
         """Seconds that what the peer reports takes to get here, about."""
         return self.keepalive.way_back
+
+    def _certain_way_back(self) -> float:
+        return max(0.0, self.report_delay - (self.clock_uncertainty or 0.0))
 
     @property
     def ping_wait(self) -> float:

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 _LOOKS = 2
 """Looks, a second apart, that have to agree before a topic becomes late, or is not late any more."""
 _CLEARLY = 2.0
-"""Times the bound: beyond that, one look is enough."""
+"""Times the bound: beyond that, one look is enough, unless a clock that was set may explain it."""
 _OVER = 0.8
 """Times the bound: below that, a late topic is in time again."""
-_REMEMBERED = 5.0
-"""s without a message after which a measured delay says nothing any more."""
+_REMEMBERED, _REMEMBERED_GAPS, _LONGEST_REMEMBERED = 5.0, 2.0, 60.0
+"""s without a message after which a measured delay says nothing any more, or times the last gap between messages if
+that is longer, and s at the most: a topic with a message every 10 s must not be fine in between."""
 _SAME = 0.15
 """Part by which a delay has to change until another figure is shown."""
 _REPORTED_EVERY = 1.0
@@ -69,10 +70,18 @@ class LateWatch:
         self.usual: float | None = None
         self._other = 0
         self._first = 0.0
-        self._seen_at = float("-inf")
+        self._seen_at: float | None = None
+        self._gap = 0.0  # s, between the last two delays
 
     def tick(
-        self, delay: float | None, uncertainty: float, bound: float, now: float, measured: float | None = None
+        self,
+        delay: float | None,
+        uncertainty: float,
+        bound: float,
+        now: float,
+        measured: float | None = None,
+        *,
+        own: float = 0.0,
     ) -> None:
         """Take a delay.
 
@@ -82,14 +91,17 @@ class LateWatch:
             bound: s that a message may take; 0: any time.
             now: s.
             measured: s that messages take, for what is usual; None: no figure.
+            own: the part of `delay` that this side knows without the other one's clock, which may just have been set.
         """
         if not bound:
             self.reset()
             return
         if delay is None:
-            if self.since is not None and now - self._seen_at >= _REMEMBERED:
+            remembered = max(_REMEMBERED, min(_REMEMBERED_GAPS * self._gap, _LONGEST_REMEMBERED))
+            if self.since is not None and self._seen_at is not None and now - self._seen_at >= remembered:
                 self.reset()
             return
+        self._gap = 0.0 if self._seen_at is None else now - self._seen_at
         self._seen_at = now
         late = self.since is not None
         over = delay - uncertainty > (_OVER * bound if late else bound)
@@ -103,7 +115,7 @@ class LateWatch:
         if not self._other:
             self._first = now
         self._other += 1
-        if self._other >= _LOOKS or (over and delay - uncertainty > _CLEARLY * bound):
+        if self._other >= _LOOKS or (over and own > _CLEARLY * bound):
             self._other = 0
             self.since = None if late else self._first
             self.seconds = 0.0 if late else delay
@@ -113,6 +125,7 @@ class LateWatch:
         self.since = None
         self.seconds = 0.0
         self._other = 0
+        self._seen_at = None
 
 
 class Unreported:

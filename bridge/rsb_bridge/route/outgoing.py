@@ -302,12 +302,11 @@ class OutgoingRoute(TopicRoute):
         measured = None
         if self._told_delay is not None and now - self._told_delay[1] <= _TOLD_LATELY and not self.yielding.holds:
             measured = self._told_delay[0]
-        least = (measured or 0.0) - (self.peer.clock_uncertainty or 0.0)
         if not self.transport.reliable:  # unreported datagrams may be lost, unless pings by a stream are held up, too
             unreported = min(unreported, self.peer.ping_wait)
-        least = max(least, delay_of_sender(unreported, self.peer.report_delay))
-        self.delay = max(0.0, least, self._sending.waits(now))
-        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured)
+        own = max(self._sending.waits(now), delay_of_sender(unreported, self.peer.report_delay))
+        self.delay = max(own, (measured or 0.0) - (self.peer.clock_uncertainty or 0.0))
+        self.lateness.tick(self.delay, 0.0, self.late_after, now, measured, own=own)
 
     @property
     def _under_way(self) -> float:

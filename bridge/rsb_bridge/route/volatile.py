@@ -28,6 +28,9 @@ _BURST_BYTES = 1 << 20
 """Bytes of messages kept for a burst from which on DDS is asked more often whether they are acknowledged."""
 _BURST_TIME = 2.0
 """Seconds for which more than that may be kept before the publisher is replaced by one that keeps few."""
+_MATCHED_WITHIN = 2.0
+"""Seconds that subscriptions have to find the new publisher before it takes over: what is published before is lost to
+them."""
 _MESSAGE_COST = 256  # bytes
 _ASKS_AGAIN_AFTER = 0.01
 """s, while subscribers take nothing: to ask DDS takes 100 µs then."""
@@ -73,6 +76,8 @@ class VolatileTopic:
         self._renew = renew
         self._lasting_depth = depth if lasting_depth is None else lasting_depth
         self._unacknowledged_since: float | None = None
+        self._successor: Publisher | None = None
+        self._successor_since = 0.0
         self._waiting: deque[int] = deque()  # sizes of the memory of messages that may not be acknowledged yet
         self._free: list[int] = []  # of memory that DDS uses next
         self._held = self._charged = self._held_when_asked = 0
@@ -96,8 +101,10 @@ class VolatileTopic:
         if full or self._held + growth > self._held_when_asked + FREE:
             self._recycle()
         since = self._unacknowledged_since
-        if full and since is not None and self._renew is not None and self._now() - since >= _BURST_TIME:
-            self._begin_anew(self._renew)
+        if self._successor is not None:
+            self._look_at_successor()
+        elif full and since is not None and self._renew is not None and self._now() - since >= _BURST_TIME:
+            self._successor, self._successor_since = self._renew(self._lasting_depth), self._now()
         try:
             self._take(size, self._memory())
         except SlowSubscriberError:
@@ -110,12 +117,32 @@ class VolatileTopic:
     def close(self) -> None:
         """Close the publisher, which frees its memory. May be called twice."""
         self._publisher.close()
+        self._drop_successor()
         self._forget_memory()
+
+    def _look_at_successor(self) -> None:
+        """Replace the publisher once the subscriptions have found the new one, unless they have caught up."""
+        assert self._successor is not None
+        self._recycle()
+        if self._unacknowledged_since is None:
+            self._drop_successor()
+        elif (
+            self._successor.subscriber_count >= self._publisher.subscriber_count
+            or self._now() - self._successor_since >= _MATCHED_WITHIN
+        ):
+            assert self._renew is not None
+            self._begin_anew(self._renew)
+
+    def _drop_successor(self) -> None:
+        if self._successor is not None:
+            self._successor.close()
+            self._successor = None
 
     def _begin_anew(self, renew: Callable[[int], Publisher]) -> None:
         """Have a publisher without memory: each piece of this one's is too small, or kept for a slow subscriber."""
+        successor, self._successor = self._successor, None
+        former, self._publisher = self._publisher, successor or renew(self._lasting_depth)
         self._depth, self._unacknowledged_since = self._lasting_depth, None
-        former, self._publisher = self._publisher, renew(self._depth)
         former.close()
         self._forget_memory()
 

@@ -185,9 +185,7 @@ def _key(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> tuple[str, s
 
 
 def _cause(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
-    if isinstance(faulty, PatternSnapshot):
-        return ""
-    return f"{faulty.cause} {faulty.warning}" if isinstance(faulty, LinkSnapshot) else faulty.cause
+    return "" if isinstance(faulty, PatternSnapshot) else faulty.cause
 
 
 def _name(faulty: RouteSnapshot | LinkSnapshot | PatternSnapshot) -> str:
