@@ -134,7 +134,7 @@ class Request(_Message, frozen=True, tag="request"):
     Attributes:
         id: of the console's choosing.
         command: what to do.
-        undo: whether it takes back an earlier command of this console, which the bridge's log then says.
+        undo: whether it takes back an earlier command of this console; the bridge's log marks it.
     """
 
     id: int

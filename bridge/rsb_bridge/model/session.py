@@ -86,7 +86,7 @@ class Topic(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
         max_rate: Hz; None: no limit.
         expected_rate: Hz, shown beside the real rate; None: learned.
         stale_after: s without a message until a warning; None: the session's; 0: never.
-        late_after: s that a message may take until the topic is late; None: the session's; 0: any time.
+        late_after: s that a message may take until the topic is late, 0 for no limit, or None for the session's.
         paused: the topic is set up, and carries nothing until it is resumed.
         arm: it carries nothing until an operator of either side arms it on a console.
         deadman: s without a key on that console after which it disarms; None: `DEADMAN`; 0: none.
@@ -245,14 +245,14 @@ class Session(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defa
         key_file: path, relative to the session file.
         next_key_file: on a server, the key that replaces it. Both are valid as long as it is given.
         stale_after: s without a message until a topic is stale (thesis: 15); 0: never.
-        late_after: s that messages may take until their topic is late; 0: any time.
+        late_after: s that messages may take until their topic is late, or 0 for no limit.
         stale_warnings: how many times to warn of it (thesis: 5).
         shutdown_topic: "shutdown" as ``std_msgs/String`` on it closes the sockets on both sides; None: no such topic.
         diagnostics_topic: the state of links and routes is published on it, as ``diagnostic_msgs/DiagnosticArray``;
             None: nowhere.
         metrics: the address on which Prometheus finds the metrics, ``127.0.0.1:9464``; None: nowhere.
-        on_fault: a command that is run when a fault begins, changes or is over: a list of words, or a text that
-            `rsb_bridge.config.fault_command` splits into words as a shell would; or None for no command.
+        on_fault: the command to run when a fault begins, changes or is over, or None. It is a list of words, or a text
+            that `rsb_bridge.config.fault_command` splits into words as a shell would.
         topics: a client's topics.
         clients: those that a server lets in; empty: one, with the session's own name and key.
         ports: which TCP and UDP ports of their own clients' topics may have on the server; None: 16 for each client.

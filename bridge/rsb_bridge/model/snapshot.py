@@ -21,7 +21,7 @@ class State(StrEnum):
     DOWN = "down"
     """No message can cross."""
     STALE = "stale"
-    """No message has come for `stale_after`, though one was due; no rate says when."""
+    """No message has come for `stale_after`, though one was due."""
     STOPPED = "stopped"
     """No message has come for several of the periods that its rate lets expect."""
     LATE = "late"
@@ -49,12 +49,12 @@ class State(StrEnum):
 
     @property
     def flows(self) -> bool:
-        """Whether messages cross, be it too few of them, too late, or unheard."""
+        """Whether messages cross, even if too few, too late or unheard."""
         return self in (State.OK, State.UNHEARD, State.SLOW, State.LATE)
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Take a state that only a newer version has for a warning: somebody should look."""
+        """Treat an unknown state of a newer version as a warning."""
         return cls.SLOW if isinstance(value, str) else None
 
 
@@ -146,9 +146,9 @@ class Ledger:
         expired: given up incomplete.
         in_flight: not accounted for yet.
         dropped: by cause.
-        unknown: sent, but the other side's process ended before it said whether they arrived.
-        lost_in_dds: lost before they could be taken; no part of `offered`, like the next one.
-        missed_while_down: published while the route was down, estimated from the time and the usual rate.
+        unknown: sent to a process that ended before it reported whether they arrived.
+        lost_in_dds: lost before the bridge could take them; not part of `offered`.
+        missed_while_down: published while the route was down, estimated from the usual rate; not part of `offered`.
     """
 
     offered: int = 0
@@ -188,7 +188,7 @@ class ArmingSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class Acknowledgement:
-    """An operator knows of a fault: it counts no more until its state or its cause changes.
+    """An operator has acknowledged a fault: it does not count until its state or its cause changes.
 
     Attributes:
         by: the operator, in words.
@@ -246,7 +246,7 @@ class RouteSnapshot:
         pattern: of this side's session, which has made it; empty: it is listed by its name, or the other side's.
         messages_total: messages or calls that `rate` and `bytes_total` count: on the sending side those given to the
             link, on the receiving side those published.
-        acknowledged: who knows of its fault, or None. That of a link covers the routes that its loss has stopped.
+        acknowledged: the acknowledgement of its fault, or None. A link's covers the routes that are down with it.
     """
 
     key: str
@@ -312,7 +312,7 @@ class PatternSnapshot:
         routes: that it has made.
         gone: of them, those whose topic nobody publishes now.
         beyond: how many names match and are not bridged, because there are too many.
-        acknowledged: who knows of its fault, or None.
+        acknowledged: the acknowledgement of its fault, or None.
     """
 
     key: str
@@ -351,16 +351,16 @@ class LinkSnapshot:
         peer_domain: the other side's ROS domain; None: not linked yet.
         use_name: the client's topics have its name before them on the server.
         cause: of a fault, an `rsb_bridge.model.verdict.LinkCause`; empty: there is none.
-        warning: what is wrong though the link is up, for an operator; or empty.
+        warning: a fault that does not take the link down, for an operator, or empty.
         next_fingerprint: on a server, of the key that replaces the client's, and is valid, too; empty: none does.
         capacity_out: what it is known to carry from here; None: nothing yet.
         capacity_in: what it is known to carry to here; None: nothing yet.
         rx_bytes_total: wire bytes received since this process knows the link, over all its connections.
         tx_bytes_total: sent, likewise.
         patterns: those of this side's session, in their order.
-        full_out: what it carries from here, if that is less than is asked of it; None: it carries all.
-        full_in: what it carries to here, likewise, as the other side says.
-        acknowledged: who knows of its fault, or None.
+        full_out: the rates from here, or None if the link is not full.
+        full_in: the rates to here, as the peer reports them, or None if the link is not full.
+        acknowledged: the acknowledgement of its fault, or None.
     """
 
     name: str
@@ -396,10 +396,10 @@ class LinkSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class RefusedClient:
-    """A client that a server refuses at present, and that none of its links shows.
+    """A refused client that no link of its server shows.
 
     Attributes:
-        name: the client's name as it says, or empty if it said none.
+        name: that the client gave, or empty.
         host: its address.
         cause: the reason as an `rsb_bridge.model.verdict.LinkCause`.
         reason: the same in words, with the remedy.
@@ -429,7 +429,7 @@ class Snapshot:
         links: on a server, one for each known client.
         routes: of all links.
         last_event: number of the newest event.
-        refused: clients that a server refuses at present.
+        refused: a server's refused clients.
     """
 
     time: float

@@ -58,9 +58,9 @@ class Facts(NamedTuple):
         type_name: of its messages; empty: not known yet.
         qos: it is subscribed to and published with; None: not known yet.
         flowing: messages could cross now.
-        came: some have since it was opened, or the receiving side has kept some of a latched topic.
+        came: messages have crossed since it was opened, or the receiving side keeps some of a latched topic.
         came_before: some have in an earlier opening, and none in this one.
-        stale_since: s, of the last message, if silence counts and that is longer ago than `stale_after`, or None.
+        stale_since: s, of the last message if silence counts and has lasted `stale_after`, or None.
         stopped_since: s, of the last message, where its publishers have stopped; else None.
         slow_since: s, when it got slow; None: it is not.
         rate: Hz, of the messages that are sent.
@@ -71,8 +71,8 @@ class Facts(NamedTuple):
         limit: Hz that an operator allows it; 0: all.
         limited_by: who says so.
         yielded: what it leaves to topics with a higher priority; None: nothing.
-        late: how late its messages are; None: they are not.
-        full: what the link carries, if it carries less than is asked of it; None: it carries all.
+        late: the lateness of its messages, or None if they are on time.
+        full: the rates of the link if it is full, or None.
     """
 
     sends: bool
@@ -168,7 +168,7 @@ def _stale(facts: Facts) -> Verdict | None:
 
 
 def _why_silent(facts: Facts) -> tuple[Cause, str]:
-    """Explain that nothing is published. DDS lists one that died for up to 40 s, so whether it runs is unknown."""
+    """Explain the silence. DDS lists a publisher for up to 40 s after its death, so it may not run any more."""
     ever = facts.came or facts.came_before
     if facts.endpoints:
         silent = ("has stopped publishing, or died", "have stopped publishing, or died")
@@ -250,7 +250,7 @@ def _stopped(facts: Facts) -> Verdict | None:
 
 
 def _departed(facts: Facts) -> Verdict | None:
-    """A rule: the publisher has left, and nothing more was due."""
+    """Judge a topic whose publisher has left while no message was due."""
     if not facts.sends or not facts.flowing or not facts.came or facts.endpoints:
         return None
     text = f"{no_publisher(facts.topic, facts.domain_id)} any more"
@@ -266,7 +266,7 @@ def _slow(facts: Facts) -> Verdict | None:
     if facts.slow_since is None or facts.expected_rate is None:
         return None
     rates = f"{_steady_figure(facts.rate)} Hz of {facts.expected_rate:.3g} expected"
-    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits a little before it calls the topic fine
+    if facts.rate >= FAST_ABOVE * facts.expected_rate:  # the watch waits before it ends the fault
         return Verdict(State.SLOW, Cause.SLOW, f"recovering after {LASTING}: {rates}", facts.slow_since)
     text = f"{rates}, for {LASTING}"
     if facts.lost_in_dds > (facts.expected_rate - facts.rate) * LATELY / 2:  # it is the greater part of what is missing
@@ -279,7 +279,7 @@ def _slow(facts: Facts) -> Verdict | None:
 _LOSSES: dict[str, tuple[Cause, str]] = {
     "queue full": (
         Cause.QUEUE_FULL,
-        "more is published than the link carries: set max_rate, compression: zstd, or priority, or use a faster link",
+        "more is published than the link carries: set max_rate, compression: zstd or priority",
     ),
     "too large": (Cause.TOO_LARGE, "they are larger than its transport carries: use protocol: tcp"),
     "publish failed": (Cause.NOT_PUBLISHED, "the receiving side cannot publish them; its log says why"),

@@ -53,9 +53,9 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
         in_flight: not accounted for yet.
-        dropped: by cause; ``unknown``: sent, and the receiver ended before it said whether they arrived.
-        lost_in_dds: lost before they could be taken.
-        missed_while_down: published while the route was down, estimated; no part of `offered`.
+        dropped: by cause; ``unknown``: sent to a process that ended before it reported whether they arrived.
+        lost_in_dds: lost before the bridge could take them.
+        missed_while_down: published while the route was down, estimated; not part of `offered`.
         publishers: on its topic.
         publisher_qos: what they offer together; None: there are none.
         subscribed: messages are being taken.
@@ -128,12 +128,12 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
 
 
 class FullRecord(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a link carries in the direction in which a report goes (`rsb_bridge.model.fullness.Fullness`).
+    """Rates of a full link in the direction of the report (`rsb_bridge.model.fullness.Fullness`).
 
     Attributes:
         carried: bytes/s that arrive.
-        asked: bytes/s that the sender's topics want; 0: the link is not full any more.
-        topics: those that want the most, by their names on the receiving side.
+        asked: bytes/s that the sender's topics ask for, or 0 if the link is no longer full.
+        topics: names on the receiving side of the topics that ask for the most.
     """
 
     carried: float = 0.0
