@@ -1,4 +1,4 @@
-"""The command ``info``: prints all that a bridge knows of one topic, service, action or node's parameters."""
+"""The command ``info``: prints all details of one topic, service, action or node's parameters."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def print_info(arguments: Namespace) -> int:
-    """Print all about the route that the arguments mean. Returns the exit code."""
+    """Print the details of the route that the arguments name. Returns the exit code."""
     with attached(arguments, read_only=True) as engine:
         route = chosen_route(engine, arguments)
         now = engine.snapshot()
@@ -86,7 +86,7 @@ def _lines(route: RouteSnapshot, link: LinkSnapshot | None, other: str) -> Itera
     missing = [stage for stage in route.stages if not stage.done]
     if missing:
         detail = f": {missing[0].detail}" if missing[0].detail else ""
-        yield f"Not passed: {missing[0].name}{detail}"
+        yield f"Waits for: {missing[0].name}{detail}"
     if route.last_error:
         yield f"Last error: {route.last_error}"
 
@@ -106,7 +106,7 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
 def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     yield f"{link.name} {link.state.upper()}{f' {link.peer}' if link.peer else ''}"
     if link.rtt is not None:
-        yield f"there and back {formats.span(link.rtt)}"
+        yield f"round trip {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:
         yield fault
 
@@ -147,7 +147,7 @@ def _latency(route: RouteSnapshot) -> str | None:
     if (calls := route.calls) is not None:
         if calls.way_p50 is None or calls.node_p50 is None:
             return None
-        return f"Latency: p50 {formats.span(calls.way_p50)} there and back, {formats.span(calls.node_p50)} in the node"
+        return f"Latency: p50 {formats.span(calls.way_p50)} round trip, {formats.span(calls.node_p50)} in the node"
     if route.latency_p50 is None or route.latency_p99 is None:
         return None
     p50, p99 = (formats.latency(each, route.latency_uncertainty) for each in (route.latency_p50, route.latency_p99))
@@ -160,7 +160,7 @@ def _ledger(route: RouteSnapshot) -> Iterator[str]:
         refused = sum(calls.refused.values())
         yield (
             f"Ledger: {calls.asked} asked = {calls.answered} answered + {calls.expired} expired + {refused} refused"
-            f" + {calls.lost} lost + {calls.in_flight} under way"
+            f" + {calls.lost} lost + {calls.in_flight} in flight"
         )
         dropped = calls.refused
     else:
