@@ -1,6 +1,6 @@
 """Limits the data in transit on a stream channel, so that messages wait on the way for a second at most.
 
-A stream accepts as much as its buffers hold: the kernel's, and those of a tunnel behind them. On a link of 5 kB/s that
+A stream accepts as much as the buffers of the kernel and of a tunnel behind it hold. On a link of 5 kB/s that
 is data for several minutes. So the receiver acknowledges bytes by receipts, and the sender keeps no more than a window
 of them in transit. The rest waits in the route's queue, which drops the oldest messages first.
 

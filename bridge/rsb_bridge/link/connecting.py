@@ -148,7 +148,7 @@ class ConnectAttempt(StreamHandler):
 
 
 def _not_a_bridge(address: str, protocol: str) -> str:
-    """Return a text that says which program answers instead, and what to do.
+    """Name the program that answers instead, and the remedy.
 
     Args:
         address: of the server.

@@ -23,7 +23,7 @@ _WINDOW = 3
 _MORE = 1.15
 """A full link is asked for more than so many times the arriving bytes."""
 _FAR_LESS = 0.6
-"""Share of the asked bytes: if less than that arrives on average, the link is full, whatever the last tick brought."""
+"""Share of the asked bytes: if less arrives on average, the link is full even if the last tick brought more."""
 _AFTER_STALL = 6
 """Ticks after a stall in which the arriving bytes say nothing about the link's capacity."""
 _SMOOTH = 0.4

@@ -43,9 +43,9 @@ class Server:
     """The server's end of all its links.
 
     Attributes:
-        entries: of the clients that are let in, by their names.
-        links: likewise; a client that the session lists has one before it ever came.
-        refused_clients: those that no link shows.
+        entries: of the admitted clients, by name.
+        links: by client name; a client in the session has one even before it first connects.
+        refused_clients: refused clients that no link shows.
     """
 
     def __init__(

@@ -420,7 +420,7 @@ class OutgoingRoute(TopicRoute):
 
     @property
     def silence_counts(self) -> bool:
-        """Whether silence counts and no usual rate is known; `Health` judges topics with a usual rate."""
+        """Whether silence counts and there is no usual rate; `Health` judges topics with one."""
         return super().silence_counts and (self.silence.own or self.meter.usual_rate is None)
 
     def end_qos(self) -> tuple[Qos | None, Qos | None]:

@@ -121,7 +121,7 @@ def next_attempt(link: LinkSnapshot, now: float | None = None) -> str:
 
     Args:
         link: that link.
-        now: s, so that the seconds change together with those of `age_since`, or None.
+        now: s, so that the seconds change together with `age_since`, or None.
     """
     seconds = link.retry_in
     if seconds and now is not None:

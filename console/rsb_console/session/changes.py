@@ -308,7 +308,7 @@ def find_entry(now: Snapshot, key: str) -> RouteSnapshot | None:
 
 
 def patterns_of(now: Snapshot, link: str, like: Topic | None = None) -> list[PatternRow]:
-    """Return the patterns of a link, or only those of the kind and direction of `like`."""
+    """Return the patterns of a link; if `like` is given, only of its kind and direction."""
     return [
         row
         for row in pattern_rows(now)

@@ -29,7 +29,7 @@ class Choice(Widget, can_focus=True):
 
     Args:
         options: value and label of each; at least one.
-        value: the one that is chosen at first; empty: the first.
+        value: chosen at first, or empty for the first option.
 
     Attributes:
         input_guard: the form's.
