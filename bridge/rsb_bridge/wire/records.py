@@ -48,19 +48,19 @@ class SentReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     Attributes:
         route: route id.
-        offered: messages taken from ROS since the route was made; so for all counts here.
+        offered: messages taken from ROS since the route was made, as for all counts here.
         delivered: published by the receiver, according to its last report.
         throttled: left out because of `Propose.max_rate`.
         expired: datagram messages that the receiver gave up incomplete.
-        in_flight: not accounted for yet.
+        in_flight: not reported yet.
         dropped: by cause; ``unknown``: sent to a process that ended before it reported whether they arrived.
         lost_in_dds: lost before the bridge could take them.
         missed_while_down: published while the route was down, estimated; not part of `offered`.
         publishers: on its topic.
-        publisher_qos: what they offer together; None: there are none.
-        subscribed: messages are being taken.
-        verdict: what the sending side makes of the route; None: nothing to say.
-        nodes: that publish the topic, some of them.
+        publisher_qos: their combined offer, or None without publishers.
+        subscribed: whether the sender takes messages from ROS.
+        verdict: of the sending side, or None.
+        nodes: some of the nodes that publish the topic.
     """
 
     route: RouteId
@@ -94,15 +94,15 @@ class ReceivedReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
         newest: the highest message number seen on datagrams.
         dropped: by cause.
         subscribers: on its topic.
-        subscriber_qos: what they ask for together; None: there are none.
+        subscriber_qos: their combined request, or None without subscribers.
         type: the topic's type in the receiver's graph, while the sender has described none.
         type_hash: likewise.
-        latency: s, of the messages of the last second, one way, corrected by the clock offset; None: no figure.
-        latency_p50: s, likewise, of the last messages.
-        latency_p99: likewise.
-        jitter: s (RFC 3550, 6.4.1); None: no figure.
-        verdict: what the receiving side makes of the route; None: nothing to say.
-        nodes: that subscribe to the topic, some of them.
+        latency: s, one way, of the last second's messages, corrected by the clock offset, or None without a figure.
+        latency_p50: s, one way, of the last messages, or None without a figure.
+        latency_p99: s, one way, of the last messages, or None without a figure.
+        jitter: s (RFC 3550, 6.4.1), or None without a figure.
+        verdict: of the receiving side, or None.
+        nodes: some of the nodes that subscribe to the topic.
     """
 
     route: RouteId
