@@ -106,7 +106,7 @@ def _carriers(route: RouteSnapshot) -> Iterator[str]:
 def _link_parts(link: LinkSnapshot) -> Iterator[str]:
     yield f"{link.name} {link.state.upper()}{f' {link.peer}' if link.peer else ''}"
     if link.rtt is not None:
-        yield f"round trip {formats.span(link.rtt)}"
+        yield f"rtt {formats.span(link.rtt)}"
     if fault := link.reason or link.warning:
         yield fault
 
@@ -147,7 +147,7 @@ def _latency(route: RouteSnapshot) -> str | None:
     if (calls := route.calls) is not None:
         if calls.way_p50 is None or calls.node_p50 is None:
             return None
-        return f"Latency: p50 {formats.span(calls.way_p50)} round trip, {formats.span(calls.node_p50)} in the node"
+        return f"Latency: p50 {formats.span(calls.way_p50)} there and back, {formats.span(calls.node_p50)} in the node"
     if route.latency_p50 is None or route.latency_p99 is None:
         return None
     p50, p99 = (formats.latency(each, route.latency_uncertainty) for each in (route.latency_p50, route.latency_p99))
@@ -160,7 +160,7 @@ def _ledger(route: RouteSnapshot) -> Iterator[str]:
         refused = sum(calls.refused.values())
         yield (
             f"Ledger: {calls.asked} asked = {calls.answered} answered + {calls.expired} expired + {refused} refused"
-            f" + {calls.lost} lost + {calls.in_flight} in flight"
+            f" + {calls.lost} lost + {calls.in_flight} under way"
         )
         dropped = calls.refused
     else:
